@@ -1,0 +1,1 @@
+"""What the samples mean: curves, limits, verdicts, fleet tables."""

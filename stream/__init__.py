@@ -1,0 +1,1 @@
+"""What a sample is, how it travels, and what is known while it flows."""

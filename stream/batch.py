@@ -1,0 +1,144 @@
+"""A batch of consecutive samples of one signal: what travels, is kept and is estimated from."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from uuid import UUID
+
+import numpy as np
+import numpy.typing as npt
+
+from stream.errors import BadInput
+
+IntArray = npt.NDArray[np.int64]
+FloatArray = npt.NDArray[np.float64]
+CountArray = npt.NDArray[np.int32]
+FlagArray = npt.NDArray[np.uint8]
+
+INT64_MAX = np.iinfo(np.int64).max
+
+
+@dataclass(frozen=True, eq=False)
+class SampleBatch:
+    """Consecutive samples of one signal of one unit.
+
+    Parameters
+    ----------
+    unit, signal, run : str
+        Whose samples these are.
+    epoch : UUID
+        Power-on of the source; `seq` counts within it.
+    seq : int
+        Number of the first sample within the epoch.
+    t0_ns : int
+        Time of the first sample, nanoseconds UTC (from 1970, or from the run's start where the date is unknown).
+    dt_ns : int
+        Nominal sample interval in nanoseconds, at least 1.
+    unit_of_measure : str
+        Unit of the values.
+    counts : ndarray of int32, shape (n,), optional
+        What the device gave, where it gives counts: value = counts * scale + offset.
+    values : ndarray of float64, shape (n,), optional
+        The values, where the device gives no counts. Exactly one of `counts` and `values` is set.
+    times_ns : ndarray of int64, shape (n,), optional
+        True times; None where sample i is at exactly t0_ns + i * dt_ns.
+    irregular : bool
+        True where the samples do not lie within a tenth of an interval of a grid of `dt_ns`.
+    scale, offset : float
+        From counts to values.
+    flags : ndarray of uint8, shape (n,), optional
+        Set only where a sample of the batch has one.
+
+    Raises
+    ------
+    BadInput
+        If the arrays do not fit together, or an integer does not fit its field.
+
+    Examples
+    --------
+    >>> from uuid import UUID
+    >>> batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 0, 0, 10_000_000, "deg/s",
+    ...                     counts=np.array([1, 2, 3], np.int32), scale=0.5)
+    >>> len(batch), batch.value_array.tolist(), batch.last_ns
+    (3, [0.5, 1.0, 1.5], 20000000)
+    """
+
+    unit: str
+    signal: str
+    run: str
+    epoch: UUID
+    seq: int
+    t0_ns: int
+    dt_ns: int
+    unit_of_measure: str
+    counts: CountArray | None = None
+    values: FloatArray | None = None
+    times_ns: IntArray | None = None
+    irregular: bool = False
+    scale: float = 1.0
+    offset: float = 0.0
+    flags: FlagArray | None = None
+
+    def __post_init__(self) -> None:
+        """Check that the parts fit together."""
+        if (self.counts is None) == (self.values is None):
+            raise BadInput(f"{self._who}: a batch holds either counts or values, exactly one of them")
+        n = len(self)
+        if n == 0:
+            raise BadInput(f"{self._who}: a batch holds at least one sample")
+        for name in ("times_ns", "flags"):
+            array = getattr(self, name)
+            if array is not None and len(array) != n:
+                raise BadInput(f"{self._who}: {len(array)} {name} for {n} samples")
+        if not 1 <= self.dt_ns <= INT64_MAX or not 0 <= self.seq <= INT64_MAX - n:
+            raise BadInput(f"{self._who}: dt_ns {self.dt_ns} or seq {self.seq} is outside its range")
+        if not -INT64_MAX <= self.t0_ns <= INT64_MAX or not -INT64_MAX <= self.last_ns <= INT64_MAX:
+            raise BadInput(f"{self._who}: times from {self.t0_ns} ns do not fit 64 bits")
+
+    def __len__(self) -> int:
+        data = self.counts if self.counts is not None else self.values
+        assert data is not None
+        return len(data)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, SampleBatch):
+            return NotImplemented
+        return all(_same(getattr(self, name), getattr(other, name)) for name in self.__dataclass_fields__)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def _who(self) -> str:
+        return f"run {self.run}, unit {self.unit}, signal {self.signal}"
+
+    @property
+    def next_seq(self) -> int:
+        """Number of the sample that follows this batch."""
+        return self.seq + len(self)
+
+    @property
+    def last_ns(self) -> int:
+        """Time of the last sample, nanoseconds."""
+        if self.times_ns is not None:
+            return int(self.times_ns[-1])
+        return self.t0_ns + (len(self) - 1) * self.dt_ns
+
+    @cached_property
+    def time_array(self) -> IntArray:
+        """Time of every sample, nanoseconds, shape (n,)."""
+        if self.times_ns is not None:
+            return self.times_ns
+        return self.t0_ns + self.dt_ns * np.arange(len(self), dtype=np.int64)
+
+    @cached_property
+    def value_array(self) -> FloatArray:
+        """Value of every sample in `unit_of_measure`, shape (n,)."""
+        if self.values is not None:
+            return self.values
+        assert self.counts is not None
+        return self.counts * self.scale + self.offset
+
+
+def _same(a: object, b: object) -> bool:
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return a.dtype == b.dtype and a.tobytes() == b.tobytes()
+    return type(a) is type(b) and a == b

@@ -1,0 +1,49 @@
+"""The one tree of errors.
+
+Every message is a sentence a test engineer can act on: what happened (unit, run, file, line), what was
+expected, and what to do next.
+"""
+
+
+class GyrofleetError(Exception):
+    """Root of all errors that gyrofleet raises on purpose; its text is meant for people."""
+
+
+class BadInput(GyrofleetError):
+    """A file, column, cell or option that does not keep the import contract."""
+
+
+class UnknownUnit(BadInput):
+    """A unit of measure that cannot be read."""
+
+
+class NotFound(GyrofleetError):
+    """A unit, signal or run that the store does not hold."""
+
+
+class QueryError(GyrofleetError):
+    """A SQL statement that is refused or fails."""
+
+
+class StoreError(GyrofleetError):
+    """A store that cannot be opened, written or trusted."""
+
+
+class WireError(GyrofleetError):
+    """A message that cannot be decoded."""
+
+
+class NewerSchema(WireError):
+    """A message written by a newer gyrofleet than this one."""
+
+
+class BusError(GyrofleetError):
+    """A bus that cannot be opened or reached."""
+
+
+class DeliveryError(GyrofleetError):
+    """Samples that no recorder has acknowledged in time."""
+
+
+class EstimatorError(GyrofleetError):
+    """An estimator that is given what it cannot use."""

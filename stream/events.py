@@ -1,0 +1,280 @@
+"""Run documents: what happens around the samples, in the manner of an event model.
+
+Each is JSON with a ``kind``; it travels and is kept beside the samples. Times are int64 nanoseconds on the
+source's clock. A document is identified by its ``uid``: sent twice, it is the same document.
+"""
+
+from enum import StrEnum
+from typing import Annotated, Any
+from uuid import uuid4
+
+import msgspec
+
+from stream.errors import NewerSchema, WireError
+
+EVENT_SCHEMA = 1
+
+
+class Verdict(StrEnum):
+    """Outcome of a check, a unit or a run."""
+
+    PASS = "PASS"  # noqa: S105  not a password
+    FAIL = "FAIL"
+    MARGINAL = "MARGINAL"
+    NO_DATA = "NO_DATA"
+    ABORTED = "ABORTED"
+
+
+def new_uid() -> str:
+    """A fresh identity for a document."""
+    return uuid4().hex
+
+
+class Document(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", omit_defaults=True):
+    """What every document carries.
+
+    Parameters
+    ----------
+    run : str
+        The run it belongs to.
+    t_ns : int
+        When, on the source's clock, nanoseconds.
+    uid : str
+        Identity of the document.
+    """
+
+    run: str
+    t_ns: int
+    uid: str = msgspec.field(default_factory=new_uid)
+
+
+class RunStarted(Document, frozen=True, kw_only=True, tag=True):
+    """A run begins; `date_known` is False where times count from an unknown moment."""
+
+    date_known: bool = True
+    simulated: bool = False
+    source: str = ""
+    units: tuple[str, ...] = ()
+    procedure: str | None = None
+    operator: str | None = None
+    lot: str | None = None
+    details: dict[str, str] = {}
+
+
+class StepWords(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What was commanded in a step, in the words that files, events and SQL share."""
+
+    procedure: str | None = None
+    step: str | None = None
+    repeat: int | None = None
+    position: str | None = None
+    axis: str | None = None
+    phase: str | None = None
+    rate_command_deg_per_s: float | None = None
+    temperature_command_deg_c: float | None = None
+    frequency_hz: float | None = None
+    amplitude: float | None = None
+    settle_s: float | None = None
+    room: bool | None = None
+
+
+class StepStarted(Document, frozen=True, kw_only=True, tag=True):
+    """A step of a unit begins at its first sample."""
+
+    unit: str
+    words: StepWords
+
+
+class StepEnded(Document, frozen=True, kw_only=True, tag=True):
+    """The step whose StepStarted has uid `step_uid` ends at its last sample."""
+
+    unit: str
+    step_uid: str
+
+
+class PowerOn(Document, frozen=True, kw_only=True, tag=True):
+    """A unit is powered on: a new epoch of its samples."""
+
+    unit: str
+    epoch: str
+    slot: str | None = None
+
+
+class PowerOff(Document, frozen=True, kw_only=True, tag=True):
+    """A unit is powered off."""
+
+    unit: str
+    epoch: str
+
+
+class NoteAdded(Document, frozen=True, kw_only=True, tag=True):
+    """Something a person or a program wants remembered."""
+
+    text: str
+    author: str = ""
+    unit: str | None = None
+
+
+class Limit(msgspec.Struct, frozen=True, kw_only=True):
+    """An upper limit on a characteristic, in `unit_of_measure`."""
+
+    characteristic: str
+    signal: str
+    tau_s: float | None
+    upper: float
+    unit_of_measure: str
+
+
+class LimitsApplied(Document, frozen=True, kw_only=True, tag=True):
+    """The limits that the run is judged by."""
+
+    revision: str
+    limits: tuple[Limit, ...]
+
+
+class EstimatePoint(msgspec.Struct, frozen=True, kw_only=True):
+    """One value with its limits; `edf` are degrees of freedom, `n` the averages or windows behind it."""
+
+    tau_s: float
+    value: float
+    lo: float
+    hi: float
+    edf: float
+    n: int
+
+
+class EstimatePublished(Document, frozen=True, kw_only=True, tag=True):
+    """What an estimator says of a signal at `t_ns`: points, or a reason why there are none."""
+
+    unit: str
+    signal: str
+    estimator: str
+    unit_of_measure: str
+    confidence: float
+    samples: int
+    missing: int
+    sample_interval_s: float
+    final: bool = False
+    points: tuple[EstimatePoint, ...] = ()
+    reason: str | None = None
+
+
+class Check(msgspec.Struct, frozen=True, kw_only=True):
+    """One limit held against one estimate."""
+
+    limit: Limit
+    verdict: Verdict
+    value: float | None = None
+    lo: float | None = None
+    hi: float | None = None
+    reason: str | None = None
+
+
+class VerdictGiven(Document, frozen=True, kw_only=True, tag=True):
+    """A unit's verdict with the checks behind it."""
+
+    unit: str
+    verdict: Verdict
+    checks: tuple[Check, ...] = ()
+
+
+class ModelActivated(Document, frozen=True, kw_only=True, tag=True):
+    """A version of a unit's error model is put to use."""
+
+    unit: str
+    model: str
+    version: int
+
+
+class RunResumed(Document, frozen=True, kw_only=True, tag=True):
+    """A run goes on under its id after an interruption that lasted `gap_ns`."""
+
+    gap_ns: int
+    reason: str = ""
+
+
+class StreamTotal(msgspec.Struct, frozen=True, kw_only=True):
+    """How many samples of one signal and epoch were sent in all."""
+
+    unit: str
+    signal: str
+    epoch: str
+    samples: int
+
+
+class RunEnded(Document, frozen=True, kw_only=True, tag=True):
+    """A run ends; `totals` say what a complete record of it holds."""
+
+    outcome: str = "completed"
+    totals: tuple[StreamTotal, ...] = ()
+
+
+AnyDocument = (
+    RunStarted
+    | StepStarted
+    | StepEnded
+    | PowerOn
+    | PowerOff
+    | NoteAdded
+    | LimitsApplied
+    | EstimatePublished
+    | VerdictGiven
+    | ModelActivated
+    | RunResumed
+    | RunEnded
+)
+
+
+class EventMessage(msgspec.Struct, frozen=True, kw_only=True):
+    """A document on the wire, numbered by its source like samples are."""
+
+    schema: int
+    epoch: str
+    seq: Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
+    document: AnyDocument
+
+
+class _Head(msgspec.Struct):
+    schema: int
+
+
+_encoder = msgspec.json.Encoder()
+_decoder = msgspec.json.Decoder(EventMessage)
+_head_decoder = msgspec.json.Decoder(_Head)
+
+
+def encode_event(document: AnyDocument, epoch: str, seq: int) -> bytes:
+    """Put a document into its wire form (JSON)."""
+    return _encoder.encode(EventMessage(schema=EVENT_SCHEMA, epoch=epoch, seq=seq, document=document))
+
+
+def decode_event(payload: bytes) -> EventMessage:
+    """Read a document from its wire form.
+
+    Raises
+    ------
+    NewerSchema
+        If it was written by a newer gyrofleet.
+    WireError
+        If it is not a document.
+
+    Examples
+    --------
+    >>> note = NoteAdded(run="r1", t_ns=0, text="door opened")
+    >>> decode_event(encode_event(note, "e", 0)).document == note
+    True
+    """
+    try:
+        schema = _head_decoder.decode(payload).schema
+        if schema > EVENT_SCHEMA:
+            raise NewerSchema(
+                f"event of schema {schema}, this gyrofleet reads up to {EVENT_SCHEMA}: upgrade this side"
+            )
+        return _decoder.decode(payload)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise WireError(f"not a run document: {error}") from error
+
+
+def document_schema() -> dict[str, Any]:
+    """JSON schema of the documents, as it is embedded in every log segment."""
+    return msgspec.json.schema(EventMessage)

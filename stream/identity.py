@@ -1,0 +1,121 @@
+"""Names of units, signals and runs, and the key expressions they travel under.
+
+Samples     ``gyrofleet/<site>/<station>/<unit>/<signal>``
+Estimates   ``gyrofleet/<site>/<station>/<unit>/<signal>/estimate/<estimator>``
+Events      ``gyrofleet/<site>/<station>/event``
+Control     ``gyrofleet/@<topic>`` (a chunk that starts with ``@`` is matched by no wildcard)
+"""
+
+import re
+from typing import NamedTuple
+
+from stream.errors import BadInput
+
+ROOT = "gyrofleet"
+EVERYTHING = f"{ROOT}/**"
+ACKNOWLEDGEMENT_KEY = f"{ROOT}/@acknowledgement"
+
+# A chunk of a Zenoh key expression holds none of / * $ ? #; white space and a leading @ or . confuse people.
+_NAME = re.compile(r"[^\s/*$?#@.\x00-\x1f][^\s/*$?#\x00-\x1f]{0,127}")
+
+
+class Place(NamedTuple):
+    """Where samples come from: a site and one of its stations."""
+
+    site: str
+    station: str
+
+
+class SampleKey(NamedTuple):
+    """The parts of a samples' key expression."""
+
+    place: Place
+    unit: str
+    signal: str
+
+
+class EstimateKey(NamedTuple):
+    """The parts of an estimate's key expression."""
+
+    place: Place
+    unit: str
+    signal: str
+    estimator: str
+
+
+class EventKey(NamedTuple):
+    """The parts of a run document's key expression."""
+
+    place: Place
+
+
+def check_name(kind: str, name: str) -> str:
+    """Return `name` if it can stand in a key expression.
+
+    Parameters
+    ----------
+    kind : str
+        What is named, for the message: ``unit``, ``signal``, ``run``, ...
+    name : str
+        The name itself.
+
+    Raises
+    ------
+    BadInput
+        If the name is empty, longer than 128 characters, or holds white space or one of ``/ * $ ? #``.
+
+    Examples
+    --------
+    >>> check_name("unit", "FOG-0231")
+    'FOG-0231'
+    """
+    if _NAME.fullmatch(name) is None:
+        raise BadInput(
+            f"{kind} {name!r} cannot be used as a name: 1 to 128 characters without white space or / * $ ? #, "
+            f"not starting with @ or a dot; rename it, for example FOG-0231"
+        )
+    return name
+
+
+def sample_key(place: Place, unit: str, signal: str) -> str:
+    """Key expression of the samples of one signal.
+
+    Examples
+    --------
+    >>> sample_key(Place("plant", "chamber-2"), "FOG-0231", "rate")
+    'gyrofleet/plant/chamber-2/FOG-0231/rate'
+    """
+    return f"{ROOT}/{place.site}/{place.station}/{unit}/{signal}"
+
+
+def estimate_key(place: Place, unit: str, signal: str, estimator: str) -> str:
+    """Key expression of one estimator's results for one signal."""
+    return f"{sample_key(place, unit, signal)}/estimate/{estimator}"
+
+
+def event_key(place: Place) -> str:
+    """Key expression of the run documents of one station."""
+    return f"{ROOT}/{place.site}/{place.station}/event"
+
+
+def parse_key(key: str) -> SampleKey | EstimateKey | EventKey:
+    """Take a key expression apart.
+
+    Raises
+    ------
+    BadInput
+        If the key is none of the three forms above.
+
+    Examples
+    --------
+    >>> parse_key("gyrofleet/plant/chamber-2/event")
+    EventKey(place=Place(site='plant', station='chamber-2'))
+    """
+    match key.split("/"):
+        case [root, site, station, "event"] if root == ROOT:
+            return EventKey(Place(site, station))
+        case [root, site, station, unit, signal] if root == ROOT:
+            return SampleKey(Place(site, station), unit, signal)
+        case [root, site, station, unit, signal, "estimate", estimator] if root == ROOT:
+            return EstimateKey(Place(site, station), unit, signal, estimator)
+    raise BadInput(f"key expression {key!r} is not one of gyrofleet's: expected {ROOT}/<site>/<station>/...")

@@ -1,0 +1,115 @@
+"""Units of measure: read at the border, kept as the source wrote them, reported as the standards ask."""
+
+import difflib
+from functools import cache
+
+import pint
+
+from stream.errors import UnknownUnit
+
+ANGULAR_RATE_UNIT = "deg/h"
+
+_ANGLES = frozenset({"degree", "radian", "turn", "arcminute", "arcsecond", "milliarcsecond", "grade", "milliradian"})
+_ROTATIONS = frozenset({"revolutions_per_minute", "revolutions_per_second"})
+_COMMON = (
+    "deg/s deg/h rad/s rad/h arcsec/s rpm degC K V mV A mA W g_0 m/s^2 T nT Hz s ms count LSB Pa hPa percent 1".split()
+)
+
+
+@cache
+def _registry() -> pint.UnitRegistry:
+    registry = pint.UnitRegistry(cache_folder=None)
+    registry.define("LSB = count")
+    registry.define("dps = degree / second")
+    return registry
+
+
+@cache
+def check_unit(text: str) -> str:
+    """Return `text` if it is a unit of measure that pint can read; an empty text means dimensionless, ``1``.
+
+    Raises
+    ------
+    UnknownUnit
+        If it is none; the message names units that look alike.
+
+    Examples
+    --------
+    >>> check_unit("deg/s")
+    'deg/s'
+    """
+    if text.strip() in {"", "1"}:
+        return "1"
+    try:
+        _registry().parse_units(text)
+    except Exception as error:  # noqa: BLE001  pint's parser raises whatever its tokenizer meets
+        near = difflib.get_close_matches(text, _COMMON, n=3, cutoff=0.5)
+        hint = f"did you mean {', '.join(near)}?" if near else f"some that are known: {', '.join(_COMMON[:8])}"
+        raise UnknownUnit(f"unit of measure {text!r} is not known; {hint}") from error
+    return text
+
+
+@cache
+def conversion(source: str, target: str) -> tuple[float, float]:
+    """Factor and offset that turn a value in `source` units into one in `target` units.
+
+    Raises
+    ------
+    UnknownUnit
+        If one cannot be turned into the other.
+
+    Examples
+    --------
+    >>> conversion("deg/s", "deg/h")
+    (3600.0, 0.0)
+    """
+    if source == target:
+        return 1.0, 0.0
+    quantity = _registry().Quantity
+    try:
+        zero = quantity(0.0, _unit(source)).to(_unit(target)).magnitude
+        one = quantity(1.0, _unit(source)).to(_unit(target)).magnitude
+    except pint.errors.DimensionalityError as error:
+        raise UnknownUnit(f"{source!r} cannot be turned into {target!r}: they measure different quantities") from error
+    factor = float(one - zero)
+    # a factor of exactly 3600 comes out of pint as 3599.9999999999995
+    return (float(round(factor)) if abs(factor - round(factor)) < 1e-12 * abs(factor) else factor), float(zero)
+
+
+@cache
+def is_angular_rate(text: str) -> bool:
+    """Whether `text` measures an angle per time.
+
+    pint counts angles as dimensionless, so that deg/s and Hz have one dimension: the angle is looked for by name.
+
+    Examples
+    --------
+    >>> is_angular_rate("rad/s"), is_angular_rate("Hz"), is_angular_rate("rpm")
+    (True, False, True)
+    """
+    unit = _unit(text)
+    powers = dict(unit._units)  # noqa: SLF001  pint has no public way to the parts of a unit
+    angles = [power for name, power in powers.items() if name in _ANGLES]
+    is_rotation = any(name in _ROTATIONS for name in powers)
+    return (angles == [1] or is_rotation) and unit.dimensionality == _unit("1/s").dimensionality
+
+
+@cache
+def report_unit(text: str) -> tuple[str, float]:
+    """Unit in which results on a signal in `text` are reported, and the factor to it.
+
+    Angular rates are reported in deg/h, everything else in its own unit. The factor is for differences and
+    deviations (no offset).
+
+    Examples
+    --------
+    >>> report_unit("deg/s"), report_unit("degC")
+    (('deg/h', 3600.0), ('degC', 1.0))
+    """
+    if is_angular_rate(text):
+        return ANGULAR_RATE_UNIT, conversion(text, ANGULAR_RATE_UNIT)[0]
+    return text, 1.0
+
+
+def _unit(text: str) -> pint.Unit:
+    return _registry().parse_units("" if check_unit(text) == "1" else text)
