@@ -1,0 +1,168 @@
+"""Times of a table: from cells to int64 nanoseconds, exactly rounded, and onto the run's clock."""
+
+import re
+from decimal import ROUND_HALF_EVEN, Context, Decimal
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from ingest.instruments.table_rows import BoolArray
+from stream.batch import FloatArray, IntArray
+from stream.errors import BadInput
+from stream.quantities import conversion
+
+MAX_NS = 2**62
+UTC_FROM_NS = 10**17
+NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+
+_NS_PER_S = 10**9
+_MOST_DIGITS = 40
+
+
+def ns_per_unit(unit: str) -> int:
+    """Nanoseconds in one `unit` of time.
+
+    Raises
+    ------
+    BadInput
+        If `unit` measures no time, or one is no whole number of nanoseconds.
+
+    Examples
+    --------
+    >>> ns_per_unit("ms"), ns_per_unit("min")
+    (1000000, 60000000000)
+    """
+    factor, _ = conversion(unit, "ns")
+    if factor < 1 or factor != int(factor):
+        raise BadInput(f"unit of time {unit!r} is no whole number of nanoseconds; use s or ns")
+    return int(factor)
+
+
+def decimal_places(ns: int) -> int | None:
+    """Decimal places that a number of units of `ns` nanoseconds needs; None where `ns` is no power of ten."""
+    places = len(str(ns)) - 1
+    return places if ns == 10**places and places <= 9 else None
+
+
+def ns_from_floats(times: FloatArray, ns: int) -> tuple[IntArray, BoolArray]:
+    """Nearest nanosecond to `times` in units of `ns` nanoseconds, and which of them are out of range or not finite.
+
+    The whole part is taken apart first: it is exact, and so the fraction is all that is rounded.
+    """
+    with np.errstate(invalid="ignore"):
+        wrong = ~(np.abs(times) <= MAX_NS / ns)
+    if wrong.any():
+        times = np.where(wrong, 0.0, times)
+    whole = np.floor(times)
+    fraction = np.rint((times - whole) * ns)
+    return whole.astype(np.int64) * ns + fraction.astype(np.int64), wrong
+
+
+def ns_from_integers(times: IntArray, ns: int) -> tuple[IntArray, BoolArray]:
+    """Nanoseconds in `times` in units of `ns` nanoseconds, and which of them are out of range."""
+    limit = MAX_NS // ns
+    wrong = (times > limit) | (times < -limit)
+    return (np.where(wrong, 0, times) if wrong.any() else times) * ns, wrong
+
+
+def ns_from_decimals(times: pa.Array, places: int) -> tuple[IntArray, BoolArray]:
+    """Nearest nanosecond to decimal `times` in units of 10**`places` ns, and which are out of range.
+
+    A decimal of scale `places` is the number of nanoseconds itself, in 128 bits.
+    """
+    if times.type.scale != places:
+        times = pc.round(times, places, "half_to_even").cast(pa.decimal128(38, places))
+    words = np.frombuffer(times.buffers()[1], np.int64).reshape(-1, 2)[times.offset : times.offset + len(times)]
+    low, high = words[:, 0], words[:, 1]
+    wrong = (high != low >> 63) | (low > MAX_NS) | (low < -MAX_NS)
+    return np.ascontiguousarray(low), wrong
+
+
+def ns_from_text(text: str, ns: int) -> int | None:
+    """Nearest nanosecond to the number in `text`, in units of `ns` nanoseconds; None where it is out of range.
+
+    Examples
+    --------
+    >>> ns_from_text("1763683200.0100000005", 10**9)
+    1763683200010000000
+    """
+    places = decimal_places(ns)
+    if places is None:
+        array, wrong = ns_from_floats(np.array([float(text)]), ns)
+        return None if wrong[0] else int(array[0])
+    number = Decimal(text)
+    if number.adjusted() > _MOST_DIGITS:
+        return None
+    if number.adjusted() < -_MOST_DIGITS:
+        return 0
+    context = Context(prec=len(text) + 2 * _MOST_DIGITS, rounding=ROUND_HALF_EVEN)
+    nearest = int(context.to_integral_value(context.scaleb(number, places)))
+    return nearest if abs(nearest) <= MAX_NS else None
+
+
+def ns_from_index(index: IntArray, rate_hz: float) -> IntArray:
+    """Times of samples `index` = 0, 1, 2, ... at `rate_hz`, nanoseconds."""
+    whole_s, rest = np.divmod(index.astype(np.float64), rate_hz)
+    return whole_s.astype(np.int64) * _NS_PER_S + np.rint(rest / rate_hz * _NS_PER_S).astype(np.int64)
+
+
+def seconds_text(ns: int) -> str:
+    """`ns` nanoseconds in seconds, every digit of it, for messages.
+
+    Examples
+    --------
+    >>> seconds_text(-1_500_000_000), seconds_text(0)
+    ('-1.5 s', '0 s')
+    """
+    whole, fraction = divmod(abs(ns), _NS_PER_S)
+    digits = f"{whole}.{fraction:09d}".rstrip("0").rstrip(".")
+    return f"{'-' if ns < 0 else ''}{digits} s"
+
+
+class RunClock:
+    """Whether a file's times are UTC or count from the run's start; the first good one decides.
+
+    Parameters
+    ----------
+    start_ns : int, optional
+        The run's start, nanoseconds UTC, where it is given.
+
+    Examples
+    --------
+    >>> clock = RunClock(start_ns=None)
+    >>> clock.settle(0)
+    >>> clock.is_utc, clock.date_known
+    (False, False)
+    """
+
+    def __init__(self, start_ns: int | None) -> None:
+        self._start_ns = start_ns
+        self.is_utc: bool | None = None
+
+    @property
+    def date_known(self) -> bool:
+        """Whether the times are UTC once they are on the run's clock."""
+        return bool(self.is_utc) or self._start_ns is not None
+
+    def settle(self, first_ns: int) -> None:
+        """Let the time `first_ns`, as written, decide.
+
+        Raises
+        ------
+        BadInput
+            If it is UTC and a start is given as well.
+        """
+        self.is_utc = first_ns >= UTC_FROM_NS
+        if self.is_utc and self._start_ns is not None:
+            raise BadInput(
+                f"the times are UTC already (the first is {seconds_text(first_ns)} since 1970): leave out --start"
+            )
+
+    def misplaced(self, times_ns: IntArray) -> BoolArray:
+        """Which of the times, as written, are on the other side than the first."""
+        return (times_ns < UTC_FROM_NS) if self.is_utc else (times_ns >= UTC_FROM_NS)
+
+    def place(self, times_ns: IntArray) -> IntArray:
+        """Put times, as written, onto the run's clock."""
+        return times_ns if self._start_ns is None else times_ns + self._start_ns

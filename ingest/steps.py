@@ -1,0 +1,182 @@
+"""Steps of a run from the step words that stand beside its samples."""
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+from uuid import NAMESPACE_URL, uuid5
+
+import msgspec
+
+from stream.errors import BadInput
+from stream.events import StepEnded, StepStarted, StepWords
+from stream.quantities import check_unit, conversion, is_angular_rate
+
+_TEXT_WORDS = frozenset({"procedure", "step", "position", "axis", "phase"})
+# Title in a file -> field of StepWords and its unit of measure (None: as the source means it).
+_NUMBER_WORDS: dict[str, tuple[str, str | None]] = {
+    "rate_command": ("rate_command_deg_per_s", "deg/s"),
+    "temperature_command": ("temperature_command_deg_c", "degC"),
+    "frequency": ("frequency_hz", "Hz"),
+    "amplitude": ("amplitude", None),
+    "settle": ("settle_s", "s"),
+}
+WORD_NAMES = _TEXT_WORDS | _NUMBER_WORDS.keys() | {"repeat", "room"}
+
+_YES_NO = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+_INTEGER = re.compile(r"[+-]?[0-9]{1,18}(?:\.0*)?")
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_MOST_CHARACTERS = 1000
+_NAMESPACE = uuid5(NAMESPACE_URL, "gyrofleet/step")
+
+
+@dataclass(frozen=True)
+class WordColumn:
+    """A column of step words.
+
+    Parameters
+    ----------
+    title : str
+        As it stands in the file.
+    word : str
+        Field of StepWords that it fills.
+    factor, offset : float
+        From the column's unit of measure to the field's.
+    """
+
+    title: str
+    word: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def read(self, cell: object) -> Any:
+        """Value of a cell, None where it is empty.
+
+        Raises
+        ------
+        BadInput
+            If the cell cannot be read; the text says what is expected.
+
+        Examples
+        --------
+        >>> WordColumn("repeat", "repeat").read(" 3 "), WordColumn("room", "room").read("yes")
+        (3, True)
+        """
+        text = _text(cell)
+        if not text:
+            return None
+        if self.word in _TEXT_WORDS:
+            if len(text) > _MOST_CHARACTERS:
+                raise BadInput(f"at most {_MOST_CHARACTERS} characters")
+            return text
+        if self.word == "repeat":
+            if _INTEGER.fullmatch(text) is None:
+                raise BadInput("a whole number")
+            return int(text.partition(".")[0])
+        if self.word == "room":
+            if text.lower() not in _YES_NO:
+                raise BadInput("yes or no (also true, false, 1, 0)")
+            return _YES_NO[text.lower()]
+        value = float(text) * self.factor + self.offset if _NUMBER.fullmatch(text) else math.nan
+        if not math.isfinite(value):
+            raise BadInput("a number with a decimal point")
+        return value
+
+
+def _text(cell: object) -> str:
+    if isinstance(cell, float) and cell.is_integer():
+        return str(int(cell))
+    return str(cell).strip() if cell is not None else ""
+
+
+def word_column(title: str, name: str, unit: str | None) -> WordColumn:
+    """Column of the step word `name`, whose values are in `unit` (None where the title names none).
+
+    Raises
+    ------
+    BadInput
+        If the word needs a unit and has none, has one and takes none, or has one of another quantity.
+
+    Examples
+    --------
+    >>> word_column("rate_command[rpm]", "rate_command", "rpm")
+    WordColumn(title='rate_command[rpm]', word='rate_command_deg_per_s', factor=6.0, offset=0.0)
+    """
+    if name not in _NUMBER_WORDS:
+        if unit is not None:
+            raise BadInput(f"column {title!r}: the step word {name} is written without a unit; name it {name!r}")
+        return WordColumn(title, name)
+    word, canonical = _NUMBER_WORDS[name]
+    if canonical is None:
+        if unit is not None:
+            check_unit(unit)
+        return WordColumn(title, word)
+    if unit is None:
+        raise BadInput(f"column {title!r} has no unit; name it '{name}[{canonical}]'")
+    # pint counts angles as dimensionless, so that it would turn Hz into deg/s
+    if is_angular_rate(check_unit(unit)) != is_angular_rate(canonical):
+        raise BadInput(f"column {title!r}: {unit!r} cannot be turned into {canonical!r}; name it '{name}[{canonical}]'")
+    return WordColumn(title, word, *conversion(unit, canonical))
+
+
+def step_words(columns: Iterable[WordColumn], values: Iterable[Any]) -> StepWords | None:
+    """Words of a step from the values of its columns; None where all are empty.
+
+    Examples
+    --------
+    >>> step_words([WordColumn("step", "step"), WordColumn("repeat", "repeat")], ["still", 2])
+    StepWords(step='still', repeat=2)
+    """
+    words = {column.word: value for column, value in zip(columns, values, strict=True) if value is not None}
+    return StepWords(**words) if words else None
+
+
+class StepTracker:
+    """The step that every unit of every run is in; turns changes of its words into documents.
+
+    The documents' identities come from what they say, so that one file gives the same documents each time.
+
+    Examples
+    --------
+    >>> tracker = StepTracker()
+    >>> tracker.follow("G1", "r1", StepWords(step="a"), first_ns=0, last_ns=10)[1].words.step
+    'a'
+    >>> tracker.follow("G1", "r1", StepWords(step="a"), first_ns=20, last_ns=30)
+    (None, None)
+    >>> tracker.close("G1", "r1").t_ns
+    30
+    """
+
+    def __init__(self) -> None:
+        self._open: dict[tuple[str, str], tuple[StepStarted, int]] = {}
+
+    def follow(
+        self, unit: str, run: str, words: StepWords | None, *, first_ns: int, last_ns: int
+    ) -> tuple[StepEnded | None, StepStarted | None]:
+        """Take a stretch of rows with the same words; return the step that ended before it and the one it begins."""
+        current = self._open.get((unit, run))
+        if current is not None and current[0].words == words:
+            self._open[unit, run] = current[0], last_ns
+            return None, None
+        ended = self.close(unit, run)
+        if words is None:
+            return ended, None
+        identity = msgspec.json.encode([run, unit, first_ns, words]).decode()
+        started = StepStarted(run=run, unit=unit, t_ns=first_ns, words=words, uid=uuid5(_NAMESPACE, identity).hex)
+        self._open[unit, run] = started, last_ns
+        return ended, started
+
+    def close(self, unit: str, run: str) -> StepEnded | None:
+        """End the step that the unit is in, at its last row; None where it is in none."""
+        current = self._open.pop((unit, run), None)
+        if current is None:
+            return None
+        started, last_ns = current
+        uid = uuid5(_NAMESPACE, f"end of {started.uid}").hex
+        return StepEnded(run=run, unit=unit, t_ns=last_ns, step_uid=started.uid, uid=uid)
+
+    def is_open(self, unit: str, run: str, words: StepWords | None) -> bool:
+        """Whether the unit is in a step of just these words (or in none, where `words` is None)."""
+        current = self._open.get((unit, run))
+        return (current[0].words if current is not None else None) == words

@@ -1,0 +1,117 @@
+"""SQL over a store: DuckDB views on the lake, for reading only."""
+
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+
+import duckdb
+import pyarrow as pa
+
+from storage.lake import TABLES
+from storage.store import Store
+from stream.errors import QueryError
+
+VIEWS = ("samples", "signals", "runs", "steps", "estimates", "events")
+
+_SOURCES = {
+    "samples": "lake_samples",
+    "channels": "lake_channel_parts",
+    "events": "lake_events",
+    "estimates": "lake_estimates",
+}
+_READING = {duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN}
+_SQL_TYPES = {
+    pa.int64(): "bigint",
+    pa.int32(): "integer",
+    pa.uint8(): "utinyint",
+    pa.float64(): "double",
+    pa.string(): "varchar",
+    pa.bool_(): "boolean",
+}
+
+
+class Catalog:
+    """The views of a store: ``samples``, ``signals``, ``runs``, ``steps``, ``estimates``, ``events``.
+
+    It sees what has reached the lake when it is opened.
+
+    Parameters
+    ----------
+    store : Store
+        Which store.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self.store = store
+        self._connection = duckdb.connect()
+        self._connection.execute("set timezone = 'UTC'")
+        for table, source in _SOURCES.items():
+            paths = sorted(str(path) for path in store.lake.glob(f"*/{table}.parquet"))
+            if paths:
+                self._connection.execute(f"create view {source} as select * from read_parquet({paths!r})")  # noqa: S608
+            else:
+                columns = ", ".join(f'"{column.name}" {_SQL_TYPES[column.type]}' for column in TABLES[table])
+                self._connection.execute(f"create table {source} ({columns})")
+        for script in sorted(files("storage").joinpath("schema").iterdir(), key=lambda each: each.name):
+            if script.name.endswith(".sql"):
+                self._connection.execute(script.read_text())
+        lake = str(store.lake.resolve()).replace("'", "''")
+        self._connection.execute(f"set allowed_directories = ['{lake}']")
+        self._connection.execute("set enable_external_access = false")
+        self._connection.execute("set lock_configuration = true")
+
+    def query(self, sql: str, parameters: object = None) -> duckdb.DuckDBPyConnection:
+        """Run one statement that reads.
+
+        Raises
+        ------
+        QueryError
+            If it would write, is more than one statement, or fails.
+        """
+        try:
+            statements = self._connection.extract_statements(sql)
+            if len(statements) != 1:
+                raise QueryError(f"{len(statements)} statements found, one is expected: give them one at a time")
+            kind = statements[0].type
+            if kind not in _READING:
+                raise QueryError(
+                    f"{kind.name} is refused: the store is read-only here; SELECT (also WITH, FROM, DESCRIBE, "
+                    f"SUMMARIZE, EXPLAIN) is what runs. To keep a result use --csv or --parquet FILE"
+                )
+            return self._connection.execute(sql, parameters)
+        except duckdb.Error as error:
+            raise QueryError(f"{_told(error)} (views: {', '.join(VIEWS)})") from error
+
+    def rows(self, sql: str, parameters: object = None) -> list[tuple[object, ...]]:
+        """All rows of a statement that reads."""
+        cursor = self.query(sql, parameters)
+        try:
+            return cursor.fetchall()
+        except duckdb.Error as error:
+            raise QueryError(_told(error)) from error
+
+    def batches(self, sql: str, parameters: object = None, rows: int = 100_000) -> Iterator[pa.RecordBatch]:
+        """A statement's result piece by piece."""
+        try:
+            yield from self.query(sql, parameters).to_arrow_reader(rows)
+        except duckdb.Error as error:
+            raise QueryError(_told(error)) from error
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._connection.close()
+
+    def __enter__(self) -> "Catalog":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def parts_of(store: Store) -> list[Path]:
+    """Folders of the lake, in the order of their segments."""
+    return sorted(path for path in store.lake.iterdir() if path.is_dir())
+
+
+def _told(error: duckdb.Error) -> str:
+    return " ".join(str(error).split("\n\nLINE")[0].split())

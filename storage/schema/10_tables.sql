@@ -1,0 +1,29 @@
+-- What the views stand on. A channel is one signal of one epoch with one meaning (unit of measure, scale, offset);
+-- it may reach over many segments of the log, so its row is put together here. One channel, one row.
+create table lake_channels as
+select
+  channel,
+  any_value(site) as site,
+  any_value(station) as station,
+  any_value(unit) as unit,
+  any_value(signal) as signal,
+  any_value(run) as run,
+  any_value(epoch) as epoch,
+  any_value(unit_of_measure) as unit_of_measure,
+  any_value(is_counts) as is_counts,
+  any_value(scale) as scale,
+  any_value("offset") as "offset",
+  min(dt_ns) as dt_ns,
+  bool_or(irregular) as irregular,
+  sum(samples)::bigint as samples,
+  min(t_first_ns) as t_first_ns,
+  max(t_last_ns) as t_last_ns,
+  min(arrival_first_ns) as arrival_first_ns,
+  max(arrival_last_ns) as arrival_last_ns
+from lake_channel_parts
+group by channel;
+
+-- A document sent twice is one document.
+create view lake_documents as
+select * from lake_events
+qualify row_number() over (partition by uid order by arrival_ns) = 1;

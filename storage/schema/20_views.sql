@@ -1,0 +1,109 @@
+-- Times are UTC. Where a run's date is unknown (runs.date_known), they count from the run's start as 1970-01-01.
+
+create view signals as
+select
+  unit, signal, run,
+  any_value(unit_of_measure) as unit_of_measure,
+  sum(samples)::bigint as samples,
+  make_timestamp_ns(min(t_first_ns)) as first_time,
+  make_timestamp_ns(max(t_last_ns)) as last_time,
+  arg_min(dt_ns, t_first_ns) / 1e9 as sample_interval_s,
+  bool_or(irregular) as irregular,
+  any_value(is_counts) as is_counts,
+  any_value(scale) as scale,
+  any_value("offset") as "offset",
+  count(distinct epoch) as epochs,
+  any_value(site) as site,
+  any_value(station) as station,
+  min(t_first_ns) as t_first_ns,
+  max(t_last_ns) as t_last_ns,
+  min(arrival_first_ns) as arrival_first_ns
+from lake_channels
+group by unit, signal, run;
+
+create view samples as
+select
+  c.unit, c.signal, c.run,
+  make_timestamp_ns(s.t_ns) as "time",
+  coalesce(s.value, s.counts * c.scale + c."offset") as value,
+  c.unit_of_measure,
+  s.counts,
+  s.t_ns, s.seq, s.flags,
+  c.epoch
+from lake_samples s join lake_channels c using (channel);
+
+create view runs as
+with started as (
+  select run, t_ns, site, station, document
+  from lake_documents where kind = 'RunStarted'
+  qualify row_number() over (partition by run order by arrival_ns) = 1
+), ended as (
+  select run, max(t_ns) as t_ns, arg_max(document->>'$.outcome', arrival_ns) as outcome
+  from lake_documents where kind = 'RunEnded' group by run
+), recorded as (
+  select run, list(distinct unit order by unit) as units, sum(samples)::bigint as samples,
+    any_value(site) as site, any_value(station) as station,
+    min(t_first_ns) as t_first_ns, max(t_last_ns) as t_last_ns,
+    count(distinct (unit, signal)) as signals, min(arrival_first_ns) as arrival_first_ns
+  from lake_channels group by run
+)
+select
+  run,
+  coalesce(s.site, r.site) as site,
+  coalesce(s.station, r.station) as station,
+  coalesce((s.document->>'$.date_known')::boolean, true) as date_known,
+  case when coalesce((s.document->>'$.date_known')::boolean, true)
+    then make_timestamp_ns(coalesce(s.t_ns, r.t_first_ns)) end as started,
+  case when coalesce((s.document->>'$.date_known')::boolean, true)
+    then make_timestamp_ns(coalesce(e.t_ns, r.t_last_ns)) end as ended,
+  (coalesce(r.t_last_ns, e.t_ns) - coalesce(r.t_first_ns, s.t_ns)) / 1e9 as duration_s,
+  case when e.run is null then 'open' else coalesce(e.outcome, 'completed') end as outcome,
+  r.units,
+  r.signals,
+  coalesce(r.samples, 0) as samples,
+  s.document->>'$.procedure' as "procedure",
+  s.document->>'$.operator' as operator,
+  s.document->>'$.lot' as lot,
+  coalesce((s.document->>'$.simulated')::boolean, false) as simulated,
+  s.document->>'$.source' as source,
+  make_timestamp_ns(r.arrival_first_ns) as recorded
+from recorded r
+full join started s using (run)
+left join ended e using (run);
+
+create view steps as
+select
+  b.run, b.unit,
+  row_number() over (partition by b.run, b.unit order by b.t_ns) as "index",
+  b.document->>'$.words.procedure' as "procedure",
+  b.document->>'$.words.step' as step,
+  (b.document->>'$.words.repeat')::bigint as repeat,
+  b.document->>'$.words.position' as position,
+  b.document->>'$.words.axis' as axis,
+  b.document->>'$.words.phase' as phase,
+  (b.document->>'$.words.rate_command_deg_per_s')::double as rate_command,
+  (b.document->>'$.words.temperature_command_deg_c')::double as temperature_command,
+  (b.document->>'$.words.frequency_hz')::double as frequency,
+  (b.document->>'$.words.amplitude')::double as amplitude,
+  (b.document->>'$.words.settle_s')::double as settle,
+  (b.document->>'$.words.room')::boolean as room,
+  make_timestamp_ns(b.t_ns) as started,
+  make_timestamp_ns(e.t_ns) as ended,
+  b.t_ns as t_start_ns,
+  e.t_ns as t_end_ns
+from (select * from lake_documents where kind = 'StepStarted') b
+left join (select * from lake_documents where kind = 'StepEnded') e
+  on e.run = b.run and e.unit = b.unit and e.document->>'$.step_uid' = b.uid;
+
+create view estimates as
+select
+  unit, signal, run, estimator,
+  make_timestamp_ns(t_ns) as "time",
+  tau_s, value, lo, hi, unit_of_measure, confidence, edf, n, final, reason,
+  samples, missing, sample_interval_s, t_ns, uid
+from lake_estimates;
+
+create view events as
+select
+  make_timestamp_ns(t_ns) as "time", kind, run, unit, document, site, station, t_ns, uid
+from lake_documents;

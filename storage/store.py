@@ -1,0 +1,141 @@
+"""A store: one folder that holds the event log and the lake derived from it."""
+
+import fcntl
+import json
+import os
+import time
+from pathlib import Path
+from typing import Self
+from uuid import uuid4
+
+from stream.errors import StoreError
+
+STORE_FORMAT = 1
+_MARKER = "store.json"
+
+
+class Store:
+    """The folders of a store.
+
+    ``store.json`` marks it; ``log/`` holds MCAP segments (the record), ``lake/`` one folder of Parquet files for
+    each sealed segment (derived, can be made anew), ``tmp/`` what is being written.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it is.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.log = folder / "log"
+        self.aside = folder / "log" / "aside"
+        self.lake = folder / "lake"
+        self.tmp = folder / "tmp"
+
+    @classmethod
+    def open(cls, folder: Path) -> Self:
+        """Open a store that exists.
+
+        Raises
+        ------
+        StoreError
+            If the folder is missing, is no store, or was made by a newer gyrofleet.
+        """
+        marker = folder / _MARKER
+        try:
+            written = json.loads(marker.read_text())
+            found = int(written["format"])
+        except FileNotFoundError:
+            what = "there is no such folder" if not folder.exists() else f"it holds no {_MARKER}"
+            raise StoreError(
+                f"{folder} is not a gyrofleet store ({what}); import or record something first, or give --store DIR"
+            ) from None
+        except NotADirectoryError:
+            raise StoreError(f"{folder} is a file, not a store; give --store a folder") from None
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise StoreError(f"{marker} cannot be read ({error}); is {folder} a gyrofleet store?") from error
+        if found > STORE_FORMAT:
+            raise StoreError(
+                f"{folder} has store format {found}, this gyrofleet reads up to {STORE_FORMAT}: upgrade gyrofleet"
+            )
+        return cls(folder)
+
+    @classmethod
+    def create(cls, folder: Path) -> Self:
+        """Open a store for writing, made now if the folder is empty or missing.
+
+        Raises
+        ------
+        StoreError
+            If the folder holds other things, or cannot be written.
+        """
+        marker = folder / _MARKER
+        try:
+            if marker.exists():
+                store = cls.open(folder)
+            else:
+                if folder.exists() and any(folder.iterdir()):
+                    raise StoreError(
+                        f"{folder} holds other files and no {_MARKER}, so it is not a gyrofleet store; "
+                        f"give --store an empty or a new folder"
+                    )
+                folder.mkdir(parents=True, exist_ok=True)
+                store = cls(folder)
+            for part in (store.log, store.lake, store.tmp):
+                part.mkdir(exist_ok=True)
+            if not marker.exists():
+                content = {"format": STORE_FORMAT, "id": uuid4().hex, "created_ns": time.time_ns()}
+                fresh = store.tmp / _MARKER
+                fresh.write_text(json.dumps(content) + "\n")
+                fresh.rename(marker)
+            elif not os.access(store.log, os.W_OK):
+                raise PermissionError(f"no permission to write in {store.log}")
+        except (PermissionError, NotADirectoryError, FileExistsError, OSError) as error:
+            raise StoreError(f"cannot write the store {folder}: {error}; give --store a folder you can write") from error
+        return store
+
+
+class WriterLock:
+    """Held by the one process that writes a store.
+
+    Raises
+    ------
+    StoreError
+        If another process holds it; the message names it.
+    """
+
+    def __init__(self, store: Store, role: str) -> None:
+        self._file = (store.folder / "writer.lock").open("a+")
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._file.seek(0)
+            holder = self._file.read().strip() or "another process"
+            self._file.close()
+            raise StoreError(
+                f"{store.folder} is being written by {holder}; send to it with --connect, or wait until it has ended"
+            ) from None
+        self._file.truncate(0)
+        self._file.write(f"{role} (process {os.getpid()})\n")
+        self._file.flush()
+
+    def release(self) -> None:
+        """Let another process write."""
+        self._file.truncate(0)
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder durable."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

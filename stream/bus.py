@@ -1,0 +1,83 @@
+"""The bus as the rest of the program sees it, and one inside a process."""
+
+import threading
+from collections import defaultdict
+from collections.abc import Callable
+from typing import Protocol, Self
+
+Handler = Callable[[str, bytes], None]
+
+
+class Bus(Protocol):
+    """Publish and subscribe by key expression. A handler gets (key, payload); it must not raise."""
+
+    def publish(self, key: str, payload: bytes) -> None:
+        """Send `payload` under `key`; waits where the bus is congested."""
+
+    def subscribe(self, key_expression: str, handler: Handler) -> None:
+        """Call `handler` for every message that matches, in the order of each source."""
+
+    def close(self) -> None:
+        """Leave the bus."""
+
+    def __enter__(self) -> Self:
+        """Use as a context manager."""
+
+    def __exit__(self, *_: object) -> None:
+        """Close."""
+
+
+class LocalBus:
+    """A bus within one process: a message is handled before `publish` returns.
+
+    Key expressions are matched in two forms: exact, and ``prefix/**``, which matches no key that has a chunk
+    beginning with ``@`` below the prefix.
+
+    Examples
+    --------
+    >>> bus, seen = LocalBus(), []
+    >>> bus.subscribe("gyrofleet/**", lambda key, payload: seen.append(key))
+    >>> bus.publish("gyrofleet/plant/chamber-2/event", b"")
+    >>> bus.publish("gyrofleet/@acknowledgement", b"")
+    >>> seen
+    ['gyrofleet/plant/chamber-2/event']
+    """
+
+    def __init__(self) -> None:
+        self._handlers: dict[str, list[Handler]] = defaultdict(list)
+        self._lock = threading.RLock()
+
+    def publish(self, key: str, payload: bytes) -> None:
+        """Hand `payload` to every handler that matches."""
+        with self._lock:
+            matching = [
+                handler
+                for expression, handlers in self._handlers.items()
+                if _matches(expression, key)
+                for handler in handlers
+            ]
+        for handler in matching:
+            handler(key, payload)
+
+    def subscribe(self, key_expression: str, handler: Handler) -> None:
+        """Call `handler` for every message that matches."""
+        with self._lock:
+            self._handlers[key_expression].append(handler)
+
+    def close(self) -> None:
+        """Forget all handlers."""
+        with self._lock:
+            self._handlers.clear()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _matches(expression: str, key: str) -> bool:
+    if not expression.endswith("/**"):
+        return expression == key
+    prefix = expression.removesuffix("**")
+    return key.startswith(prefix) and not any(chunk.startswith("@") for chunk in key[len(prefix) :].split("/"))

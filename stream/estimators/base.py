@@ -1,0 +1,189 @@
+"""What every estimator has in common: it takes batches, keeps a bounded state, and says what it knows or why not."""
+
+import functools
+import importlib
+import inspect
+import pkgutil
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, ClassVar
+from uuid import UUID
+
+import msgspec
+import numpy as np
+
+from stream.batch import FloatArray, SampleBatch
+from stream.clock import GridTracker, Piece
+from stream.errors import EstimatorError
+from stream.events import EstimatePoint
+from stream.quantities import report_unit
+
+_PACKAGE = __name__.rpartition(".")[0]
+_JOINED_SPAN = 8
+
+
+class NoEstimate(msgspec.Struct, frozen=True):
+    """There is no estimate; `reason` says what is lacking, for people."""
+
+    reason: str
+
+
+class Estimator(ABC):
+    """A quantity of one signal, known while the signal flows.
+
+    A concrete estimator in this package is found by itself (`default_estimators`) and held against the laws that
+    all estimators keep: the result does not depend on how the stream is cut into batches, the input is not
+    modified, gaps and NaN take their true place in time, memory is bounded, and too little data is a `NoEstimate`.
+    One instance is used by one thread at a time; different instances share nothing.
+
+    Attributes
+    ----------
+    key : str
+        Name of the estimator in key expressions and files.
+    names : Mapping
+        Its names for people, by language: ``en`` and ``zh``.
+    confidence : float
+        Confidence level of the limits of a point.
+    variants : tuple of dict
+        Arguments of the instances that every signal is given by default.
+    """
+
+    key: str
+    names: Mapping[str, str]
+    confidence: float = 0.95
+    variants: ClassVar[tuple[dict[str, Any], ...]] = ({},)
+
+    def __init__(self) -> None:
+        self._tracker = GridTracker()
+        self._signal = ("", "", "")
+        self._report_unit = ""
+        self._factor = 1.0
+
+    @property
+    def unit_of_measure(self) -> str:
+        """Unit of the estimates, deg/h for angular rates; empty before the first batch."""
+        return self._report_unit
+
+    @property
+    def samples(self) -> int:
+        """Samples with a finite value that were taken in."""
+        return self._tracker.samples
+
+    @property
+    def missing(self) -> int:
+        """Slots of the grid up to the last sample that hold no finite value."""
+        return self._tracker.missing
+
+    @property
+    def late(self) -> int:
+        """Samples left out because their time was not after that of one already taken in."""
+        return self._tracker.late
+
+    @property
+    def sample_interval_s(self) -> float:
+        """Nominal sample interval in seconds, 0 before the first batch."""
+        return self._tracker.sample_interval_s
+
+    def update(self, batch: SampleBatch) -> None:
+        """Take in the next batch of the signal.
+
+        Raises
+        ------
+        EstimatorError
+            If the batch is of another signal, unit of measure or sample interval than those before it.
+        """
+        signal = (batch.unit, batch.signal, batch.unit_of_measure)
+        if signal != self._signal:
+            self._begin(batch, signal)
+        pieces = self._tracker.place(batch)
+        if pieces:
+            self._take(batch, pieces)
+
+    @abstractmethod
+    def estimate(self) -> tuple[EstimatePoint, ...] | NoEstimate:
+        """What is known now, in `unit_of_measure`; never NaN or infinite."""
+
+    @abstractmethod
+    def _take(self, batch: SampleBatch, pieces: list[Piece]) -> None:
+        """Take in the samples of a batch that are not late."""
+
+    def _begin(self, batch: SampleBatch, signal: tuple[str, str, str]) -> None:
+        if self._report_unit:
+            raise EstimatorError(
+                f"run {batch.run}: the {self.names['en']} of unit {self._signal[0]}, signal {self._signal[1]} in "
+                f"{self._signal[2]} was given a batch of unit {batch.unit}, signal {batch.signal} in "
+                f"{batch.unit_of_measure}; each signal needs an estimator of its own"
+            )
+        self._signal = signal
+        self._report_unit, self._factor = report_unit(batch.unit_of_measure)
+
+
+def contiguous_runs(batch: SampleBatch, pieces: list[Piece]) -> Iterator[tuple[int, FloatArray]]:
+    """Values of the pieces, each with the slot of its first.
+
+    Pieces that lie close together come as one, NaN between them: a call for each would cost more than the NaN.
+    """
+    values = batch.value_array
+    first, last = pieces[0], pieces[-1]
+    span = last.first_slot + last.stop - last.start - first.first_slot
+    if len(pieces) > 1 and span <= _JOINED_SPAN * len(values):
+        joined = np.full(span, np.nan)
+        for slot, start, stop in pieces:
+            joined[slot - first.first_slot : slot - first.first_slot + stop - start] = values[start:stop]
+        yield first.first_slot, joined
+        return
+    for slot, start, stop in pieces:
+        yield slot, _for_kernel(values[start:stop])
+
+
+def _for_kernel(values: FloatArray) -> FloatArray:
+    # arrays off the wire are read-only, which numba takes for another type and would compile once more
+    if values.flags.writeable and values.flags.c_contiguous and values.dtype == np.float64:
+        return values
+    return np.array(values, np.float64)
+
+
+def estimator_classes() -> tuple[type[Estimator], ...]:
+    """Every concrete estimator of this package, by name of its class."""
+    package = importlib.import_module(_PACKAGE)
+    for module in pkgutil.iter_modules(package.__path__):
+        importlib.import_module(f"{_PACKAGE}.{module.name}")
+    found: set[type[Estimator]] = set()
+    waiting: list[type[Estimator]] = [Estimator]
+    while waiting:
+        cls = waiting.pop()
+        waiting.extend(cls.__subclasses__())
+        if not inspect.isabstract(cls) and cls.__module__.startswith(f"{_PACKAGE}."):
+            found.add(cls)
+    return tuple(sorted(found, key=lambda cls: cls.__name__))
+
+
+def default_estimators() -> dict[str, Callable[[], Estimator]]:
+    """Factories of the estimators that a signal is given unless told otherwise, by their keys.
+
+    Examples
+    --------
+    >>> sorted(default_estimators())
+    ['allan_deviation', 'bias_stability_100s', 'bias_stability_10s', 'bias_stability_1s']
+    """
+    factories = [functools.partial(cls, **variant) for cls in estimator_classes() for variant in cls.variants]
+    return {factory().key: factory for factory in factories}
+
+
+def warm_up() -> None:
+    """Compile the machine code of all estimators, or load it where it was compiled before.
+
+    It is kept on disk beside the modules, or in the user's cache directory where that cannot be written; compiling
+    takes some seconds, once an installation.
+    """
+    values = np.array([1.0, np.nan, 2.0, 4.0])
+    times_ns = np.array([0, 1, 5, 6], np.int64) * 10**9
+    regular = SampleBatch("unit", "signal", "run", UUID(int=0), 0, 0, 10**9, "1", values=values)
+    irregular = SampleBatch(
+        "unit", "signal", "run", UUID(int=0), 0, 0, 10**9, "1", values=values, times_ns=times_ns, irregular=True
+    )
+    for factory in default_estimators().values():
+        for batch in (regular, irregular):
+            estimator = factory()
+            estimator.update(batch)
+            estimator.estimate()

@@ -1,0 +1,117 @@
+"""The bus over Zenoh. No other file imports zenoh.
+
+Nothing listens and nothing is announced unless it is asked for: no multicast scouting, no gossip, no endpoint.
+A session that listens is a router, so that those who connect to it see each other's messages.
+"""
+
+import json
+import re
+import threading
+from collections.abc import Sequence
+from typing import Any, Self
+
+import zenoh
+
+from stream.bus import Handler
+from stream.errors import BusError
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+
+# Zenoh closes a transport that a consumer has stalled for 5 s, and what waits there is lost without an error.
+_WAIT_BEFORE_CLOSE_US = 60_000_000
+
+
+class ZenohBus:
+    """A session on Zenoh.
+
+    Parameters
+    ----------
+    listen : sequence of str
+        Endpoints to listen on, such as ``tcp/127.0.0.1:7447``. None by default: the bus is inside the process.
+    connect : sequence of str
+        Endpoints to connect to.
+
+    Raises
+    ------
+    BusError
+        If an endpoint cannot be listened on or reached.
+
+    Examples
+    --------
+    >>> import time
+    >>> with ZenohBus() as bus:
+    ...     seen = []
+    ...     bus.subscribe("gyrofleet/**", lambda key, payload: seen.append((key, payload)))
+    ...     bus.publish("gyrofleet/plant/chamber-2/event", b"hello")
+    ...     while not seen: time.sleep(0.001)
+    >>> seen
+    [('gyrofleet/plant/chamber-2/event', b'hello')]
+    """
+
+    def __init__(self, listen: Sequence[str] = (), connect: Sequence[str] = ()) -> None:
+        zenoh.init_log_from_env_or("error")
+        config = zenoh.Config()
+        settings: dict[str, Any] = {
+            "mode": "router" if listen else ("client" if connect else "peer"),
+            "listen/endpoints": list(listen),
+            "connect/endpoints": list(connect),
+            "connect/timeout_ms": 5000,
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            "transport/link/tx/queue/congestion_control/block/wait_before_close": _WAIT_BEFORE_CLOSE_US,
+        }
+        for key, value in settings.items():
+            config.insert_json5(key, json.dumps(value))
+        try:
+            self._session = zenoh.open(config)
+        except zenoh.ZError as error:
+            wanted = ", ".join([*(f"listen on {e}" for e in listen), *(f"connect to {e}" for e in connect)])
+            raise BusError(
+                f"cannot {wanted or 'open a bus'}: {_told(error)}; "
+                f"is the address right and free, and the other side running?"
+            ) from error
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._subscribers: list[Any] = []
+        self._lock = threading.Lock()
+
+    def publish(self, key: str, payload: bytes) -> None:
+        """Send `payload` under `key`; waits where the bus is congested.
+
+        Raises
+        ------
+        BusError
+            If the session is closed.
+        """
+        publisher = self._publishers.get(key)
+        try:
+            if publisher is None:
+                with self._lock:
+                    publisher = self._publishers[key] = self._session.declare_publisher(
+                        key, congestion_control=zenoh.CongestionControl.BLOCK
+                    )
+            publisher.put(payload)
+        except zenoh.ZError as error:
+            raise BusError(f"cannot publish {key}: {_told(error)}") from error
+
+    def subscribe(self, key_expression: str, handler: Handler) -> None:
+        """Call `handler` with (key, payload) for every message that matches; it must not raise."""
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            handler(str(sample.key_expr), sample.payload.to_bytes())
+
+        self._subscribers.append(self._session.declare_subscriber(key_expression, on_sample))
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _told(error: Exception) -> str:
+    """Zenoh's message without the places in its own source."""
+    return re.sub(r"\s+at \S+\.rs:\d+\.?", "", str(error).splitlines()[0])
