@@ -63,7 +63,7 @@ class WordColumn:
         >>> WordColumn("repeat", "repeat").read(" 3 "), WordColumn("room", "room").read("yes")
         (3, True)
         """
-        text = _text(cell)
+        text = cell_text(cell)
         if not text:
             return None
         if self.word in _TEXT_WORDS:
@@ -84,9 +84,23 @@ class WordColumn:
         return value
 
 
-def _text(cell: object) -> str:
-    if isinstance(cell, float) and cell.is_integer():
-        return str(int(cell))
+def cell_text(cell: object) -> str:
+    """Text of a cell of a name or a step word, whatever its type in the file; '' where it is empty.
+
+    Raises
+    ------
+    BadInput
+        If the cell is NaN or infinite.
+
+    Examples
+    --------
+    >>> cell_text(231.0), cell_text(" FOG-1 "), cell_text(None)
+    ('231', 'FOG-1', '')
+    """
+    if isinstance(cell, float):
+        if not math.isfinite(cell):
+            raise BadInput("a name or a number (null where there is none)")
+        return str(int(cell)) if cell.is_integer() else repr(cell)
     return str(cell).strip() if cell is not None else ""
 
 
@@ -105,7 +119,9 @@ def word_column(title: str, name: str, unit: str | None) -> WordColumn:
     """
     if name not in _NUMBER_WORDS:
         if unit is not None:
-            raise BadInput(f"column {title!r}: the step word {name} is written without a unit; name it {name!r}")
+            raise BadInput(
+                f"column {title!r}: the step word {name} is written without a unit; name it {name!r}"
+            )
         return WordColumn(title, name)
     word, canonical = _NUMBER_WORDS[name]
     if canonical is None:
@@ -116,7 +132,9 @@ def word_column(title: str, name: str, unit: str | None) -> WordColumn:
         raise BadInput(f"column {title!r} has no unit; name it '{name}[{canonical}]'")
     # pint counts angles as dimensionless, so that it would turn Hz into deg/s
     if is_angular_rate(check_unit(unit)) != is_angular_rate(canonical):
-        raise BadInput(f"column {title!r}: {unit!r} cannot be turned into {canonical!r}; name it '{name}[{canonical}]'")
+        raise BadInput(
+            f"column {title!r}: {unit!r} cannot be turned into {canonical!r}; name it '{name}[{canonical}]'"
+        )
     return WordColumn(title, word, *conversion(unit, canonical))
 
 
@@ -125,8 +143,9 @@ def step_words(columns: Iterable[WordColumn], values: Iterable[Any]) -> StepWord
 
     Examples
     --------
-    >>> step_words([WordColumn("step", "step"), WordColumn("repeat", "repeat")], ["still", 2])
-    StepWords(step='still', repeat=2)
+    >>> words = step_words([WordColumn("step", "step"), WordColumn("repeat", "repeat")], ["still", 2])
+    >>> words.step, words.repeat, words.axis
+    ('still', 2, None)
     """
     words = {column.word: value for column, value in zip(columns, values, strict=True) if value is not None}
     return StepWords(**words) if words else None
@@ -154,7 +173,7 @@ class StepTracker:
     def follow(
         self, unit: str, run: str, words: StepWords | None, *, first_ns: int, last_ns: int
     ) -> tuple[StepEnded | None, StepStarted | None]:
-        """Take a stretch of rows with the same words; return the step that ended before it and the one it begins."""
+        """Take a stretch of rows with the same words; return the step that ended and the one that begins."""
         current = self._open.get((unit, run))
         if current is not None and current[0].words == words:
             self._open[unit, run] = current[0], last_ns
@@ -163,7 +182,9 @@ class StepTracker:
         if words is None:
             return ended, None
         identity = msgspec.json.encode([run, unit, first_ns, words]).decode()
-        started = StepStarted(run=run, unit=unit, t_ns=first_ns, words=words, uid=uuid5(_NAMESPACE, identity).hex)
+        started = StepStarted(
+            run=run, unit=unit, t_ns=first_ns, words=words, uid=uuid5(_NAMESPACE, identity).hex
+        )
         self._open[unit, run] = started, last_ns
         return ended, started
 

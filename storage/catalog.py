@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from importlib.resources import files
-from pathlib import Path
+from typing import Any
 
 import duckdb
 import pyarrow as pa
@@ -60,13 +60,13 @@ class Catalog:
         self._connection.execute("set enable_external_access = false")
         self._connection.execute("set lock_configuration = true")
 
-    def query(self, sql: str, parameters: object = None) -> duckdb.DuckDBPyConnection:
-        """Run one statement that reads.
+    def reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
+        """The result of one statement that reads, to be taken piece by piece through `guarded`.
 
         Raises
         ------
         QueryError
-            If it would write, is more than one statement, or fails.
+            If the statement would write, is more than one, or fails.
         """
         try:
             statements = self._connection.extract_statements(sql)
@@ -75,27 +75,33 @@ class Catalog:
             kind = statements[0].type
             if kind not in _READING:
                 raise QueryError(
-                    f"{kind.name} is refused: the store is read-only here; SELECT (also WITH, FROM, DESCRIBE, "
-                    f"SUMMARIZE, EXPLAIN) is what runs. To keep a result use --csv or --parquet FILE"
+                    f"{kind.name} is refused: the store is only read here. What runs is SELECT (also WITH, FROM, "
+                    f"DESCRIBE, SUMMARIZE, EXPLAIN); to keep a result use --csv or --parquet FILE"
                 )
-            return self._connection.execute(sql, parameters)
+            return self._connection.cursor().sql(sql, params=parameters).to_arrow_reader(rows)
         except duckdb.Error as error:
             raise QueryError(f"{_told(error)} (views: {', '.join(VIEWS)})") from error
 
-    def rows(self, sql: str, parameters: object = None) -> list[tuple[object, ...]]:
-        """All rows of a statement that reads."""
-        cursor = self.query(sql, parameters)
+    def guarded(self, reader: pa.RecordBatchReader) -> Iterator[pa.RecordBatch]:
+        """The pieces of a result.
+
+        Raises
+        ------
+        QueryError
+            If the statement fails on its way.
+        """
         try:
-            return cursor.fetchall()
-        except duckdb.Error as error:
+            yield from reader
+        except (duckdb.Error, pa.ArrowException, OSError) as error:
             raise QueryError(_told(error)) from error
 
     def batches(self, sql: str, parameters: object = None, rows: int = 100_000) -> Iterator[pa.RecordBatch]:
-        """A statement's result piece by piece."""
-        try:
-            yield from self.query(sql, parameters).to_arrow_reader(rows)
-        except duckdb.Error as error:
-            raise QueryError(_told(error)) from error
+        """The pieces of a statement's result."""
+        yield from self.guarded(self.reader(sql, parameters, rows))
+
+    def rows(self, sql: str, parameters: object = None) -> list[tuple[Any, ...]]:
+        """All rows of a statement that reads."""
+        return [tuple(row.values()) for batch in self.batches(sql, parameters) for row in batch.to_pylist()]
 
     def close(self) -> None:
         """Close the connection."""
@@ -108,10 +114,5 @@ class Catalog:
         self.close()
 
 
-def parts_of(store: Store) -> list[Path]:
-    """Folders of the lake, in the order of their segments."""
-    return sorted(path for path in store.lake.iterdir() if path.is_dir())
-
-
-def _told(error: duckdb.Error) -> str:
+def _told(error: Exception) -> str:
     return " ".join(str(error).split("\n\nLINE")[0].split())

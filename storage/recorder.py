@@ -17,12 +17,13 @@ from stream.bus import Bus
 from stream.delivery import StreamId, StreamPosition, encode_acknowledgement
 from stream.errors import GyrofleetError, StoreError, WireError
 from stream.events import RunEnded, decode_event
-from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING, EventKey, SampleKey, parse_key
+from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING, SampleKey, parse_key
 from stream.wire import decode_batch, encode_preview
 
 _QUEUE_BYTES = 256 << 20
 _PREVIEW_INTERVAL_NS = 1_000_000_000
 _REWIND_INTERVAL_S = 0.2
+_SEAL_GRACE_S = 1.0  # the last estimates of a run come just after its end
 
 
 @dataclass
@@ -82,8 +83,9 @@ class Recorder:
         self._moved: set[StreamId] = set()
         self._rewinds: dict[StreamId, float] = {}
         self._previewed: dict[str, int] = {}
-        self._seal_wanted = False
+        self._seal_at: float | None = None
         self._sealed: queue.Queue[bool] = queue.Queue()
+        self._caught_up = threading.Event()
         self._writer = threading.Thread(target=self._write_loop, name="gyrofleet-recorder", daemon=True)
         self._builder = threading.Thread(target=self._build_loop, name="gyrofleet-lake", daemon=True)
         self._sealed.put(True)  # whatever an earlier process sealed and did not bring to the lake
@@ -105,6 +107,18 @@ class Recorder:
         self._writer.join()
         self._sealed.put(False)
         self._builder.join()
+        if self.failure is not None:
+            raise self.failure
+
+    def wait_for_lake(self) -> None:
+        """Wait until everything that was sealed before this recorder started is in the lake.
+
+        Raises
+        ------
+        StoreError
+            If it cannot be brought there.
+        """
+        self._caught_up.wait()
         if self.failure is not None:
             raise self.failure
 
@@ -134,7 +148,7 @@ class Recorder:
                 if closing or now - synced_at >= self._sync_interval_s:
                     self._sync()
                     synced_at = now
-                if closing or self._seal_wanted or self._log.due:
+                if closing or self._log.due or (self._seal_at is not None and now >= self._seal_at):
                     self._seal()
                 if closing and not taken:
                     return
@@ -173,8 +187,8 @@ class Recorder:
                 stream = StreamId(key, event.epoch)
                 record = LogRecord(key, EVENTS, arrival_ns, event.document.t_ns, payload)
                 if self._append(stream, event.seq, event.seq + 1, record):
-                    is_end = isinstance(parsed, EventKey) and isinstance(event.document, RunEnded)
-                    self._seal_wanted |= is_end
+                    if isinstance(event.document, RunEnded):
+                        self._seal_at = time.monotonic() + _SEAL_GRACE_S
         except GyrofleetError as error:
             self.counts.rejected += 1
             self.counts.rejections.append(f"{key}: {error}")
@@ -219,7 +233,7 @@ class Recorder:
         self._bus.publish(ACKNOWLEDGEMENT_KEY, encode_acknowledgement(positions))
 
     def _seal(self) -> None:
-        self._seal_wanted = False
+        self._seal_at = None
         if self._log.seal() is not None:
             self.counts.segments += 1
             self._sync()
@@ -231,6 +245,7 @@ class Recorder:
                 for name in build_missing(self._store):
                     if self._on_lake is not None:
                         self._on_lake(name)
+                self._caught_up.set()
         except (OSError, GyrofleetError) as error:
             self._fail(StoreError(
                 f"the lake of {self._store.folder} cannot be written: {error}; the log is complete, "
@@ -241,3 +256,4 @@ class Recorder:
         with self._state:
             self.failure = self.failure or failure
             self._state.notify_all()
+        self._caught_up.set()

@@ -12,6 +12,7 @@ from stream.errors import StoreError
 
 STORE_FORMAT = 1
 _MARKER = "store.json"
+_LOCK = "writer.lock"
 
 
 class Store:
@@ -99,25 +100,35 @@ class Store:
 class WriterLock:
     """Held by the one process that writes a store.
 
+    Parameters
+    ----------
+    store : Store
+        Which store.
+    role : str
+        Who writes, for the message that others get.
+    endpoint : str
+        Where the writer listens, if it does.
+
     Raises
     ------
     StoreError
         If another process holds it; the message names it.
     """
 
-    def __init__(self, store: Store, role: str) -> None:
-        self._file = (store.folder / "writer.lock").open("a+")
+    def __init__(self, store: Store, role: str, endpoint: str = "") -> None:
+        self._file = (store.folder / _LOCK).open("a+")
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            self._file.seek(0)
-            holder = self._file.read().strip() or "another process"
             self._file.close()
+            holder = _holder(store.folder)
+            where = f" (--connect {holder['endpoint']})" if holder.get("endpoint") else ""
             raise StoreError(
-                f"{store.folder} is being written by {holder}; send to it with --connect, or wait until it has ended"
+                f"{store.folder} is being written by {holder.get('role', 'another process')}, process "
+                f"{holder.get('process', '?')}; send to it{where}, or wait until it has ended"
             ) from None
         self._file.truncate(0)
-        self._file.write(f"{role} (process {os.getpid()})\n")
+        self._file.write(json.dumps({"role": role, "process": os.getpid(), "endpoint": endpoint}) + "\n")
         self._file.flush()
 
     def release(self) -> None:
@@ -130,6 +141,25 @@ class WriterLock:
 
     def __exit__(self, *_: object) -> None:
         self.release()
+
+
+def writer_endpoint(folder: Path) -> str | None:
+    """Where the process listens that writes the store in `folder` now; None if there is none."""
+    try:
+        with (folder / _LOCK).open() as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return _holder(folder).get("endpoint") or None
+    except OSError:
+        return None
+    return None
+
+
+def _holder(folder: Path) -> dict[str, str]:
+    try:
+        return {name: str(value) for name, value in json.loads((folder / _LOCK).read_text()).items()}
+    except (OSError, ValueError, AttributeError):
+        return {}
 
 
 def sync_folder(folder: Path) -> None:

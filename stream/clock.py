@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stream.batch import IntArray, SampleBatch
+from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import EstimatorError
 
 INTERVAL_TOLERANCE = 1e-3
@@ -81,6 +81,27 @@ class GridTracker:
             If the nominal interval differs from that of the first batch by more than 0.1 %, or the times lie too
             far apart to be numbered.
         """
+        if batch.dt_ns != self.dt_ns:
+            self._check_interval(batch)
+        if batch.irregular:
+            self.irregular = True
+        if batch.times_ns is not None:
+            return self._place_timed(batch, batch.times_ns)
+        n, t0_ns = len(batch), batch.t0_ns
+        late = 0
+        if t0_ns <= self.last_ns and self.next_slot:
+            late = min(n, (self.last_ns - t0_ns) // batch.dt_ns + 1)
+            self.late += late
+            if late == n:
+                return []
+        first_slot = self._slot_of(t0_ns + late * batch.dt_ns, batch)
+        self.next_slot = first_slot + n - late
+        self.last_ns = t0_ns + (n - 1) * batch.dt_ns
+        pieces = [Piece(first_slot, late, n)]
+        self._count(batch, pieces)
+        return pieces
+
+    def _check_interval(self, batch: SampleBatch) -> None:
         if self.dt_ns == 0:
             self.dt_ns = batch.dt_ns
             self.first_ns = batch.t0_ns if batch.times_ns is None else int(batch.times_ns[0])
@@ -89,22 +110,6 @@ class GridTracker:
                 f"{_who(batch)}: the nominal sample interval changes from {self.dt_ns / 1e9:g} s to "
                 f"{batch.dt_ns / 1e9:g} s in mid-stream; begin a new run or a new signal for the new interval"
             )
-        self.irregular = self.irregular or batch.irregular
-        pieces = self._place_regular(batch) if batch.times_ns is None else self._place_timed(batch, batch.times_ns)
-        if pieces:
-            self._count(batch, pieces)
-        return pieces
-
-    def _place_regular(self, batch: SampleBatch) -> list[Piece]:
-        n = len(batch)
-        late = 0
-        if self.next_slot and batch.t0_ns <= self.last_ns:
-            late = min(n, (self.last_ns - batch.t0_ns) // batch.dt_ns + 1)
-        self.late += late
-        if late == n:
-            return []
-        first = self._slot_of(batch.t0_ns + late * batch.dt_ns, batch)
-        return [Piece(first, late, n)]
 
     def _place_timed(self, batch: SampleBatch, times_ns: IntArray) -> list[Piece]:
         highest = np.maximum.accumulate(times_ns)
@@ -129,6 +134,7 @@ class GridTracker:
             pieces.append(Piece(first, start, stop))
             self.next_slot, self.last_ns = first + stop - start, int(times_ns[stop - 1])
             begin = end
+        self._count(batch, pieces)
         return pieces
 
     def _slot_of(self, t_ns: int, batch: SampleBatch) -> int:
@@ -143,20 +149,12 @@ class GridTracker:
         return slot
 
     def _count(self, batch: SampleBatch, pieces: list[Piece]) -> None:
-        used = sum(piece.stop - piece.start for piece in pieces)
-        finite = used if batch.values is None else sum(_finite(batch.values[a:b]) for _, a, b in pieces)
-        last = pieces[-1]
-        self.samples += finite
-        self.next_slot = last.first_slot + last.stop - last.start
+        for _, start, stop in pieces:
+            self.samples += stop - start if batch.values is None else _finite(batch.values[start:stop])
         self.missing = self.next_slot - self.samples
-        self.last_ns = (
-            int(batch.times_ns[last.stop - 1])
-            if batch.times_ns is not None
-            else batch.t0_ns + (last.stop - 1) * batch.dt_ns
-        )
 
 
-def _finite(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> int:
+def _finite(values: FloatArray) -> int:
     # one finite sum of squares proves all finite, at a third of the price of counting them
     if math.isfinite(np.dot(values, values)):
         return len(values)

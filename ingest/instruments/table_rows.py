@@ -28,8 +28,8 @@ class BadRow:
     Parameters
     ----------
     place : str
-        What `number` counts: ``line`` of a text file (1 is the first line, as an editor shows it) or ``row`` of a
-        Parquet file (1 is the first row).
+        What `number` counts: ``line`` of a text file (as an editor counts, the header among them) or ``row``
+        of a Parquet file, both from 1.
     number : int
         Which one.
     column : str
@@ -71,7 +71,8 @@ class BadRows(BadInput):
         if count > len(shown):
             shown.append(f"  ... and {count - len(shown)} more")
         noun = "row does" if count == 1 else "rows do"
-        head = f"{path}: {count} {noun} not keep the import contract; correct the file, or leave them out with --skip-bad"
+        advice = "correct the file, or leave them out with --skip-bad"
+        head = f"{path}: {count} {noun} not keep the import contract; {advice}"
         super().__init__("\n".join([head, *shown]))
         self.bad = bad
         self.count = count
@@ -83,7 +84,7 @@ class Sieve:
     Examples
     --------
     >>> sieve = Sieve(3)
-    >>> sieve.refuse(np.array([1]), lambda row: BadRow("row", row + 1, "rate[deg/s]", "NaN", "a finite number"))
+    >>> sieve.refuse(np.array([1]), lambda row: BadRow("row", row + 1, "rate[deg/s]", "NaN", "a number"))
     >>> sieve.bad.tolist(), len(sieve.reasons())
     ([False, True, False], 1)
     """
@@ -98,6 +99,10 @@ class Sieve:
         self.bad[fresh] = True
         for row in fresh[:BAD_ROWS_KEPT].tolist():
             self._reasons[row] = why(row)
+
+    def refuse_row(self, row: int, reason: BadRow) -> None:
+        """Mark one row as bad."""
+        self.refuse(np.array([row]), lambda _: reason)
 
     def reasons(self) -> list[BadRow]:
         """Why rows are bad, in the order of the rows; of many only the first."""
@@ -122,7 +127,7 @@ class BadRowLog:
 
 @dataclass(frozen=True)
 class TextCells:
-    """Cells of one text column: the distinct `values`, and for each row the `codes` of its own (-1: empty)."""
+    """Cells of one text column: its distinct `values`, and the code of each row (-1: empty)."""
 
     codes: npt.NDArray[np.int32]
     values: list[object]

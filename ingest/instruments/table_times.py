@@ -46,7 +46,7 @@ def decimal_places(ns: int) -> int | None:
 
 
 def ns_from_floats(times: FloatArray, ns: int) -> tuple[IntArray, BoolArray]:
-    """Nearest nanosecond to `times` in units of `ns` nanoseconds, and which of them are out of range or not finite.
+    """Nanoseconds nearest to `times` in units of `ns` nanoseconds; and which are out of range or not finite.
 
     The whole part is taken apart first: it is exact, and so the fraction is all that is rounded.
     """
@@ -71,16 +71,19 @@ def ns_from_decimals(times: pa.Array, places: int) -> tuple[IntArray, BoolArray]
 
     A decimal of scale `places` is the number of nanoseconds itself, in 128 bits.
     """
-    if times.type.scale != places:
-        times = pc.round(times, places, "half_to_even").cast(pa.decimal128(38, places))
-    words = np.frombuffer(times.buffers()[1], np.int64).reshape(-1, 2)[times.offset : times.offset + len(times)]
+    if times.type != pa.decimal128(38, places):
+        wide = times.cast(pa.decimal128(38, max(times.type.scale, places)))
+        times = pc.round(wide, places, "half_to_even").cast(pa.decimal128(38, places))
+    words = np.frombuffer(times.buffers()[1], np.int64).reshape(-1, 2)[
+        times.offset : times.offset + len(times)
+    ]
     low, high = words[:, 0], words[:, 1]
     wrong = (high != low >> 63) | (low > MAX_NS) | (low < -MAX_NS)
     return np.ascontiguousarray(low), wrong
 
 
 def ns_from_text(text: str, ns: int) -> int | None:
-    """Nearest nanosecond to the number in `text`, in units of `ns` nanoseconds; None where it is out of range.
+    """Nanosecond nearest to the number in `text`, in units of `ns` nanoseconds; None where out of range.
 
     Examples
     --------
@@ -155,9 +158,8 @@ class RunClock:
         """
         self.is_utc = first_ns >= UTC_FROM_NS
         if self.is_utc and self._start_ns is not None:
-            raise BadInput(
-                f"the times are UTC already (the first is {seconds_text(first_ns)} since 1970): leave out --start"
-            )
+            first = seconds_text(first_ns)
+            raise BadInput(f"the times are UTC already (the first is {first} from 1970): leave out --start")
 
     def misplaced(self, times_ns: IntArray) -> BoolArray:
         """Which of the times, as written, are on the other side than the first."""

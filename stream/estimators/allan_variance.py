@@ -10,7 +10,7 @@ from stream.clock import Piece
 from stream.errors import EstimatorError
 from stream.estimators.base import Estimator, NoEstimate, contiguous_runs
 from stream.estimators.confidence import deviation_limits, least_edf
-from stream.estimators.pyramid_kernel import FULL, push
+from stream.estimators.pyramid_kernel import empty_state, push
 from stream.events import EstimatePoint
 
 LEVELS = 27
@@ -68,19 +68,12 @@ class AllanDeviation(Estimator):
         self._lags = _lag_table(points_per_octave)
         history = 2 * int(self._lags.max())
         self._reference = math.nan
-        self._tails = np.zeros((LEVELS, 2, history))
-        self._tails[:, 1] = 2.0 ** np.arange(LEVELS)[:, np.newaxis]
-        self._pending = np.zeros((LEVELS, 2))
-        self._squares = np.zeros((LEVELS, self._lags.shape[1]))
-        self._windows = np.zeros(self._squares.shape, np.int64)
-        self._places = np.zeros((LEVELS, 4), np.int64)
-        self._places[:, FULL] = 1
+        self._state = empty_state(LEVELS, history, self._lags.shape[1])
 
     @property
     def state_bytes(self) -> int:
         """Size of what is kept of the signal, bytes."""
-        arrays = (self._tails, self._pending, self._squares, self._windows, self._places)
-        return sum(array.nbytes for array in arrays)
+        return sum(array.nbytes for array in self._state)
 
     def _take(self, batch: SampleBatch, pieces: list[Piece]) -> None:
         if self._tracker.irregular:
@@ -88,18 +81,7 @@ class AllanDeviation(Estimator):
         for first_slot, values in contiguous_runs(batch, pieces):
             if math.isnan(self._reference):
                 self._reference = _first_finite(values)
-            push(
-                self._tails,
-                self._pending,
-                self._squares,
-                self._windows,
-                self._places,
-                self._lags,
-                LEAST_SHARE,
-                self._reference,
-                first_slot,
-                values,
-            )
+            push(*self._state, self._lags, LEAST_SHARE, self._reference, first_slot, values)
 
     def estimate(self) -> tuple[EstimatePoint, ...] | NoEstimate:
         """Deviation at every averaging time that has at least one pair of windows, shortest first."""
@@ -109,14 +91,15 @@ class AllanDeviation(Estimator):
                 f"unit {unit}, signal {signal}: the samples lie on no grid of {self.sample_interval_s:g} s, and the "
                 "Allan deviation needs one; resample by block means, --resample SECONDS"
             )
-        levels, columns = np.nonzero(self._windows)
+        state = self._state
+        levels, columns = np.nonzero(state.windows)
         if len(levels) == 0:
             return NoEstimate(self._too_little())
         lags = self._lags[np.minimum(levels, 1), columns]
         factors = lags << levels
         order = np.argsort(factors)
-        windows = self._windows[levels, columns]
-        variances = self._squares[levels, columns] / (2.0 * windows * np.square(factors, dtype=np.float64))
+        windows = state.windows[levels, columns]
+        variances = state.squares[levels, columns] / (2.0 * windows * np.square(factors, dtype=np.float64))
         values = np.sqrt(variances) * self._factor
         if not np.isfinite(values).all():
             return NoEstimate(f"unit {unit}, signal {signal}: values too large to be squared; check the source")

@@ -5,7 +5,7 @@ import importlib
 import inspect
 import pkgutil
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 from uuid import UUID
 
@@ -118,29 +118,26 @@ class Estimator(ABC):
         self._report_unit, self._factor = report_unit(batch.unit_of_measure)
 
 
-def contiguous_runs(batch: SampleBatch, pieces: list[Piece]) -> Iterator[tuple[int, FloatArray]]:
+def contiguous_runs(batch: SampleBatch, pieces: list[Piece]) -> list[tuple[int, FloatArray]]:
     """Values of the pieces, each with the slot of its first.
 
     Pieces that lie close together come as one, NaN between them: a call for each would cost more than the NaN.
     """
     values = batch.value_array
-    first, last = pieces[0], pieces[-1]
-    span = last.first_slot + last.stop - last.start - first.first_slot
-    if len(pieces) > 1 and span <= _JOINED_SPAN * len(values):
-        joined = np.full(span, np.nan)
-        for slot, start, stop in pieces:
-            joined[slot - first.first_slot : slot - first.first_slot + stop - start] = values[start:stop]
-        yield first.first_slot, joined
-        return
+    if not values.flags.c_contiguous or not values.flags.writeable or values.dtype != np.float64:
+        # arrays off the wire are read-only, which numba takes for another type and would compile once more
+        values = np.array(values, np.float64)
+    if len(pieces) == 1:
+        first_slot, start, stop = pieces[0]
+        return [(first_slot, values[start:stop])]
+    origin, last = pieces[0].first_slot, pieces[-1]
+    span = last.first_slot + last.stop - last.start - origin
+    if span > _JOINED_SPAN * len(values):
+        return [(slot, values[start:stop]) for slot, start, stop in pieces]
+    joined = np.full(span, np.nan)
     for slot, start, stop in pieces:
-        yield slot, _for_kernel(values[start:stop])
-
-
-def _for_kernel(values: FloatArray) -> FloatArray:
-    # arrays off the wire are read-only, which numba takes for another type and would compile once more
-    if values.flags.writeable and values.flags.c_contiguous and values.dtype == np.float64:
-        return values
-    return np.array(values, np.float64)
+        joined[slot - origin : slot - origin + stop - start] = values[start:stop]
+    return [(origin, joined)]
 
 
 def estimator_classes() -> tuple[type[Estimator], ...]:

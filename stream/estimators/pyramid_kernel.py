@@ -1,16 +1,11 @@
 """Machine code for the pyramid of block sums (``allan_variance``).
 
 Block b of level k covers the slots [b 2**k, (b + 1) 2**k) and holds (sum of x - reference, count) over its valid
-slots. What is kept of K levels, with a history of H blocks and L lags a level:
-
-- ``tails`` (K, 2, H): sums and counts of the last blocks, oldest first; counts that were never written say "full"
-- ``pending`` (K, 2): an even block that waits for its odd neighbour
-- ``places`` (K, 4): index of the next block; blocks in the tail; whether they are all full; whether one is pending
-- ``squares``, ``windows`` (K, L): sum of D**2 and how many, D the difference of two adjacent sums of n blocks
-- ``lags`` (2, L): the n of level 0 and those of all other levels, 0 where unused
-
+slots.
 Prefix sums begin anew in every call, so that nothing large is ever subtracted from something large.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -20,6 +15,40 @@ from stream.batch import FloatArray, IntArray
 NEXT, FILLED, FULL, PENDING = 0, 1, 2, 3
 SUM, COUNT = 0, 1
 _CHUNK = 2048
+
+
+class PyramidState(NamedTuple):
+    """What is kept of K levels with a history of H blocks and L lags a level.
+
+    Attributes
+    ----------
+    tails : ndarray, shape (K, 2, H)
+        Sums and counts of the last blocks, oldest first; counts that were never written say "full".
+    pending : ndarray, shape (K, 2)
+        An even block that waits for its odd neighbour.
+    squares, windows : ndarray, shape (K, L)
+        Sum of D**2, and how many, for each lag n: D is the difference of two adjacent means of n blocks, times their
+        slots.
+    places : ndarray of int64, shape (K, 4)
+        Index of the next block; blocks in the tail; whether they are all full; whether a block is pending.
+    """
+
+    tails: FloatArray
+    pending: FloatArray
+    squares: FloatArray
+    windows: IntArray
+    places: IntArray
+
+
+def empty_state(levels: int, history: int, lags: int) -> PyramidState:
+    """State before the first sample."""
+    tails = np.zeros((levels, 2, history))
+    tails[:, COUNT] = 2.0 ** np.arange(levels)[:, np.newaxis]
+    places = np.zeros((levels, 4), np.int64)
+    places[:, FULL] = 1
+    return PyramidState(
+        tails, np.zeros((levels, 2)), np.zeros((levels, lags)), np.zeros((levels, lags), np.int64), places
+    )
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc"})
@@ -258,7 +287,11 @@ def push(
     first_slot: int,
     values: FloatArray,
 ) -> None:
-    """Push values that lie on the slots from `first_slot` on; slots skipped before it are missing."""
+    """Push values that lie on the slots from `first_slot` on; slots skipped before it are missing.
+
+    `lags` holds the n of level 0 and those of all other levels, shape (2, L), 0 where unused; a window counts if it
+    holds the `share` of its samples.
+    """
     history = tails.shape[2]
     chunk = min(values.shape[0], _CHUNK)
     scratch = np.empty((3, 2, history + max(chunk, history) + 2))

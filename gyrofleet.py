@@ -1,0 +1,21 @@
+"""The front door: the commands of all packages, assembled."""
+
+import click
+
+from analytics.cli import allan, demo
+from ingest.cli import import_files
+from storage.cli import record, sql
+from stream.cli import estimate
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="gyrofleet")
+def main() -> None:
+    """Screen many gyroscopes for hours or weeks: record, estimate while it flows, ask in SQL."""
+
+
+for command in (demo, import_files, record, estimate, sql, allan):
+    main.add_command(command)
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""Commands of what comes in: `gyrofleet import`."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from rich.table import Table
+
+from stream.console import compile_kernels, notes, print_json, progress_bar, reporting, results, store_option
+from stream.errors import BadInput
+
+if TYPE_CHECKING:
+    from ingest.importer import FileImport
+
+_LISTED_BAD_ROWS = 20
+
+
+@click.command("import")
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@store_option
+@click.option("--unit", help="Unit (serial number) that the samples are of, where the file has no column 'unit'.")
+@click.option("--run", help="Run that they belong to, where the file has no column 'run'; else the file's name.")
+@click.option("--start", help="Moment of the run's start where times count from it: 2026-11-21T18:00:00+08:00.")
+@click.option("--sample-rate", "sample_rate_hz", type=float, help="Hz, for a file without a time column.")
+@click.option("--skip-bad", is_flag=True, help="Leave bad rows out, and list them, instead of refusing the file.")
+@click.option("--site", default="local", show_default=True, help="Site the samples come from.")
+@click.option("--station", default="files", show_default=True, help="Station the samples come from.")
+@click.option("--connect", help="Send to a `gyrofleet record` there instead of recording in this process.")
+@click.option("--listen", help="Let others listen in at this endpoint while the import runs.")
+@reporting
+def import_files(
+    files: tuple[Path, ...],
+    folder: Path,
+    unit: str | None,
+    run: str | None,
+    start: str | None,
+    sample_rate_hz: float | None,
+    site: str,
+    station: str,
+    connect: str | None,
+    listen: str | None,
+    *,
+    skip_bad: bool,
+    as_json: bool,
+) -> None:
+    """Import CSV and Parquet files: columns `signal[unit]` and `time[s]`.
+
+    Every sample goes the way of live data: over the bus, into the log and the lake, past the estimators. All files
+    are checked before the first is imported. A file that is there already adds nothing; give the same command again
+    to complete an import that was interrupted.
+    """
+    from ingest.importer import import_table
+    from ingest.instruments.table_columns import TableOptions
+    from ingest.instruments.table_file import TableFile
+    from stream.identity import Place, check_name
+
+    if connect and listen:
+        raise BadInput("give --connect or --listen, not both: with --connect it is the recorder that listens")
+    place = Place(check_name("site", site), check_name("station", station))
+    options = TableOptions(
+        unit=unit,
+        run=run,
+        start_ns=None if start is None else _moment_ns(start),
+        sample_rate_hz=sample_rate_hz,
+        skip_bad=skip_bad,
+    )
+    imported: list[FileImport] = []
+    with progress_bar(hidden=as_json) as progress:
+        checked = []
+        for path in files:
+            task = progress.add_task(f"checking {path.name}", total=1.0)
+            table = TableFile(path, options)
+            summary = table.check(lambda done, task=task: progress.update(task, completed=done))  # type: ignore[misc]
+            progress.update(task, completed=1.0, visible=len(files) <= 10)
+            checked.append((path, table, summary))
+        if connect is None:
+            compile_kernels(quiet=True)
+        for path, table, summary in checked:
+            task = progress.add_task(f"importing {path.name}", total=1.0)
+            imported.append(
+                import_table(
+                    path,
+                    table,
+                    summary,
+                    folder,
+                    place,
+                    connect=connect,
+                    listen=[listen] if listen else (),
+                    progress=lambda done, task=task: progress.update(task, completed=done),  # type: ignore[misc]
+                )
+            )
+    if as_json:
+        print_json({"store": str(folder), "files": imported})
+    else:
+        for each in imported:
+            _tell(each, folder)
+
+
+def _moment_ns(text: str) -> int:
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise BadInput(f"--start {text!r} is not a moment; write it as 2026-11-21T18:00:00+08:00") from error
+    if moment.tzinfo is None:
+        raise BadInput(f"--start {text!r} has no time zone; add one, as in {text}+08:00 or {text}Z")
+    since = moment - datetime(1970, 1, 1, tzinfo=UTC)
+    return (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000
+
+
+def _tell(imported: "FileImport", folder: Path) -> None:
+    console = notes()
+    for segment in imported.recovered:
+        console.print(f"recovered {segment}, left open by an interrupted process")
+    _tell_bad_rows(imported)
+    table = Table(title=f"{imported.file}: {imported.rows:,} rows", title_justify="left", header_style="bold")
+    for title in ("unit", "run", "signal", "in", "interval", "in file", "added", "already stored", "in lake"):
+        table.add_column(title, justify="right" if title in {"interval", "in file", "added", "in lake"} else "left")
+    for signal in imported.signals:
+        table.add_row(
+            signal.unit,
+            signal.run,
+            signal.signal,
+            signal.unit_of_measure,
+            f"{signal.sample_interval_s:g} s" + (" (irregular)" if signal.irregular else ""),
+            f"{signal.in_file:,}",
+            f"{signal.added:,}",
+            f"{signal.already_stored:,}",
+            "not seen from here" if signal.in_lake is None else f"{signal.in_lake:,}",
+        )
+    results().print(table)
+    results().print(_conclusion(imported, folder))
+
+
+def _conclusion(imported: "FileImport", folder: Path) -> str:
+    in_file = sum(signal.in_file for signal in imported.signals)
+    if imported.added == 0:
+        return f"Nothing to add: all {in_file:,} samples are stored already."
+    rate = imported.added / imported.seconds
+    speed = f"{imported.seconds:.2f} s, {rate / 1e6:.2f} M samples/s"
+    steps = f", {imported.steps} steps" if imported.steps else ""
+    date = "" if imported.date_known else " Their date is unknown; --start gives it."
+    if any(signal.in_lake is None for signal in imported.signals):
+        return f"{imported.added:,} samples{steps} sent and acknowledged as recorded ({speed}).{date}"
+    return f"{imported.added:,} samples in, {imported.added:,} more in the lake of {folder}, each once{steps} ({speed}).{date}"
+
+
+def _tell_bad_rows(imported: "FileImport") -> None:
+    if not imported.bad_row_count:
+        return
+    console = notes()
+    console.print(f"{imported.bad_row_count:,} of {imported.rows:,} rows of {imported.file} left out as bad:")
+    for row in imported.bad_rows[:_LISTED_BAD_ROWS]:
+        console.print(f"  {row}", markup=False)
+    if imported.bad_row_count > _LISTED_BAD_ROWS:
+        console.print(f"  ... and {imported.bad_row_count - _LISTED_BAD_ROWS:,} more (--json lists up to 1000)")

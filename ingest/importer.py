@@ -1,0 +1,271 @@
+"""Importing a file: over the bus, into the log and the lake, each sample once, and counted at the end."""
+
+import hashlib
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from uuid import NAMESPACE_URL, UUID, uuid5
+
+import numpy as np
+
+from ingest.instruments.table_file import SignalSummary, TableFile, TableSummary
+from ingest.instruments.table_rows import BadRow, BoolArray
+from ingest.pipeline import EmbeddedPipeline
+from ingest.stored import StoredSamples
+from storage.catalog import Catalog
+from storage.store import Store, writer_endpoint
+from stream.batch import IntArray, SampleBatch
+from stream.delivery import DurablePublisher
+from stream.errors import StoreError
+from stream.events import AnyDocument, NoteAdded, RunEnded, RunStarted, StreamTotal
+from stream.identity import Place, event_key, sample_key
+from stream.zenoh_bus import ZenohBus
+
+Progress = Callable[[float], None]
+_Name = tuple[str, str, str]
+
+_NAMESPACE = uuid5(NAMESPACE_URL, "gyrofleet/import")
+_LAKE_PATIENCE_S = 60.0
+
+
+@dataclass(frozen=True)
+class SignalImport:
+    """What became of one signal of a file; `in_lake` is None where the lake cannot be seen from here."""
+
+    unit: str
+    run: str
+    signal: str
+    unit_of_measure: str
+    in_file: int
+    added: int
+    already_stored: int
+    in_lake: int | None
+    sample_interval_s: float
+    irregular: bool
+
+
+@dataclass(frozen=True)
+class FileImport:
+    """What became of one file."""
+
+    file: str
+    rows: int
+    bad_row_count: int
+    bad_rows: tuple[BadRow, ...]
+    steps: int
+    date_known: bool
+    seconds: float
+    signals: tuple[SignalImport, ...]
+    recovered: tuple[str, ...] = ()
+
+    @property
+    def added(self) -> int:
+        """Samples that the store did not have."""
+        return sum(signal.added for signal in self.signals)
+
+
+class _Sending:
+    """One file on its way to a recorder."""
+
+    def __init__(self, path: Path, table: TableFile, summary: TableSummary, place: Place) -> None:
+        self._path = path
+        self._table = table
+        self._summary = summary
+        self._place = place
+        self._stored: StoredSamples | None = None
+        self._common = 0
+        self._held: Counter[_Name] = Counter()
+        self._known_uids: frozenset[str] = frozenset()
+        self._sent: Counter[_Name] = Counter()
+
+    def compare(self, store: Store) -> None:
+        """Find out what the store has of the file; raises BadInput where the two contradict each other."""
+        catalog = Catalog(store)
+        self._stored = StoredSamples(catalog, self._path, self._summary)
+        self._common = self._stored.check(self._table)
+        self._held = _held(catalog)
+        self._known_uids = frozenset(str(uid) for (uid,) in catalog.rows("select uid from events"))
+
+    def send(self, publisher: DurablePublisher, progress: Progress | None) -> None:
+        """Publish what the store does not have: samples, steps, and the documents of the runs they belong to."""
+        if self._common == sum(s.sampling.samples for s in self._summary.signals) and not self._summary.steps:
+            return
+        content = _sha256(self._path)
+        owners = dict.fromkeys((s.unit, s.run) for s in self._summary.signals)
+        epochs = {owner: uuid5(_NAMESPACE, "\0".join([content, *owner, str(self._common)])) for owner in owners}
+        runs = dict.fromkeys(run for _, run in owners)
+        for run in runs:
+            if self._stored is None or run not in self._stored.runs:
+                publisher.send_event(event_key(self._place), self._started(run, content))
+        news = 0
+        for item in self._table.batches(lambda unit, run: epochs[unit, run], self._keep, progress):
+            if isinstance(item, SampleBatch):
+                publisher.send_batch(sample_key(self._place, item.unit, item.signal), item)
+                self._sent[item.unit, item.run, item.signal] += len(item)
+                news += 1
+            elif item.uid not in self._known_uids:
+                publisher.send_event(event_key(self._place), item)
+                news += 1
+        for run in runs if news else ():
+            publisher.send_event(event_key(self._place), self._noted(run, content))
+            publisher.send_event(event_key(self._place), self._ended(run, epochs))
+
+    def await_lake(self, store: Store, *, patience_s: float) -> Counter[_Name]:
+        """Samples of each signal in the lake, once all that was sent is there."""
+        deadline = time.monotonic() + patience_s
+        while True:
+            with Catalog(store) as catalog:
+                in_lake = _held(catalog)
+            wrong = [name for name in self._sent if in_lake[name] != self._held[name] + self._sent[name]]
+            if not wrong:
+                return in_lake
+            if time.monotonic() >= deadline:
+                unit, run, signal = name = wrong[0]
+                raise StoreError(
+                    f"{self._path}: unit {unit}, run {run}, signal {signal}: {self._sent[name]} samples were sent to "
+                    f"{self._held[name]} that were there, but the lake holds {in_lake[name]}; the log has what was "
+                    f"acknowledged, look at {store.log}"
+                )
+            time.sleep(0.2)
+
+    def result(self, signal: SignalSummary, in_lake: Counter[_Name] | None) -> SignalImport:
+        """What became of one signal."""
+        name = (signal.unit, signal.run, signal.signal)
+        return SignalImport(
+            *name,
+            unit_of_measure=signal.unit_of_measure,
+            in_file=signal.sampling.samples,
+            added=self._sent[name],
+            already_stored=signal.sampling.samples - self._sent[name],
+            in_lake=None if in_lake is None else in_lake[name],
+            sample_interval_s=signal.sampling.dt_ns / 1e9,
+            irregular=signal.sampling.irregular,
+        )
+
+    def _keep(self, unit: str, run: str, signal: str, times_ns: IntArray) -> BoolArray:
+        if self._stored is None:
+            return np.ones(len(times_ns), np.bool_)
+        return self._stored.new(unit, run, signal, times_ns)
+
+    def _of(self, run: str) -> list[SignalSummary]:
+        return [signal for signal in self._summary.signals if signal.run == run]
+
+    def _started(self, run: str, content: str) -> RunStarted:
+        return RunStarted(
+            run=run,
+            t_ns=min(signal.sampling.t_first_ns for signal in self._of(run)),
+            uid=_uid("started", run, content),
+            date_known=self._summary.date_known,
+            source=f"file {self._path.name}",
+            units=tuple(dict.fromkeys(signal.unit for signal in self._of(run))),
+        )
+
+    def _noted(self, run: str, content: str) -> NoteAdded:
+        added = sum(self._sent[s.unit, s.run, s.signal] for s in self._of(run))
+        text = f"imported {self._path.name} (sha256 {content}): {added} samples"
+        if self._summary.bad_rows:
+            text += f"; {self._summary.bad_rows} of {self._summary.rows} rows left out as bad"
+        return NoteAdded(
+            run=run, t_ns=self._last_ns(run), uid=_uid("noted", run, content, str(self._common)), text=text, author="import"
+        )
+
+    def _ended(self, run: str, epochs: dict[tuple[str, str], UUID]) -> RunEnded:
+        totals = tuple(
+            StreamTotal(
+                unit=s.unit,
+                signal=s.signal,
+                epoch=str(epochs[s.unit, s.run]),
+                samples=self._sent[s.unit, s.run, s.signal],
+            )
+            for s in self._of(run)
+        )
+        uid = _uid("ended", run, *(str(epoch) for epoch in epochs.values()))
+        return RunEnded(run=run, t_ns=self._last_ns(run), uid=uid, totals=totals)
+
+    def _last_ns(self, run: str) -> int:
+        return max(signal.sampling.t_last_ns for signal in self._of(run))
+
+
+def import_table(
+    path: Path,
+    table: TableFile,
+    summary: TableSummary,
+    folder: Path,
+    place: Place,
+    *,
+    connect: str | None = None,
+    listen: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> FileImport:
+    """Bring a checked file into a store.
+
+    Parameters
+    ----------
+    path, table, summary
+        The file and what its first pass found.
+    folder : Path
+        The store, for the embedded path; with `connect` it is looked at only if the recorder there writes it.
+    place : Place
+        Site and station that the samples are said to come from.
+    connect : str, optional
+        Endpoint of a recorder in another process.
+    listen : sequence of str
+        Endpoints on which others may listen in (embedded path).
+    progress : callable, optional
+        Called with the fraction that is sent.
+
+    Raises
+    ------
+    BadInput
+        If the file contradicts what the store has; the store is then as it was.
+    StoreError
+        If the lake does not hold what was sent.
+    DeliveryError
+        If no recorder acknowledges it.
+    """
+    began = time.monotonic()
+    sending = _Sending(path, table, summary, place)
+    recovered: tuple[str, ...] = ()
+    if connect is None:
+        with EmbeddedPipeline(folder, "gyrofleet import", listen=listen) as pipeline:
+            recovered = tuple(each.segment for each in pipeline.recovered)
+            pipeline.recorder.wait_for_lake()
+            sending.compare(pipeline.store)
+            sending.send(pipeline.publisher, progress)
+            pipeline.finish()
+        store: Store | None = pipeline.store
+    else:
+        store = Store.open(folder) if writer_endpoint(folder) == connect else None
+        if store is not None:
+            sending.compare(store)
+        with ZenohBus(connect=[connect]) as bus, DurablePublisher(bus) as publisher:
+            sending.send(publisher, progress)
+            publisher.drain()
+    in_lake = None if store is None else sending.await_lake(store, patience_s=_LAKE_PATIENCE_S if connect else 0.0)
+    return FileImport(
+        file=str(path),
+        rows=summary.rows,
+        bad_row_count=summary.bad_rows,
+        bad_rows=summary.bad,
+        steps=summary.steps,
+        date_known=summary.date_known,
+        seconds=time.monotonic() - began,
+        signals=tuple(sending.result(signal, in_lake) for signal in summary.signals),
+        recovered=recovered,
+    )
+
+
+def _held(catalog: Catalog) -> Counter[_Name]:
+    rows = catalog.rows("select unit, run, signal, samples from signals")
+    return Counter({(unit, run, signal): samples for unit, run, signal, samples in rows})
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _uid(*parts: str) -> str:
+    return uuid5(_NAMESPACE, "\0".join(parts)).hex

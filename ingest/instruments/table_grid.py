@@ -1,0 +1,128 @@
+"""How a signal of a table is sampled: its nominal interval, and whether every interval lies on the grid."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stream.batch import IntArray
+
+MEDIAN_INTERVALS = 10_000
+GRID_TOLERANCE = 0.1
+_LONE_SAMPLE_DT_NS = 10**9
+# An interval longer than this many nominal ones is a gap.
+_GAP = 1.5
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Times of one signal in short.
+
+    Parameters
+    ----------
+    samples : int
+        How many there are.
+    t_first_ns, t_last_ns : int
+        First and last time, nanoseconds.
+    dt_ns : int
+        Nominal interval, nanoseconds: the median of the first 10,000 intervals.
+    off_grid : int
+        Intervals further than a tenth of the nominal one from every multiple of it.
+    worst_ns : int
+        Largest distance of an interval from a multiple of the nominal one, nanoseconds.
+    gaps : int
+        Intervals longer than 1.5 nominal ones.
+    """
+
+    samples: int
+    t_first_ns: int
+    t_last_ns: int
+    dt_ns: int
+    off_grid: int
+    worst_ns: int
+    gaps: int
+
+    @property
+    def irregular(self) -> bool:
+        """Whether an interval is off the grid."""
+        return self.off_grid > 0
+
+
+class SamplingGrid:
+    """Follows the times of one signal through a file, however they are cut in pieces.
+
+    Examples
+    --------
+    >>> grid = SamplingGrid()
+    >>> grid.add(np.array([0, 10, 20, 50, 61]))
+    >>> grid.finish()
+    Sampling(samples=5, t_first_ns=0, t_last_ns=61, dt_ns=10, off_grid=0, worst_ns=1, gaps=1)
+    """
+
+    def __init__(self) -> None:
+        self._early: list[IntArray] = []
+        self._samples = 0
+        self._first_ns = 0
+        self._last_ns = 0
+        self._dt_ns: int | None = None
+        self._off_grid = 0
+        self._worst_ns = 0
+        self._gaps = 0
+
+    def add(self, times_ns: IntArray) -> None:
+        """Take the times that follow, strictly increasing, nanoseconds."""
+        if not len(times_ns):
+            return
+        if not self._samples:
+            self._first_ns = int(times_ns[0])
+        self._samples += len(times_ns)
+        if self._dt_ns is not None:
+            self._judge(np.diff(times_ns, prepend=np.int64(self._last_ns)))
+        else:
+            self._early.append(times_ns)
+            if self._samples > MEDIAN_INTERVALS:
+                self._settle()
+        self._last_ns = int(times_ns[-1])
+
+    def finish(self) -> Sampling:
+        """Say what was seen; at least one sample must have been."""
+        if self._dt_ns is None:
+            self._settle()
+        assert self._dt_ns is not None
+        return Sampling(
+            self._samples,
+            self._first_ns,
+            self._last_ns,
+            self._dt_ns,
+            self._off_grid,
+            self._worst_ns,
+            self._gaps,
+        )
+
+    def _settle(self) -> None:
+        times_ns = np.concatenate(self._early)
+        intervals_ns = times_ns[1:] - times_ns[:-1]
+        self._early.clear()
+        self._dt_ns = _median(intervals_ns[:MEDIAN_INTERVALS]) if len(intervals_ns) else _LONE_SAMPLE_DT_NS
+        self._judge(intervals_ns)
+
+    def _judge(self, intervals_ns: IntArray) -> None:
+        assert self._dt_ns is not None
+        others = intervals_ns[intervals_ns != self._dt_ns]
+        if not len(others):
+            return
+        multiples = np.maximum(np.rint(others / self._dt_ns).astype(np.int64), 1)
+        distances_ns = np.abs(others - multiples * self._dt_ns)
+        self._off_grid += int(np.count_nonzero(distances_ns > GRID_TOLERANCE * self._dt_ns))
+        self._worst_ns = max(self._worst_ns, int(distances_ns.max()))
+        self._gaps += int(np.count_nonzero(is_gap(others, self._dt_ns)))
+
+
+def is_gap(intervals_ns: IntArray, dt_ns: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Which intervals, in nanoseconds, are gaps in a signal of nominal interval `dt_ns`."""
+    return intervals_ns > _GAP * dt_ns
+
+
+def _median(intervals_ns: IntArray) -> int:
+    half = len(intervals_ns) // 2
+    ordered = np.partition(intervals_ns, [max(half - 1, 0), half])
+    return int(ordered[half]) if len(ordered) % 2 else (int(ordered[half - 1]) + int(ordered[half])) // 2

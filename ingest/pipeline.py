@@ -1,0 +1,83 @@
+"""The whole path in one process: source -> Zenoh -> recorder (log, lake) and estimators. No server, no open port."""
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Self
+
+from storage.event_log import DEFAULT_ROTATE_BYTES, EventLog, Recovery
+from storage.recorder import Recorder
+from storage.store import Store, WriterLock
+from stream.delivery import DurablePublisher
+from stream.events import EstimatePublished
+from stream.worker import EstimationWorker
+from stream.zenoh_bus import ZenohBus
+
+
+class EmbeddedPipeline:
+    """Everything between a source and a store, started together and ended in order.
+
+    Parameters
+    ----------
+    folder : Path
+        The store; made if it does not exist.
+    role : str
+        Who writes, for the message that another writer gets.
+    estimate_every_s : float
+        Interval between estimates in the signals' time, seconds.
+    listen : sequence of str
+        Endpoints on which others may listen in; none by default.
+    rotate_bytes : int
+        Payload after which a segment of the log is sealed.
+    on_estimate : callable, optional
+        Called with every estimate, in the worker's thread.
+
+    Raises
+    ------
+    StoreError
+        If the store cannot be written, or another process writes it.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        role: str,
+        *,
+        estimate_every_s: float = 60.0,
+        listen: Sequence[str] = (),
+        rotate_bytes: int = DEFAULT_ROTATE_BYTES,
+        on_estimate: Callable[[EstimatePublished], None] | None = None,
+    ) -> None:
+        with ExitStack() as stack:
+            self.store = Store.create(folder)
+            stack.enter_context(WriterLock(self.store, role))
+            log = EventLog(self.store, rotate_bytes=rotate_bytes)
+            self.recovered: list[Recovery] = log.recovered
+            bus = stack.enter_context(ZenohBus(listen=listen))
+            self.recorder = stack.enter_context(Recorder(self.store, bus, log))
+            self._estimates = stack.enter_context(DurablePublisher(bus))
+            self.worker = EstimationWorker(
+                bus, self._estimates, every_s=estimate_every_s, on_estimate=on_estimate
+            )
+            self.publisher = stack.enter_context(DurablePublisher(bus))
+            self.bus = bus
+            self._stack = stack.pop_all()
+
+    def finish(self) -> None:
+        """Wait until everything sent is in the log, the last estimates are published, and all of it is in the lake.
+
+        Raises
+        ------
+        GyrofleetError
+            If any part failed.
+        """
+        self.publisher.drain()
+        self.worker.close()
+        self._estimates.drain()
+        self.recorder.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()

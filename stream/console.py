@@ -1,0 +1,117 @@
+"""What the commands of all packages share: options, output and how errors are told."""
+
+import functools
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any, ParamSpec, TypeVar
+
+import click
+import msgspec
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from stream.errors import GyrofleetError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+DEFAULT_STORE = "gyrofleet-data"
+
+store_option = click.option(
+    "--store",
+    "folder",
+    type=click.Path(path_type=Path),
+    default=DEFAULT_STORE,
+    show_default=True,
+    help="Folder of the store.",
+)
+
+
+def notes() -> Console:
+    """Console for progress and remarks (standard error)."""
+    return Console(stderr=True, highlight=False)
+
+
+def results() -> Console:
+    """Console for results (standard output)."""
+    console = Console(highlight=False)
+    # a table that is piped into a file must not be cut to 80 columns
+    return console if console.is_terminal else Console(highlight=False, width=200)
+
+
+def print_json(value: Any) -> None:
+    """Print one JSON document on a line of its own."""
+    click.echo(msgspec.json.encode(value).decode())
+
+
+def reporting(command: Callable[P, R]) -> Callable[..., R]:
+    """Give a command ``--json`` and tell its errors in one line, with exit code 1."""
+
+    @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+    @functools.wraps(command)
+    def run(*args: Any, **kwargs: Any) -> R:
+        try:
+            return command(*args, **kwargs)
+        except GyrofleetError as error:
+            _tell(type(error).__name__, str(error), as_json=kwargs.get("as_json", False))
+            sys.exit(1)
+        except KeyboardInterrupt:
+            _tell("Interrupted", "interrupted; what was recorded is kept", as_json=kwargs.get("as_json", False))
+            sys.exit(130)
+        except BrokenPipeError:
+            # the reader of our output has gone, as `head` does
+            sys.stderr.close()
+            sys.exit(0)
+
+    return run
+
+
+def _tell(kind: str, message: str, *, as_json: bool) -> None:
+    if as_json:
+        print_json({"error": {"kind": kind, "message": message}})
+    else:
+        click.secho(f"error: {message}", err=True, fg="red")
+
+
+@contextmanager
+def progress_bar(*, hidden: bool) -> Iterator[Progress]:
+    """A progress bar on standard error; nothing where that is not a terminal or `hidden`."""
+    console = notes()
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=hidden or not console.is_terminal, transient=True) as progress:
+        yield progress
+
+
+@contextmanager
+def until_stopped() -> Iterator[threading.Event]:
+    """An event that SIGINT and SIGTERM set, so that a service can end in order."""
+    stopped = threading.Event()
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        stopped.set()
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stopped
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def compile_kernels(*, quiet: bool) -> None:
+    """Make the estimators' machine code ready; says so, for it takes some seconds the first time."""
+    from stream.estimators.base import warm_up
+
+    console = notes()
+    with console.status("making the estimators ready (some seconds, the first time only)") if not quiet else _nothing():
+        warm_up()
+
+
+@contextmanager
+def _nothing() -> Iterator[None]:
+    yield
