@@ -94,7 +94,9 @@ class _Sending:
             return
         content = _sha256(self._path)
         owners = dict.fromkeys((s.unit, s.run) for s in self._summary.signals)
-        epochs = {owner: uuid5(_NAMESPACE, "\0".join([content, *owner, str(self._common)])) for owner in owners}
+        epochs = {
+            owner: uuid5(_NAMESPACE, "\0".join([content, *owner, str(self._common)])) for owner in owners
+        }
         runs = dict.fromkeys(run for _, run in owners)
         for run in runs:
             if self._stored is None or run not in self._stored.runs:
@@ -168,7 +170,11 @@ class _Sending:
         if self._summary.bad_rows:
             text += f"; {self._summary.bad_rows} of {self._summary.rows} rows left out as bad"
         return NoteAdded(
-            run=run, t_ns=self._last_ns(run), uid=_uid("noted", run, content, str(self._common)), text=text, author="import"
+            run=run,
+            t_ns=self._last_ns(run),
+            uid=_uid("noted", run, content, str(self._common)),
+            text=text,
+            author="import",
         )
 
     def _ended(self, run: str, epochs: dict[tuple[str, str], UUID]) -> RunEnded:
@@ -243,7 +249,9 @@ def import_table(
         with ZenohBus(connect=[connect]) as bus, DurablePublisher(bus) as publisher:
             sending.send(publisher, progress)
             publisher.drain()
-    in_lake = None if store is None else sending.await_lake(store, patience_s=_LAKE_PATIENCE_S if connect else 0.0)
+    in_lake = (
+        None if store is None else sending.await_lake(store, patience_s=_LAKE_PATIENCE_S if connect else 0.0)
+    )
     return FileImport(
         file=str(path),
         rows=summary.rows,

@@ -39,9 +39,7 @@ class StoredSamples:
         ):
             if (unit, run, signal) in self._signals:
                 self._stored[unit, run, signal] = (unit_of_measure, first_ns, last_ns)
-        self.runs = {
-            str(run): bool(known) for run, known in catalog.rows("select run, date_known from runs")
-        }
+        self.runs = {str(run): bool(known) for run, known in catalog.rows("select run, date_known from runs")}
 
     def check(self, table: TableFile) -> int:
         """Compare the file with the store sample by sample; returns how many the store has already.
@@ -88,7 +86,10 @@ class StoredSamples:
         stored, sampling = self._stored.get(name), self._signals[name].sampling
         if stored is None:
             return False
-        return sampling.t_first_ns - sampling.dt_ns <= stored[2] and stored[1] <= sampling.t_last_ns + sampling.dt_ns
+        return (
+            sampling.t_first_ns - sampling.dt_ns <= stored[2]
+            and stored[1] <= sampling.t_last_ns + sampling.dt_ns
+        )
 
     def _check_chunk(self, chunk: SignalChunk) -> int:
         sampling = self._signals[chunk.unit, chunk.run, chunk.signal].sampling
@@ -112,13 +113,22 @@ class StoredSamples:
             nearest_ns = np.minimum(np.abs(stored_ns[after] - times_ns), np.abs(times_ns - stored_ns[before]))
             differs |= ~same_time & (2 * nearest_ns <= sampling.dt_ns)
         if differs.any():
-            self._refuse(chunk, int(np.flatnonzero(differs)[0]), int(differs.sum()), stored_ns[after], stored[after])
+            self._refuse(
+                chunk, int(np.flatnonzero(differs)[0]), int(differs.sum()), stored_ns[after], stored[after]
+            )
         return int(same_time.sum())
 
     def _refuse(
-        self, chunk: SignalChunk, at: int, count: int, stored_ns: IntArray, stored: np.ndarray[tuple[int], np.dtype[np.float64]]
+        self,
+        chunk: SignalChunk,
+        at: int,
+        count: int,
+        stored_ns: IntArray,
+        stored: np.ndarray[tuple[int], np.dtype[np.float64]],
     ) -> None:
-        has = f"{stored[at]:.9g}" + ("" if stored_ns[at] == chunk.times_ns[at] else f" at {self._moment(stored_ns[at])}")
+        has = f"{stored[at]:.9g}" + (
+            "" if stored_ns[at] == chunk.times_ns[at] else f" at {self._moment(stored_ns[at])}"
+        )
         raise BadInput(
             f"{self._path}: overlaps what is stored of unit {chunk.unit}, signal {chunk.signal}, run {chunk.run} with "
             f"other values: at {self._moment(chunk.times_ns[at])} the file has {chunk.data[at]:.9g}, the store {has} "

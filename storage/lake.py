@@ -161,7 +161,9 @@ def build_part(store: Store, segment: Path) -> None:
 def channel_id(key: str, batch: SampleBatch) -> int:
     """Identity of a channel: the same samples' origin and meaning give the same number anywhere."""
     kind = "counts" if batch.counts is not None else "values"
-    text = "\0".join([key, batch.run, batch.epoch.hex, kind, batch.unit_of_measure, repr(batch.scale), repr(batch.offset)])
+    text = "\0".join(
+        [key, batch.run, batch.epoch.hex, kind, batch.unit_of_measure, repr(batch.scale), repr(batch.offset)]
+    )
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "big", signed=True)
 
 
@@ -256,7 +258,9 @@ def _write_samples(path: Path, channels: dict[int, _Channel]) -> None:
         ) as writer,
     ):
         for identity in sorted(channels):
-            writer.write_table(_sample_table(identity, channels.pop(identity).batches), row_group_size=_ROW_GROUP)
+            writer.write_table(
+                _sample_table(identity, channels.pop(identity).batches), row_group_size=_ROW_GROUP
+            )
         writer.close()
         file.flush()
         os.fsync(file.fileno())
@@ -274,7 +278,9 @@ def _sample_table(identity: int, batches: list[SampleBatch]) -> pa.Table:
     else:
         flags = pa.nulls(n, pa.uint8())
     channel = pa.array(np.full(n, identity, np.int64))
-    return pa.Table.from_arrays([channel, pa.array(seq), pa.array(t_ns), counts, value, flags], schema=SAMPLE_COLUMNS)
+    return pa.Table.from_arrays(
+        [channel, pa.array(seq), pa.array(t_ns), counts, value, flags], schema=SAMPLE_COLUMNS
+    )
 
 
 def _joined(arrays: list[npt.NDArray[np.generic] | None], kind: pa.DataType, n: int) -> pa.Array:

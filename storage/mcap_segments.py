@@ -5,15 +5,19 @@ nothing for a flipped byte.
 """
 
 import os
+import struct
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 import zstandard
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, Message, Metadata, Schema
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
@@ -30,6 +34,12 @@ REJECTED = "gyrofleet.Rejected"
 
 _MARKS = "gyrofleet.marks"
 _RECORD_LIMIT_BYTES = 1 << 30
+_MAGIC_BYTES = 8
+_FRAME = struct.Struct("<BQ")
+_OPCODES = {int(opcode) for opcode in Opcode}
+_CHUNK_OPCODE = bytes([Opcode.CHUNK])
+# What the library raises on bytes that are not what they should be.
+_DAMAGE = (McapError, ValueError, KeyError, EOFError, struct.error, zstandard.ZstdError)
 
 
 class LogRecord(NamedTuple):
@@ -65,7 +75,9 @@ class SegmentWriter:
         self._schemas = {
             SAMPLES: self._writer.register_schema(SAMPLES, "protobuf", descriptors),
             PREVIEW: self._writer.register_schema(PREVIEW, "protobuf", descriptors),
-            EVENTS: self._writer.register_schema(EVENTS, "jsonschema", msgspec.json.encode(document_schema())),
+            EVENTS: self._writer.register_schema(
+                EVENTS, "jsonschema", msgspec.json.encode(document_schema())
+            ),
             REJECTED: 0,
         }
         self._encodings = {SAMPLES: "protobuf", PREVIEW: "protobuf", EVENTS: "json", REJECTED: ""}
@@ -79,7 +91,9 @@ class SegmentWriter:
                 record.topic, self._encodings[record.schema], self._schemas[record.schema]
             )
         # MCAP's own times are unsigned; a time before 1970 stays in the message itself
-        self._writer.add_message(channel, record.arrival_ns, record.data, max(record.publish_ns, 0), self.records)
+        self._writer.add_message(
+            channel, record.arrival_ns, record.data, max(record.publish_ns, 0), self.records
+        )
         self.records += 1
         self.payload_bytes += len(record.data)
 
@@ -116,7 +130,9 @@ def read_segment(path: Path) -> Iterator[LogRecord]:
     channels: dict[int, tuple[str, str]] = {}
     try:
         with path.open("rb") as file:
-            for record in StreamReader(file, validate_crcs=True, record_size_limit=_RECORD_LIMIT_BYTES).records:
+            for record in StreamReader(
+                file, validate_crcs=True, record_size_limit=_RECORD_LIMIT_BYTES
+            ).records:
                 if isinstance(record, Message):
                     topic, schema = channels[record.channel_id]
                     yield LogRecord(topic, schema, record.log_time, record.publish_time, record.data)
@@ -124,7 +140,7 @@ def read_segment(path: Path) -> Iterator[LogRecord]:
                     schemas[record.id] = record.name
                 elif isinstance(record, Channel):
                     channels[record.id] = (record.topic, schemas[record.schema_id])
-    except (McapError, ValueError, KeyError, EOFError, zstandard.ZstdError) as error:
+    except _DAMAGE as error:
         raise StoreError(
             f"segment {path} is damaged ({type(error).__name__}: {error}); keep the file and restore it from a copy"
         ) from error
@@ -143,7 +159,7 @@ def read_marks(path: Path) -> dict[str, str]:
             for metadata in make_reader(file, validate_crcs=True).iter_metadata():
                 if isinstance(metadata, Metadata) and metadata.name == _MARKS:
                     return metadata.metadata
-    except (McapError, ValueError, KeyError, EOFError, zstandard.ZstdError) as error:
+    except _DAMAGE as error:
         raise StoreError(f"segment {path} is damaged ({type(error).__name__}: {error})") from error
     raise StoreError(f"segment {path} carries no stream positions; was it written by gyrofleet?")
 
@@ -153,36 +169,59 @@ class Salvage(NamedTuple):
 
     records: list[LogRecord]
     damaged_chunks: int
-    complete: bool
 
 
 def salvage_segment(path: Path) -> Salvage:
-    """Read an unsealed segment chunk by chunk, leaving out what fails its CRC, up to where the file breaks off."""
+    """Read an unsealed segment chunk by chunk, leaving out what is damaged, up to where the file breaks off."""
     schemas: dict[int, str] = {0: REJECTED}
     channels: dict[int, tuple[str, str]] = {}
     records: list[LogRecord] = []
     damaged = 0
-    complete = False
+    for inner in _whole_chunks(path.read_bytes()):
+        if inner is None:
+            damaged += 1
+            continue
+        for record in inner:
+            if isinstance(record, Schema):
+                schemas[record.id] = record.name
+            elif isinstance(record, Channel):
+                channels[record.id] = (record.topic, schemas[record.schema_id])
+            elif isinstance(record, Message) and record.channel_id in channels:
+                topic, schema = channels[record.channel_id]
+                records.append(LogRecord(topic, schema, record.log_time, record.publish_time, record.data))
+    return Salvage(records, damaged)
+
+
+def _whole_chunks(content: bytes) -> Iterator[list[McapRecord] | None]:
+    """Records of each chunk whose CRC holds; None for a damaged stretch between them."""
+    position = _MAGIC_BYTES
+    while position + _FRAME.size <= len(content):
+        opcode, length = _FRAME.unpack_from(content, position)
+        end = position + _FRAME.size + length
+        if opcode in _OPCODES and end <= len(content):
+            if opcode == Opcode.CHUNK:
+                yield _chunk_at(content, position)
+            position = end
+            continue
+        # the frame itself is damaged, or the file breaks off here: look for the next chunk that holds
+        found = content.find(_CHUNK_OPCODE, position + 1)
+        while found >= 0 and _chunk_at(content, found) is None:
+            found = content.find(_CHUNK_OPCODE, found + 1)
+        if found < 0:
+            return
+        yield None
+        position = found
+
+
+def _chunk_at(content: bytes, position: int) -> list[McapRecord] | None:
+    if position + _FRAME.size > len(content):
+        return None
+    _, length = _FRAME.unpack_from(content, position)
+    begin = position + _FRAME.size
+    if length > len(content) - begin:
+        return None
     try:
-        with path.open("rb") as file:
-            reader = StreamReader(file, emit_chunks=True, record_size_limit=_RECORD_LIMIT_BYTES)
-            for outer in reader.records:
-                if not isinstance(outer, Chunk):
-                    continue
-                try:
-                    inner = breakup_chunk(outer, validate_crc=True)
-                except (McapError, ValueError, EOFError, zstandard.ZstdError):
-                    damaged += 1
-                    continue
-                for record in inner:
-                    if isinstance(record, Schema):
-                        schemas[record.id] = record.name
-                    elif isinstance(record, Channel):
-                        channels[record.id] = (record.topic, schemas[record.schema_id])
-                    elif isinstance(record, Message) and record.channel_id in channels:
-                        topic, schema = channels[record.channel_id]
-                        records.append(LogRecord(topic, schema, record.log_time, record.publish_time, record.data))
-        complete = True
-    except (McapError, ValueError, KeyError, EOFError, OSError):
-        complete = False
-    return Salvage(records, damaged, complete)
+        chunk = Chunk.read(ReadDataStream(BytesIO(content[begin : begin + length])))
+        return breakup_chunk(chunk, validate_crc=True)
+    except _DAMAGE:
+        return None

@@ -36,11 +36,20 @@ def find_signal(catalog: Catalog, unit: str, signal: str, run: str | None = None
     for column, wanted in (("unit", unit), ("signal", signal), ("run", run)):
         if wanted is None:
             continue
-        where = {"unit": "", "signal": "where unit = $unit", "run": "where unit = $unit and signal = $signal"}[column]
+        where = {
+            "unit": "",
+            "signal": "where unit = $unit",
+            "run": "where unit = $unit and signal = $signal",
+        }[column]
         given = {"unit": {}, "signal": {"unit": unit}, "run": {"unit": unit, "signal": signal}}[column]
-        held = [str(row[0]) for row in catalog.rows(f"select distinct {column} from signals {where} order by 1", given)]  # noqa: S608
+        held = [
+            str(row[0])
+            for row in catalog.rows(f"select distinct {column} from signals {where} order by 1", given)
+        ]  # noqa: S608
         if wanted not in held:
-            of = {"unit": "", "signal": f" of unit {unit}", "run": f" of unit {unit}, signal {signal}"}[column]
+            of = {"unit": "", "signal": f" of unit {unit}", "run": f" of unit {unit}, signal {signal}"}[
+                column
+            ]
             listed = ", ".join(held[:12]) + (f" and {len(held) - 12} more" if len(held) > 12 else "")
             raise NotFound(
                 f"{column} {wanted!r}{of} is not in {catalog.store.folder}; it holds {listed or 'nothing yet'}"
@@ -57,7 +66,7 @@ def find_signal(catalog: Catalog, unit: str, signal: str, run: str | None = None
 def read_signal(catalog: Catalog, record: SignalRecord) -> Iterator[SampleBatch]:
     """Batches of a signal in the order of time, read piece by piece."""
     channels = catalog.rows(
-        "select channel, epoch, dt_ns, is_counts, scale, \"offset\", irregular from lake_channels "
+        'select channel, epoch, dt_ns, is_counts, scale, "offset", irregular from lake_channels '
         "where unit = $unit and signal = $signal and run = $run order by t_first_ns",
         {"unit": record.unit, "signal": record.signal, "run": record.run},
     )
@@ -95,7 +104,7 @@ def stored_between(
 ) -> tuple[IntArray, FloatArray]:
     """Times (ns, ascending) and values of a signal's samples between two moments, both inclusive."""
     table = catalog.reader(
-        "select s.t_ns, coalesce(s.value, s.counts * c.scale + c.\"offset\") as value "
+        'select s.t_ns, coalesce(s.value, s.counts * c.scale + c."offset") as value '
         "from lake_samples s join lake_channels c using (channel) "
         "where c.unit = $unit and c.signal = $signal and c.run = $run and s.t_ns between $first and $last "
         "order by s.t_ns",

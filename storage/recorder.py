@@ -154,10 +154,12 @@ class Recorder:
                     return
         except (OSError, GyrofleetError) as error:
             self._log.abandon()
-            self._fail(StoreError(
-                f"recording to {self._store.folder} stopped: {error}; what is acknowledged is safe, sources keep the "
-                f"rest; free space or mend the disk and start again"
-            ))
+            self._fail(
+                StoreError(
+                    f"recording to {self._store.folder} stopped: {error}; what is acknowledged is safe, sources keep the "
+                    f"rest; free space or mend the disk and start again"
+                )
+            )
 
     def _next_messages(self) -> tuple[list[tuple[str, bytes, int]], bool]:
         with self._state:
@@ -215,7 +217,7 @@ class Recorder:
         if now - self._rewinds.get(stream, 0.0) >= _REWIND_INTERVAL_S:
             self._rewinds[stream] = now
             position = StreamPosition(stream.key, stream.epoch, expected, rewind=True)
-            self._bus.publish(ACKNOWLEDGEMENT_KEY, encode_acknowledgement((position,)))
+            self._bus.publish(ACKNOWLEDGEMENT_KEY, encode_acknowledgement(self._store.identity, (position,)))
 
     def _preview(self, key: str, batch: SampleBatch, arrival_ns: int) -> None:
         last_ns = self._previewed.get(key)
@@ -230,7 +232,7 @@ class Recorder:
         self._log.sync()
         moved, self._moved = self._moved, set()
         positions = tuple(StreamPosition(s.key, s.epoch, self._log.marks[s]) for s in moved)
-        self._bus.publish(ACKNOWLEDGEMENT_KEY, encode_acknowledgement(positions))
+        self._bus.publish(ACKNOWLEDGEMENT_KEY, encode_acknowledgement(self._store.identity, positions))
 
     def _seal(self) -> None:
         self._seal_at = None
@@ -247,10 +249,12 @@ class Recorder:
                         self._on_lake(name)
                 self._caught_up.set()
         except (OSError, GyrofleetError) as error:
-            self._fail(StoreError(
-                f"the lake of {self._store.folder} cannot be written: {error}; the log is complete, "
-                f"the lake is made from it at the next start"
-            ))
+            self._fail(
+                StoreError(
+                    f"the lake of {self._store.folder} cannot be written: {error}; the log is complete, "
+                    f"the lake is made from it at the next start"
+                )
+            )
 
     def _fail(self, failure: StoreError) -> None:
         with self._state:

@@ -25,10 +25,13 @@ class Store:
     ----------
     folder : Path
         Where it is.
+    identity : str
+        Its own, whatever the folder is called.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, identity: str) -> None:
         self.folder = folder
+        self.identity = identity
         self.log = folder / "log"
         self.aside = folder / "log" / "aside"
         self.lake = folder / "lake"
@@ -46,7 +49,7 @@ class Store:
         marker = folder / _MARKER
         try:
             written = json.loads(marker.read_text())
-            found = int(written["format"])
+            found, identity = int(written["format"]), str(written["id"])
         except FileNotFoundError:
             what = "there is no such folder" if not folder.exists() else f"it holds no {_MARKER}"
             raise StoreError(
@@ -60,7 +63,7 @@ class Store:
             raise StoreError(
                 f"{folder} has store format {found}, this gyrofleet reads up to {STORE_FORMAT}: upgrade gyrofleet"
             )
-        return cls(folder)
+        return cls(folder, identity)
 
     @classmethod
     def create(cls, folder: Path) -> Self:
@@ -82,18 +85,20 @@ class Store:
                         f"give --store an empty or a new folder"
                     )
                 folder.mkdir(parents=True, exist_ok=True)
-                store = cls(folder)
+                store = cls(folder, uuid4().hex)
             for part in (store.log, store.lake, store.tmp):
                 part.mkdir(exist_ok=True)
             if not marker.exists():
-                content = {"format": STORE_FORMAT, "id": uuid4().hex, "created_ns": time.time_ns()}
+                content = {"format": STORE_FORMAT, "id": store.identity, "created_ns": time.time_ns()}
                 fresh = store.tmp / _MARKER
                 fresh.write_text(json.dumps(content) + "\n")
                 fresh.rename(marker)
             elif not os.access(store.log, os.W_OK):
                 raise PermissionError(f"no permission to write in {store.log}")
         except (PermissionError, NotADirectoryError, FileExistsError, OSError) as error:
-            raise StoreError(f"cannot write the store {folder}: {error}; give --store a folder you can write") from error
+            raise StoreError(
+                f"cannot write the store {folder}: {error}; give --store a folder you can write"
+            ) from error
         return store
 
 

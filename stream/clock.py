@@ -140,7 +140,9 @@ class GridTracker:
     def _slot_of(self, t_ns: int, batch: SampleBatch) -> int:
         if self.next_slot == 0:
             return 0
-        advance = 1 if self.irregular else max(1, (2 * (t_ns - self.last_ns) + self.dt_ns) // (2 * self.dt_ns))
+        advance = (
+            1 if self.irregular else max(1, (2 * (t_ns - self.last_ns) + self.dt_ns) // (2 * self.dt_ns))
+        )
         slot = self.next_slot - 1 + advance
         if slot + len(batch) > MAX_SLOT:
             raise EstimatorError(

@@ -39,9 +39,10 @@ class StreamPosition(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Acknowledgement(msgspec.Struct, frozen=True, array_like=True):
-    """Positions of the streams that moved since the last acknowledgement."""
+    """Positions of the streams that moved since the last acknowledgement, and the store that holds them."""
 
     schema: int
+    store: str
     positions: tuple[StreamPosition, ...]
 
 
@@ -49,9 +50,9 @@ ACKNOWLEDGEMENT_SCHEMA = 1
 _decoder = msgspec.msgpack.Decoder(Acknowledgement)
 
 
-def encode_acknowledgement(positions: tuple[StreamPosition, ...]) -> bytes:
+def encode_acknowledgement(store: str, positions: tuple[StreamPosition, ...]) -> bytes:
     """Put positions into their wire form."""
-    return msgspec.msgpack.encode(Acknowledgement(ACKNOWLEDGEMENT_SCHEMA, positions))
+    return msgspec.msgpack.encode(Acknowledgement(ACKNOWLEDGEMENT_SCHEMA, store, positions))
 
 
 def decode_acknowledgement(payload: bytes) -> Acknowledgement:
@@ -76,7 +77,7 @@ class _Held(NamedTuple):
 @dataclass
 class _Outstanding:
     held: deque[_Held] = field(default_factory=deque)
-    acknowledged: int = 0
+    store: str | None = None
     resend: bool = False
 
 
@@ -191,7 +192,9 @@ class DurablePublisher:
             raise DeliveryError(self._broken)
 
     def _told_outstanding(self) -> str:
-        waiting = [(stream_id, len(stream.held)) for stream_id, stream in self._streams.items() if stream.held]
+        waiting = [
+            (stream_id, len(stream.held)) for stream_id, stream in self._streams.items() if stream.held
+        ]
         first, count = waiting[0]
         more = f" and {len(waiting) - 1} more streams" if len(waiting) > 1 else ""
         return f"{count} messages of {first.key}{more} are outstanding"
@@ -205,20 +208,21 @@ class DurablePublisher:
             for position in acknowledgement.positions:
                 stream = self._streams.get(StreamId(position.key, position.epoch))
                 if stream is not None:
-                    self._take(stream, position)
+                    self._take(stream, acknowledgement.store, position)
             self._state.notify_all()
 
-    def _take(self, stream: _Outstanding, position: StreamPosition) -> None:
-        if position.rewind and position.next_seq < stream.acknowledged:
+    def _take(self, stream: _Outstanding, store: str, position: StreamPosition) -> None:
+        if position.rewind and stream.store not in {None, store}:
             self._broken = (
-                f"the recorder asks for {position.key} from number {position.next_seq}, but numbers below "
-                f"{stream.acknowledged} were acknowledged before: does it write to another store than at the start?"
+                f"the recorder asks for {position.key} from number {position.next_seq}, but earlier numbers went to "
+                f"another store; send to one store until the run has ended"
             )
             return
+        if not position.rewind:
+            stream.store = store
         while stream.held and stream.held[0].next_seq <= position.next_seq:
             self._bytes -= len(stream.held.popleft().payload)
             self._progress_at = time.monotonic()
-        stream.acknowledged = max(stream.acknowledged, position.next_seq)
         stream.resend |= position.rewind and bool(stream.held)
 
     def _resend_loop(self) -> None:

@@ -80,7 +80,7 @@ class CsvTable:
             for block in self._whole_lines(file, line):
                 self._check_text(block, line)
                 yield from self._parse(block, line, file.tell() / self._size)
-                line += block.count(b"\n")
+                line += _lines(block)
 
     def _read_header(self, file: BinaryIO) -> str:
         self._header_line = 0
@@ -122,7 +122,7 @@ class CsvTable:
             if cut:
                 block = rest + data[:cut]
                 yield block
-                line += block.count(b"\n")
+                line += _lines(block)
                 rest = data[cut:]
             else:
                 rest += data
@@ -148,12 +148,12 @@ class CsvTable:
 
     def _parse_fast(self, block: bytes, line: int, done: float) -> CellBlock | None:
         """Parse a block in which nothing is wrong; None where something may be."""
-        if block.count(b"\r") != block.count(b"\r\n") or not _quotes_enclose_cells(block, self._delimiter):
+        if (b"\r" in block and block.count(b"\r") != block.count(b"\r\n")) or not _quotes_enclose_cells(block, self._delimiter):
             return None
         table = self._read_typed(block)
         if table is None:
             return None
-        numbers = _line_numbers(block, line)
+        numbers = _line_numbers(block, line, table.num_rows)
         if len(numbers) != table.num_rows:
             return None
         times_ns = None
@@ -221,13 +221,20 @@ def _texts(column: pa.ChunkedArray) -> TextCells:
     return TextCells(array.indices.fill_null(-1).to_numpy(), array.dictionary.to_pylist())
 
 
-def _line_numbers(block: bytes, first_line: int) -> IntArray:
-    ends = np.flatnonzero(np.frombuffer(block, np.uint8) == ord("\n"))
-    if b"\n\n" not in block and b"\n\r\n" not in block and block[:1] != b"\n" and block[:2] != b"\r\n":
-        return np.arange(first_line, first_line + len(ends), dtype=np.int64)
+def _lines(block: bytes) -> int:
+    # many times as fast as bytes.count of one character
+    return int(np.count_nonzero(np.frombuffer(block, np.uint8) == ord("\n")))
+
+
+def _line_numbers(block: bytes, first_line: int, rows: int) -> IntArray:
+    """Numbers of the lines that are not blank; `rows` is how many a parser found."""
+    lines = _lines(block)
+    if rows == lines:
+        return np.arange(first_line, first_line + lines, dtype=np.int64)
+    data = np.frombuffer(block, np.uint8)
+    ends = np.flatnonzero(data == ord("\n"))
     lengths = np.diff(ends, prepend=-1) - 1
-    before = np.frombuffer(block, np.uint8)[np.maximum(ends - 1, 0)]
-    blank = (lengths == 0) | ((lengths == 1) & (before == ord("\r")))
+    blank = (lengths == 0) | ((lengths == 1) & (data[np.maximum(ends - 1, 0)] == ord("\r")))
     return first_line + np.flatnonzero(~blank).astype(np.int64)
 
 

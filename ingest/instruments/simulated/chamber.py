@@ -1,4 +1,4 @@
-"""The chamber that simulated gyros stand in: a first-order approach, a daily sine, and a draught at each gyro."""
+"""The chamber of simulated gyros: a first-order approach, a daily sine, and a draught at each gyro."""
 
 import math
 
@@ -77,8 +77,8 @@ class ChamberParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 class GyroTemperature:
     """True temperature at one gyro.
 
-    Two of them made from one seed run through the same temperatures, each at its own pace: the rate and the readings
-    of a gyro can be drawn in any order without keeping what the other has not yet reached.
+    Two of them made from one seed run through the same temperatures, each at its own pace: the rate and the
+    readings of a gyro can be drawn in any order without keeping what the other has not yet reached.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ class GyroTemperature:
         return c.mean_deg_c + settling + daily + self._draught.means(n)
 
     def at(self, t_s: FloatArray) -> FloatArray:
-        """Temperature at times that go on from those of the call before, linear between whole seconds, degC."""
+        """Temperature at times after those of the call before, linear between whole seconds, degC."""
         needed = int(t_s[-1]) + 2
         if needed > self._next_s:
             self._nodes = np.concatenate([self._nodes, self.seconds(needed - self._next_s)])

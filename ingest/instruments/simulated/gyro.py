@@ -46,8 +46,12 @@ class GyroParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     ----------
     unit : str
         Its serial number; the noise is different for every unit of one seed.
-    angle_random_walk_deg_per_sqrt_h, bias_instability_deg_per_h, rate_random_walk_deg_per_h_per_sqrt_h : float
-        N, B and K of IEEE 952. The Allan deviation is N/sqrt(tau), 0.664 B and K sqrt(tau/3), tau in hours.
+    angle_random_walk_deg_per_sqrt_h : float
+        N of IEEE 952; the Allan deviation is N/sqrt(tau), tau in hours.
+    bias_instability_deg_per_h : float
+        B of IEEE 952; the Allan deviation has a floor of 0.664 B.
+    rate_random_walk_deg_per_h_per_sqrt_h : float
+        K of IEEE 952; the Allan deviation is K sqrt(tau/3), tau in hours.
     bias_deg_per_h, turn_on_bias_deg_per_h : float
         Constant bias, and the standard deviation of the bias that is drawn anew at every power-on.
     bias_temperature_coefficient_deg_per_h_per_deg_c : float
@@ -128,12 +132,12 @@ class SimulatedGyro:
 
     Notes
     -----
-    rate = bias + turn-on + k_T (T - 25 degC) + A exp(-t/T_w) + flicker + random walk + white. All but the white noise
-    change once in 0.1 s (a whole number of samples), as means over it: see ``noise``. The true temperature drives
-    the bias; the readings carry the thermometer's noise as well. The input axis lies east-west, so that no part of
-    Earth's rotation is seen.
+    rate = bias + turn-on + k_T (T - 25 degC) + A exp(-t/T_w) + flicker + random walk + white. All but the
+    white noise change once in 0.1 s (a whole number of samples), as means over it: see ``noise``. The true
+    temperature drives the bias; the readings carry the thermometer's noise as well. The input axis lies
+    east-west, so that no part of Earth's rotation is seen.
 
-    Memory: the block asked for, and a fixed 100 kB.
+    Memory: the block asked for, and less than 1 MB at any length.
 
     Examples
     --------
@@ -196,16 +200,21 @@ class SimulatedGyro:
         return np.clip(counts, _INT32.min, _INT32.max).astype(np.int32)
 
     def _next_held(self) -> FloatArray:
-        """All but the white noise over the next intervals, in counts; always as many, so that blocks do not matter."""
+        """All but the white noise over the next intervals, in counts.
+
+        Always as many intervals, so that the rounding errors do not depend on the block size either.
+        """
         p = self.parameters
-        t_s = (self._intervals + 0.5 + np.arange(_INTERVALS_AT_ONCE)) * self._hold_s
+        t_s: FloatArray = np.arange(_INTERVALS_AT_ONCE, dtype=np.float64)
+        t_s = (t_s + (self._intervals + 0.5)) * self._hold_s
         self._intervals += _INTERVALS_AT_ONCE
         thermal = p.bias_temperature_coefficient_deg_per_h_per_deg_c * (
             self._felt.at(t_s) - REFERENCE_TEMPERATURE_DEG_C
         )
         warm_up = p.warm_up_deg_per_h * np.exp(-t_s / p.warm_up_time_constant_s)
         noise = self._flicker.means(len(t_s)) + self._walk.means(len(t_s))
-        return (self._constant + thermal + warm_up + noise) * self._counts_per_deg_per_h
+        held: FloatArray = (self._constant + thermal + warm_up + noise) * self._counts_per_deg_per_h
+        return held
 
 
 def unit_batches(
@@ -235,7 +244,8 @@ def unit_batches(
     t0_ns : int
         Time of the first sample of both signals, nanoseconds UTC.
     epoch : UUID, optional
-        The power-on. By default it follows from run, seed and parameters: the same samples carry the same name.
+        The power-on. By default it follows from run, seed and parameters: the same samples carry the same
+        name.
     chamber : ChamberParameters, optional
         Where the unit stands.
     rate_batch, temperature_batch : int
@@ -257,9 +267,7 @@ def unit_batches(
     rate 1000 200 deg/s
     """
     if not (math.isfinite(duration_s) and duration_s >= 0):
-        raise BadInput(
-            f"simulated gyro {parameters.unit}: {duration_s} s is no duration, 0 s or more is needed"
-        )
+        raise BadInput(f"simulated gyro {parameters.unit}: a duration of {duration_s} s, 0 or more is needed")
     if rate_batch < 1 or temperature_batch < 1:
         raise BadInput(f"simulated gyro {parameters.unit}: a batch holds at least one sample")
     gyro = SimulatedGyro(parameters, seed, chamber)
@@ -292,11 +300,11 @@ def unit_batches(
 
 
 def demo_fleet() -> tuple[GyroParameters, ...]:
-    """Eight gyros as they might come off a line; with the demonstration's limits, not all pass 6 h in a chamber.
+    """Eight gyros as they might come off a line; by the demonstration's limits, not all pass 6 h.
 
-    Planted: FOG-0234 has twice the white noise that is allowed; FOG-0236 has a bias that follows the temperature
-    and fails at long averaging times only; FOG-0238 has its Allan deviation at 100 s right at the limit, so that
-    6 h do not decide. The other five are good.
+    Planted: FOG-0234 has twice the white noise that is allowed; FOG-0236 has a bias that follows the
+    temperature and fails at long averaging times only; FOG-0238 has its Allan deviation at 100 s right at the
+    limit, so that 6 h do not decide. The other five are good.
 
     Examples
     --------

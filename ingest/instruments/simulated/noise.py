@@ -1,11 +1,11 @@
 """Noise of a simulated gyro: white rate noise, flicker and rate random walk, drawn block by block.
 
-Flicker and random walk are drawn as their exact means over hold intervals (0.1 s at 200 Hz) and held within them.
-The mean is exact in distribution, so at every averaging time that is a multiple of the interval the Allan deviation
-is that of the continuous process: nothing is lost to the lower rate.
+Flicker and random walk are drawn as their exact means over hold intervals (0.1 s at 200 Hz) and held within
+them. The mean is exact in distribution, so at every averaging time that is a multiple of the interval the
+Allan deviation is that of the continuous process: nothing is lost to the lower rate.
 
-Every process draws from a Generator of its own and in one fixed order, so the result does not depend on the sizes
-of the blocks it is asked for.
+Every process draws from a Generator of its own and in one fixed order, so the result does not depend on the
+sizes of the blocks it is asked for.
 """
 
 import math
@@ -54,7 +54,8 @@ class GaussMarkovSum:
     weight : ndarray, shape (p,)
         The mean over the interval, given both ends, is expected at weight * (x_before + x_after).
     scatter : float
-        Standard deviation of the means about that, all processes together: given the ends they are independent.
+        Standard deviation of the means about that, all processes together: given the ends they are
+        independent.
     start_sd : ndarray, shape (p,)
         Standard deviation of the processes at time 0.
     generator : numpy.random.Generator
@@ -99,14 +100,15 @@ def ornstein_uhlenbeck(
 
     Notes
     -----
-    With u = h/T: decay exp(-u), kick sd sqrt(1 - exp(-2u)), and the mean over h given both ends is normal about
-    tanh(u/2)/u (x_before + x_after) with variance 2 sd^2 (u - 2 tanh(u/2))/u^2 (D. T. Gillespie, Phys. Rev. E 54
-    (1996) 2084, doi:10.1103/PhysRevE.54.2084, gives the joint distribution of the process and its integral).
+    With u = h/T: decay exp(-u), kick sd sqrt(1 - exp(-2u)), and the mean over h given both ends is normal
+    about tanh(u/2)/u (x_before + x_after) with variance 2 sd^2 (u - 2 tanh(u/2))/u^2 (D. T. Gillespie, Phys.
+    Rev. E 54 (1996) 2084, doi:10.1103/PhysRevE.54.2084, gives the joint distribution of the process and its
+    integral).
 
     Examples
     --------
     >>> draught = ornstein_uhlenbeck(np.array([2.0]), np.array([5.0]), 1.0, np.random.default_rng(1))
-    >>> 1.8 < draught.means(200_000).std() < 2.1
+    >>> bool(1.8 < draught.means(200_000).std() < 2.1)
     True
     """
     u = interval_s / correlation_s
@@ -139,12 +141,12 @@ def flicker_noise(
 
     Notes
     -----
-    IEEE 952-1997 C.1.1.3: two-sided power density B^2/(2 pi f). A sum of Ornstein-Uhlenbeck processes of equal
-    variance v, with correlation times in the ratio r, has the density v/(2 ln r f) between the reciprocals of its
-    outermost correlation times, so v = B^2 ln r/pi; r = 4 ripples by 0.3 %. Fourteen of them from 0.02 s to 1.3e6 s
-    keep the floor within 2 % of 0.664 B from 0.5 s to 1e5 s; a longer record sees it bend down to white below
-    0.02 s and to a constant above 1.3e6 s. They start in their stationary state, as if they had always been running:
-    at time 0 the process already stands about 2.5 B from 0.
+    IEEE 952-1997 C.1.1.3: two-sided power density B^2/(2 pi f). A sum of Ornstein-Uhlenbeck processes of
+    equal variance v, with correlation times in the ratio r, has the density v/(2 ln r f) between the
+    reciprocals of its outermost correlation times, so v = B^2 ln r/pi; r = 4 ripples by 0.3 %. Fourteen of
+    them from 0.02 s to 1.3e6 s keep the floor within 2 % of 0.664 B from 0.5 s to 1e5 s; a longer record sees
+    it bend down to white below 0.02 s and to a constant above 1.3e6 s. They start in their stationary state,
+    as if they had always been running: at time 0 the process already stands about 2.5 B from 0.
     """
     correlation_s = SHORTEST_CORRELATION_S * CORRELATION_RATIO ** np.arange(
         CORRELATION_TIMES, dtype=np.float64
@@ -158,7 +160,7 @@ def flicker_noise(
 def rate_random_walk(
     rate_random_walk_deg_per_h_per_sqrt_h: float, interval_s: float, generator: np.random.Generator
 ) -> GaussMarkovSum:
-    """Rate random walk of coefficient K, in deg/h, from 0 at time 0: Allan deviation K sqrt(tau/3), tau in hours.
+    """Rate random walk of coefficient K, in deg/h, 0 at time 0: Allan deviation K sqrt(tau/3), tau in h.
 
     Parameters
     ----------
@@ -171,8 +173,8 @@ def rate_random_walk(
 
     Notes
     -----
-    IEEE 952-1997 C.1.1.4. The mean over an interval h of a random walk with both ends known (a Brownian bridge) has
-    the variance K^2 h/12 about their mean.
+    IEEE 952-1997 C.1.1.4. The mean over an interval h of a random walk with both ends known (a Brownian
+    bridge) has the variance K^2 h/12 about their mean.
     """
     kick = rate_random_walk_deg_per_h_per_sqrt_h * math.sqrt(interval_s / SECONDS_PER_HOUR)
     return GaussMarkovSum(

@@ -1,0 +1,64 @@
+"""The Allan curve of a recorded signal."""
+
+from analytics.allan_plot import AllanCurve
+from analytics.block_means import BlockMeans
+from storage.catalog import Catalog
+from storage.reading import find_signal, read_signal
+from stream.errors import NotFound
+from stream.estimators.allan_variance import AllanDeviation
+from stream.estimators.base import NoEstimate
+
+
+def allan_curve(
+    catalog: Catalog,
+    unit: str,
+    signal: str,
+    run: str | None = None,
+    *,
+    points_per_octave: int = 1,
+    resample_s: float | None = None,
+) -> AllanCurve:
+    """Overlapping Allan deviation of a signal in the store, by the estimator that runs while data flow.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        The store.
+    unit, signal : str
+        Which signal.
+    run : str, optional
+        Of which run; the one recorded last where none is named.
+    points_per_octave : int
+        1, 2, 4 or 8 averaging times an octave.
+    resample_s : float, optional
+        Take means of blocks this long (seconds) first: the way to a curve from irregular samples.
+
+    Raises
+    ------
+    NotFound
+        If the store does not hold the signal, or holds too little of it.
+    """
+    record = find_signal(catalog, unit, signal, run)
+    estimator = AllanDeviation(points_per_octave=points_per_octave)
+    means = None if resample_s is None else BlockMeans(resample_s)
+    for batch in read_signal(catalog, record):
+        block_means = batch if means is None else means.push(batch)
+        if block_means is not None:
+            estimator.update(block_means)
+    points = estimator.estimate()
+    if isinstance(points, NoEstimate):
+        raise NotFound(f"unit {unit}, signal {signal}, run {record.run}: no Allan deviation: {points.reason}")
+    return AllanCurve(
+        unit=unit,
+        signal=signal,
+        run=record.run,
+        unit_of_measure=estimator.unit_of_measure,
+        sample_interval_s=estimator.sample_interval_s,
+        samples=estimator.samples,
+        missing=estimator.missing,
+        tau_s=tuple(point.tau_s for point in points),
+        adev=tuple(point.value for point in points),
+        lo=tuple(point.lo for point in points),
+        hi=tuple(point.hi for point in points),
+        edf=tuple(point.edf for point in points),
+    )

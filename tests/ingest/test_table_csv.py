@@ -1,0 +1,241 @@
+"""CSV files by the contract, good and bad."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from ingest.instruments import csv_chunks
+from ingest.instruments.csv_chunks import CsvTable
+from ingest.instruments.table_columns import TableOptions, read_header
+from ingest.instruments.table_file import TableFile
+from ingest.instruments.table_rows import BadRow, BadRows, CellBlock
+from stream.errors import BadInput
+
+G1 = TableOptions(unit="G1")
+LENIENT = TableOptions(unit="G1", skip_bad=True)
+
+
+def bad_rows(path: Path) -> list[str]:
+    with pytest.raises(BadRows) as caught:
+        TableFile(path, G1).check()
+    assert caught.value.count == len(caught.value.bad)
+    return [str(row) for row in caught.value.bad]
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+@pytest.mark.parametrize("bom", [b"", b"\xef\xbb\xbf"])
+def test_dialects_give_the_same(
+    write: Callable, deliver: Callable, samples: Callable, delimiter, line_end, bom
+) -> None:
+    lines = ["time[s],rate[deg/s]", "0.0,1.5", "", '"0.01","-2e-1"', " 0.02 , +3. ", "0.03,"]
+    text = line_end.join(lines).replace(",", delimiter)
+    table = TableFile(write(bom + text.encode()), G1)
+    assert samples(deliver(table)) == {("G1", "run1", "rate"): [(0, 1.5), (10**7, -0.2), (2 * 10**7, 3.0)]}
+    assert table.check().rows == 4
+
+
+def test_three_bad_rows_of_ten_thousand(write: Callable, deliver: Callable, samples: Callable) -> None:
+    lines = [f"{i / 100},{i % 7}" for i in range(10_000)]
+    lines[40] = "0.4,NaN"
+    lines[5000] = "50.0,fast"
+    lines[9998] = "99.98,1,2"
+    path = write("time[s],rate[deg/s]\n" + "\n".join(lines))
+    assert bad_rows(path) == [
+        "line 42, column rate[deg/s]: found 'NaN', expected a finite number "
+        "(leave the cell empty where there is no sample)",
+        "line 5002, column rate[deg/s]: found 'fast', expected a value, as a number",
+        "line 10000: found '3 cells', expected 2 as in the header (a decimal comma? write a point)",
+    ]
+    summary = TableFile(path, LENIENT).check()
+    assert (summary.rows, summary.bad_rows) == (10_000, 3)
+    assert len(samples(deliver(TableFile(path, LENIENT)))["G1", "run1", "rate"]) == 9_997
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ("0,5;1", "line 4, column time[s]: found '0,5', expected a time with a decimal point, not a comma"),
+        (
+            "0.5;1,25",
+            "line 4, column rate[deg/s]: found '1,25', expected a value with a decimal point, not a comma",
+        ),
+        (";1", "line 4, column time[s]: found '', expected a time, as a number"),
+        ("nan;1", "line 4, column time[s]: found 'nan', expected a time, as a number"),
+        (
+            "0.5;-inf",
+            "line 4, column rate[deg/s]: found '-inf', expected a finite number (leave the cell empty",
+        ),
+        ("0.5;1e999", "expected a number below 1.8e308"),
+        ("0.5;1_0", "found '1_0'"),
+        ("0.5;0x10", "found '0x10'"),
+        ("1e20;1", "expected a time within 146 years"),
+        ("0.5", "line 4: found '1 cell', expected 2 as in the header"),
+        ("0.5;1;", "line 4: found '3 cells'"),
+        ('0.5;"1', "cells whose quotes match"),
+        ("0.5;1\r2", "no carriage return"),
+        ("0.0;1", "line 4, column time[s]: found '0 s', expected a time after 0.1 s (unit G1, run run1)"),
+        ("0.1;1", "found '0.1 s', expected a time after 0.1 s"),
+        ("1e8;1", "found '100000000 s', expected below 1e8 s, as the first time"),
+    ],
+)
+def test_bad_rows_are_named(write: Callable, row: str, message: str) -> None:
+    found = bad_rows(write(f"time[s];rate[deg/s]\n0.1;1\n\n{row}\n9.0;2\n"))
+    assert len(found) == 1
+    assert message in found[0]
+
+
+def test_a_spike_in_time_makes_what_follows_bad(write: Callable) -> None:
+    assert len(bad_rows(write("time[s],rate[deg/s]\n0,1\n5,1\n1,1\n2,1\n5.5,1\n"))) == 2
+
+
+def test_count_is_exact_and_a_thousand_are_kept(write: Callable) -> None:
+    path = write("time[s],rate[deg/s]\n0,1\n" + "1,x\n" * 2500)
+    with pytest.raises(BadRows, match="and 2480 more") as caught:
+        TableFile(path, G1).check()
+    assert (caught.value.count, len(caught.value.bad)) == (2500, 1000)
+    assert caught.value.bad[-1] == BadRow("line", 1002, "rate[deg/s]", "x", "a value, as a number")
+
+
+def test_units_runs_and_mixed_rates(write: Callable, deliver: Callable, samples: Callable) -> None:
+    text = "unit,run,time[s],rate[deg/s],temperature[count]\nA,r,0,1,20\nB,r,0,2,\nA,r,1,3,\nB,r,1,4,21\nA,q,0,5,\n"
+    assert samples(deliver(TableFile(write(text), TableOptions()))) == {
+        ("A", "r", "rate"): [(0, 1.0), (10**9, 3.0)],
+        ("A", "r", "temperature"): [(0, 20.0)],
+        ("B", "r", "rate"): [(0, 2.0), (10**9, 4.0)],
+        ("B", "r", "temperature"): [(10**9, 21.0)],
+        ("A", "q", "rate"): [(0, 5.0)],
+    }
+
+
+def test_bad_names_and_words_are_bad_rows(write: Callable, said: Callable) -> None:
+    text = (
+        "unit,time[s],rate[deg/s],repeat,room\nA,0,1,1,yes\na b,1,1,1,\n,2,1,1,\nA,3,1,1.5,\nA,4,1,,maybe\n"
+    )
+    with pytest.raises(BadRows) as caught:
+        TableFile(write(text), TableOptions()).check()
+    assert said(caught.value.bad) == [
+        "line 3, column unit: found 'a b', expected a name of up to 128 characters without white space or / * $ ? #",
+        "line 4, column unit: found '', expected the name of a unit",
+        "line 5, column repeat: found '1.5', expected a whole number",
+        "line 6, column room: found 'maybe', expected yes or no (also true, false, 1, 0)",
+    ]
+
+
+def test_nanoseconds_and_utc_stay_exact(write: Callable, deliver: Callable, samples: Callable) -> None:
+    for title, cells in [("ns", ("1763683200000000001", "1763683200010000003")),
+                         ("s", ("1763683200.000000001", "1763683200.010000003"))]:  # fmt: skip
+        path = write(f"time[{title}],rate[deg/s]\n{cells[0]},1\n{cells[1]},2\n")
+        times = [time for time, _ in samples(deliver(TableFile(path, G1)))["G1", "run1", "rate"]]
+        assert times == [1763683200000000001, 1763683200010000003]
+        assert TableFile(path, G1).check().date_known
+        with pytest.raises(BadInput, match="leave out --start"):
+            TableFile(path, TableOptions(unit="G1", start_ns=0)).check()
+
+
+def test_a_start_gives_the_date(write: Callable) -> None:
+    path = write("time[s],rate[deg/s]\n0.5,1\n")
+    summary = TableFile(path, TableOptions(unit="G1", start_ns=1763683200 * 10**9)).check()
+    assert summary.date_known
+    assert summary.signals[0].sampling.t_first_ns == 1763683200_500000000
+    assert not TableFile(path, G1).check().date_known
+
+
+def test_a_sample_rate_in_place_of_times_keeps_the_slot_of_a_bad_row(
+    write: Callable, deliver: Callable, samples: Callable
+) -> None:
+    path = write("rate[deg/s]\n1\nx\n3\n\n4\n")
+    options = TableOptions(unit="G1", sample_rate_hz=100.0, skip_bad=True)
+    found = samples(deliver(TableFile(path, options)))["G1", "run1", "rate"]
+    assert found == [(0, 1.0), (2 * 10**7, 3.0), (3 * 10**7, 4.0)]
+
+
+CELLS = st.sampled_from(
+    ["0", "1.5", "-2", "+3", "4.", ".5", "1e3", "1e-7", "", " 7 ", "0.30000000000000004", '"8"', '""', '"9,5"', "nan",
+     "inf", "1,5", "x", "1e400", "5e-324", "1_0", '"', 'a"b', "é", "\r", "A", '"A"', "B ", " "]
+)  # fmt: skip
+GOOD_LINES = st.integers(0, 50).map(lambda i: f"{i / 10},{i},A")
+WILD_LINES = st.lists(CELLS, min_size=0, max_size=4).map(",".join)
+LINES = st.lists(st.one_of(GOOD_LINES, GOOD_LINES, GOOD_LINES, WILD_LINES), max_size=30)
+
+
+def content(blocks: list[CellBlock]) -> dict[int, object]:
+    """What a reader found on every line."""
+    lines: dict[int, object] = {}
+    for block in blocks:
+        reasons = {reason.number: str(reason) for reason in block.sieve.reasons()}
+        for row, number in enumerate(block.numbers.tolist()):
+            rate, owner = block.signals["rate"], block.texts["unit"]
+            has_rate = rate.valid is None or rate.valid[row]
+            code = owner.codes[row]
+            assert block.times_ns is not None
+            lines[number] = reasons.get(number) or (
+                int(block.times_ns[row]),
+                float(rate.values[row]) if has_rate else None,
+                owner.values[code] if code >= 0 else None,
+            )
+    return lines
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(LINES, st.sampled_from(["\n", "\r\n"]), st.integers(1, 200))
+def test_fast_and_slow_paths_agree(tmp_path: Path, lines: list[str], line_end: str, block_bytes: int) -> None:
+    titles = ["time[s]", "rate[deg/s]", "unit"]
+    path = tmp_path / "a.csv"
+    path.write_bytes(line_end.join([",".join(titles), "0,0,A", *lines]).encode())
+    columns = read_header(path, titles, TableOptions())
+    whole, pieces = CsvTable(path), CsvTable(path, block_bytes)
+    for table in (whole, pieces):
+        table.bind(columns)
+    slow = whole._lines.read(path.read_bytes().partition(b"\n")[2] + b"\n", 2, 1.0)
+    expected = content([slow])
+    assert content(list(whole.blocks())) == expected
+    assert content(list(pieces.blocks())) == expected
+
+
+def test_the_fast_path_is_taken_where_nothing_is_wrong(
+    write: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write('time[s],rate[deg/s],step\n0.01,,"a,b"\n\n0.30000000000000004,1e-7,\n')
+    monkeypatch.setattr("ingest.instruments.csv_lines.LineReader.read", lambda *_: pytest.fail("slow path"))
+    assert TableFile(path, G1).check().rows == 2
+
+
+def test_one_bad_cell_does_not_make_the_whole_block_slow(
+    write: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = [f"{i / 100},1.25" for i in range(100_000)]
+    lines[77_777] = "oops"
+    seen: list[int] = []
+    read = csv_chunks.LineReader.read
+    monkeypatch.setattr(
+        "ingest.instruments.csv_lines.LineReader.read",
+        lambda self, block, line, done: seen.append(len(block)) or read(self, block, line, done),
+    )
+    summary = TableFile(write("time[s],rate[deg/s]\n" + "\n".join(lines)), LENIENT).check()
+    assert [row.number for row in summary.bad] == [77_779]
+    assert sum(seen) < 100_000
+
+
+@pytest.mark.parametrize("block_bytes", [1, 17, 1000, 10**6])
+def test_block_size_changes_nothing(
+    write: Callable, deliver: Callable, monkeypatch: pytest.MonkeyPatch, block_bytes: int
+) -> None:
+    generator = np.random.default_rng(5)
+    rows = [
+        f"{i * 0.01:.2f},{generator.normal():.4f},{'' if i % 3 else i},{'ab'[i // 400 % 2]}"
+        for i in range(1500)
+    ]
+    rows[700] = "7.00,bad,1,a"
+    path = write("time[s],rate[deg/s],temperature[count],step\n" + "\n".join(rows))
+    options = TableOptions(unit="G1", skip_bad=True, batch_samples=100)
+    expected = TableFile(path, options)
+    monkeypatch.setattr(csv_chunks.CsvTable.__init__, "__defaults__", (block_bytes,))
+    found = TableFile(path, options)
+    assert found.check() == expected.check()
+    by_signal = [[sorted(map(repr, deliver(table)))] for table in (found, expected)]
+    assert by_signal[0] == by_signal[1]
