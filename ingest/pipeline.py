@@ -63,8 +63,8 @@ class EmbeddedPipeline:
             self.bus = bus
             self._stack = stack.pop_all()
 
-    def finish(self) -> None:
-        """Wait until everything sent is in the log, the last estimates are published, and all of it is in the lake.
+    def complete_estimates(self) -> None:
+        """Wait until everything sent is in the log and the estimates of the runs that have ended are published.
 
         Raises
         ------
@@ -74,6 +74,16 @@ class EmbeddedPipeline:
         self.publisher.drain()
         self.worker.close()
         self._estimates.drain()
+
+    def finish(self) -> None:
+        """Wait until everything sent and estimated is in the lake.
+
+        Raises
+        ------
+        GyrofleetError
+            If any part failed.
+        """
+        self.complete_estimates()
         self.recorder.close()
 
     def __enter__(self) -> Self:

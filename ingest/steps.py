@@ -119,9 +119,7 @@ def word_column(title: str, name: str, unit: str | None) -> WordColumn:
     """
     if name not in _NUMBER_WORDS:
         if unit is not None:
-            raise BadInput(
-                f"column {title!r}: the step word {name} is written without a unit; name it {name!r}"
-            )
+            raise BadInput(f"column {title!r}: the step word {name} is written without a unit; name it {name!r}")
         return WordColumn(title, name)
     word, canonical = _NUMBER_WORDS[name]
     if canonical is None:
@@ -132,9 +130,7 @@ def word_column(title: str, name: str, unit: str | None) -> WordColumn:
         raise BadInput(f"column {title!r} has no unit; name it '{name}[{canonical}]'")
     # pint counts angles as dimensionless, so that it would turn Hz into deg/s
     if is_angular_rate(check_unit(unit)) != is_angular_rate(canonical):
-        raise BadInput(
-            f"column {title!r}: {unit!r} cannot be turned into {canonical!r}; name it '{name}[{canonical}]'"
-        )
+        raise BadInput(f"column {title!r}: {unit!r} cannot be turned into {canonical!r}; name it '{name}[{canonical}]'")
     return WordColumn(title, word, *conversion(unit, canonical))
 
 
@@ -182,9 +178,7 @@ class StepTracker:
         if words is None:
             return ended, None
         identity = msgspec.json.encode([run, unit, first_ns, words]).decode()
-        started = StepStarted(
-            run=run, unit=unit, t_ns=first_ns, words=words, uid=uuid5(_NAMESPACE, identity).hex
-        )
+        started = StepStarted(run=run, unit=unit, t_ns=first_ns, words=words, uid=uuid5(_NAMESPACE, identity).hex)
         self._open[unit, run] = started, last_ns
         return ended, started
 

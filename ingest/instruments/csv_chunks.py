@@ -94,9 +94,7 @@ class CsvTable:
             if raw.strip():
                 text = raw.decode().rstrip("\r\n")
                 if "\r" in text:
-                    raise BadInput(
-                        f"{self._path}: lines end with a carriage return alone; save it with line feeds"
-                    )
+                    raise BadInput(f"{self._path}: lines end with a carriage return alone; save it with line feeds")
                 return text
         raise BadInput(f"{self._path}: the file is empty; expected a header like 'time[s],rate[deg/s]'")
 
@@ -148,7 +146,9 @@ class CsvTable:
 
     def _parse_fast(self, block: bytes, line: int, done: float) -> CellBlock | None:
         """Parse a block in which nothing is wrong; None where something may be."""
-        if (b"\r" in block and block.count(b"\r") != block.count(b"\r\n")) or not _quotes_enclose_cells(block, self._delimiter):
+        if b"\r" in block and block.count(b"\r") != block.count(b"\r\n"):
+            return None
+        if not _quotes_enclose_cells(block, self._delimiter):
             return None
         table = self._read_typed(block)
         if table is None:
@@ -172,9 +172,7 @@ class CsvTable:
             try:
                 table = arrow_csv.read_csv(
                     pa.BufferReader(block),
-                    read_options=arrow_csv.ReadOptions(
-                        column_names=self._titles, block_size=_ARROW_BLOCK_BYTES
-                    ),
+                    read_options=arrow_csv.ReadOptions(column_names=self._titles, block_size=_ARROW_BLOCK_BYTES),
                     parse_options=arrow_csv.ParseOptions(delimiter=self._delimiter),
                     convert_options=arrow_csv.ConvertOptions(
                         column_types=self._types(spare),

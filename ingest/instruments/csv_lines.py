@@ -126,7 +126,7 @@ def _check_number(title: str, text: str, what: str) -> None:
 
 def _finite(title: str, text: str) -> float:
     if text.lower().lstrip("+-") in {"nan", "inf", "infinity"}:
-        raise _BadCell(title, text, "a finite number (leave the cell empty where there is no sample)")
+        raise _BadCell(title, text, "a finite number (leave the cell empty for no sample)")
     _check_number(title, text, "a value")
     value = float(text)
     if not math.isfinite(value):
@@ -160,6 +160,4 @@ class _Rows:
             for name, values in self._values.items()
         }
         texts = {title: TextCells(codes, list(self._known[title])) for title, codes in self._codes.items()}
-        return CellBlock(
-            "line", numbers, self.times_ns if has_times else None, signals, texts, self.sieve, done
-        )
+        return CellBlock("line", numbers, self.times_ns if has_times else None, signals, texts, self.sieve, done)

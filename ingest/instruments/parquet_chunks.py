@@ -1,6 +1,7 @@
 """Parquet files, some rows at a time."""
 
 from collections.abc import Iterator
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -78,9 +79,7 @@ class ParquetTable:
                 )
         for title in columns.text_titles:
             if not _is_word(self._types[title]):
-                raise BadInput(
-                    f"{self._path}: column {title!r} holds {self._types[title]}, expected text; convert it"
-                )
+                raise BadInput(f"{self._path}: column {title!r} holds {self._types[title]}, expected text; convert it")
 
     def blocks(self) -> Iterator[CellBlock]:
         """Read the rows from the beginning."""
@@ -142,7 +141,7 @@ class ParquetTable:
                     signal.title,
                     wrong,
                     batch.column(signal.title),
-                    "a finite number (null where there is no sample)",
+                    "a finite number (null for no sample)",
                 )
         texts = {title: _texts(batch.column(title)) for title in self._columns.text_titles}
         numbers = np.arange(first + 1, first + 1 + batch.num_rows, dtype=np.int64)
@@ -158,7 +157,7 @@ class ParquetTable:
             self._refuse(sieve, first, title, empty, array, "a time")
         if pa.types.is_null(kind):
             return np.zeros(len(array), np.int64)
-        filled = _decoded(array).fill_null(pa.scalar(0).cast(kind))
+        filled = _decoded(array).fill_null(pa.scalar(Decimal(0) if pa.types.is_decimal(kind) else 0, kind))
         if pa.types.is_decimal(kind) and (places := decimal_places(ns_per_unit)) is not None:
             times_ns, wrong = ns_from_decimals(filled, places)
         elif pa.types.is_uint64(kind):
@@ -167,14 +166,12 @@ class ParquetTable:
         elif pa.types.is_integer(kind):
             times_ns, wrong = ns_from_integers(filled.cast(pa.int64()).to_numpy(), ns_per_unit)
         else:
-            times_ns, wrong = ns_from_floats(_float64(filled), ns_per_unit)
+            times_ns, wrong = ns_from_floats(_float64(filled).to_numpy(), ns_per_unit)
         if wrong.any():
             self._refuse(sieve, first, title, wrong, array, "a finite time within 146 years of 1970")
         return times_ns
 
-    def _refuse(
-        self, sieve: Sieve, first: int, title: str, wrong: BoolArray, array: pa.Array, expected: str
-    ) -> None:
+    def _refuse(self, sieve: Sieve, first: int, title: str, wrong: BoolArray, array: pa.Array, expected: str) -> None:
         def why(row: int) -> BadRow:
             value = array[row].as_py()
             return BadRow("row", first + row + 1, title, "null" if value is None else str(value), expected)
@@ -205,18 +202,15 @@ def _decoded(array: pa.Array) -> pa.Array:
     return array.dictionary_decode() if pa.types.is_dictionary(array.type) else array
 
 
-def _float64(array: pa.Array) -> Any:
-    return (array if pa.types.is_float64(array.type) else array.cast(pa.float64(), safe=False)).to_numpy()
+def _float64(array: pa.Array) -> pa.Array:
+    return array if pa.types.is_float64(array.type) else array.cast(pa.float64(), safe=False)
 
 
 def _numbers(array: pa.Array) -> NumberCells:
-    plain = _decoded(array)
-    if pa.types.is_null(plain.type):
-        plain = plain.cast(pa.float64())
-    if plain.null_count == 0:
-        return NumberCells(_float64(plain), None)
-    filled = plain.fill_null(pa.scalar(0).cast(plain.type))
-    return NumberCells(_float64(filled), plain.is_valid().to_numpy(zero_copy_only=False))
+    numbers = _float64(_decoded(array))
+    if numbers.null_count == 0:
+        return NumberCells(numbers.to_numpy(), None)
+    return NumberCells(numbers.fill_null(0.0).to_numpy(), numbers.is_valid().to_numpy(zero_copy_only=False))
 
 
 def _texts(array: pa.Array) -> TextCells:

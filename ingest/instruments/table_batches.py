@@ -63,7 +63,7 @@ class Batcher:
         intervals_ns = times_ns[1:] - times_ns[:-1]
         uneven = intervals_ns != self._head.dt_ns
         begin = 0
-        for end in self._ends(intervals_ns):
+        for end in self._ends(intervals_ns, len(data)):
             is_even = not uneven[begin : end - 1].any()
             yield self._batch(times_ns[begin:end], data[begin:end], is_even=is_even)
             begin = end
@@ -77,19 +77,15 @@ class Batcher:
             is_even = bool((np.diff(times_ns) == self._head.dt_ns).all())
             yield self._batch(times_ns, data, is_even=is_even)
 
-    def _ends(self, intervals_ns: IntArray) -> Iterator[int]:
+    def _ends(self, intervals_ns: IntArray, samples: int) -> Iterator[int]:
         """Where batches end; what is behind the last one waits."""
-        gaps = (
-            np.flatnonzero(is_gap(intervals_ns, self._head.dt_ns)) + 1
-            if self._splits_at_gaps
-            else np.array([], int)
-        )
+        gaps = np.flatnonzero(is_gap(intervals_ns, self._head.dt_ns)) + 1 if self._splits_at_gaps else np.array([], int)
         begin = 0
         for gap in gaps.tolist():
             yield from range(begin + self._batch_samples, gap, self._batch_samples)
             yield gap
             begin = gap
-        yield from range(begin + self._batch_samples, len(intervals_ns) + 2, self._batch_samples)
+        yield from range(begin + self._batch_samples, samples + 1, self._batch_samples)
 
     def _batch(self, times_ns: IntArray, data: FloatArray | CountArray, *, is_even: bool) -> SampleBatch:
         head = self._head

@@ -117,7 +117,7 @@ class RowFilter:
             try:
                 return check_name(kind, name)
             except BadInput as error:
-                raise BadInput("a name of up to 128 characters without white space or / * $ ? #") from error
+                raise BadInput("a name without white space or / * $ ? #") from error
 
         names = _read_texts(block, title, read)
         _refuse_empty(block, title, names, f"the name of a {kind}")
@@ -127,9 +127,7 @@ class RowFilter:
         column = self._columns.words[number]
         return _read_texts(block, column.title, column.read)
 
-    def _owned(
-        self, units: TextCells | None, runs: TextCells | None, n: int
-    ) -> Iterator[tuple[Owner, IndexArray]]:
+    def _owned(self, units: TextCells | None, runs: TextCells | None, n: int) -> Iterator[tuple[Owner, IndexArray]]:
         if units is None and runs is None:
             assert self._unit is not None
             assert self._run is not None
@@ -155,9 +153,7 @@ class RowFilter:
         for owner, rows in owned:
             first = self._seen.get(owner, 0)
             if (first + len(rows)) / self._rate_hz >= _LONGEST_S:
-                raise BadInput(
-                    f"{self._path}: at {self._rate_hz} Hz it lasts over 3 years; is --sample-rate right?"
-                )
+                raise BadInput(f"{self._path}: at {self._rate_hz} Hz it lasts over 3 years; is --sample-rate right?")
             times_ns[rows] = ns_from_index(np.arange(first, first + len(rows), dtype=np.int64), self._rate_hz)
             self._seen[owner] = first + len(rows)
         return times_ns
@@ -174,9 +170,7 @@ class RowFilter:
                 self.clock.settle(int(written_ns[good[0]]))
             except BadInput as error:
                 raise BadInput(f"{self._path}: {error}") from error
-        expected = (
-            "UTC, as the first time of the file" if self.clock.is_utc else "below 1e8 s, as the first time"
-        )
+        expected = "UTC, as the first time of the file" if self.clock.is_utc else "below 1e8 s, as the first time"
         rows = np.flatnonzero(self.clock.misplaced(written_ns))
         block.sieve.refuse(rows, lambda row: self._bad_time(block, row, int(written_ns[row]), expected))
 
@@ -184,9 +178,7 @@ class RowFilter:
         if not len(rows):
             return rows
         if owner not in self._last_ns and len(self._last_ns) >= _MOST_OWNERS:
-            raise BadInput(
-                f"{self._path}: more than {_MOST_OWNERS} units and runs; does column 'unit' hold names?"
-            )
+            raise BadInput(f"{self._path}: more than {_MOST_OWNERS} units and runs; does column 'unit' hold names?")
         times = times_ns[rows]
         # a late row never is the latest: the running maximum of all rows is that of the good ones
         latest = np.maximum.accumulate(np.concatenate([[self._last_ns.get(owner, _NEVER_NS)], times]))

@@ -100,9 +100,7 @@ class Columns:
     @property
     def text_titles(self) -> list[str]:
         """Titles of the columns that are read as text: unit, run and step words."""
-        return [title for title in (self.unit, self.run) if title is not None] + [
-            word.title for word in self.words
-        ]
+        return [title for title in (self.unit, self.run) if title is not None] + [word.title for word in self.words]
 
 
 def read_header(path: Path, titles: Sequence[str], options: TableOptions) -> Columns:
@@ -205,9 +203,7 @@ def _check_complete(columns: Columns, titles: Sequence[str], options: TableOptio
         hint = f" ({near[0]!r} is not it: rename it)" if near else ""
         raise BadInput(f"no column 'time[s]' or 'time[ns]'{hint}; add one, or give --sample-rate")
     if columns.time is not None and options.sample_rate_hz is not None:
-        raise BadInput(
-            f"--sample-rate is given, but column {columns.time.title!r} says the times; leave out one"
-        )
+        raise BadInput(f"--sample-rate is given, but column {columns.time.title!r} says the times; leave out one")
     for kind in ("unit", "run"):
         if getattr(options, kind) is not None and getattr(columns, kind) is not None:
             raise BadInput(f"--{kind} is given, but a column {kind!r} says it too; leave out one")

@@ -5,7 +5,6 @@ steps. Neither holds more than a few blocks of the file.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from uuid import UUID
 
@@ -16,10 +15,11 @@ from ingest.instruments.parquet_chunks import ParquetTable
 from ingest.instruments.table_batches import Batcher, BatchHead
 from ingest.instruments.table_checks import GoodRows, Owner, RowFilter
 from ingest.instruments.table_columns import SignalColumn, TableOptions, read_header
-from ingest.instruments.table_grid import Sampling, SamplingGrid
-from ingest.instruments.table_rows import BadRow, BadRows, BoolArray, NumberCells, TableReader
+from ingest.instruments.table_grid import SamplingGrid
+from ingest.instruments.table_rows import BadRows, BoolArray, NumberCells, TableReader
+from ingest.instruments.table_summary import SignalChunk, SignalSummary, TableSummary
 from ingest.steps import StepTracker
-from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
+from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import BadInput
 from stream.events import StepEnded, StepStarted
 
@@ -33,69 +33,6 @@ Keep = Callable[[str, str, str, IntArray], BoolArray]
 _INT32 = np.iinfo(np.int32)
 # Batches are split at gaps where that leaves at least this many samples in one on average.
 _SAMPLES_PER_GAP = 50
-
-
-@dataclass(frozen=True)
-class SignalSummary:
-    """One signal of one unit and run, as the first pass finds it.
-
-    Parameters
-    ----------
-    unit, run, signal : str
-        Which.
-    unit_of_measure : str
-        Unit of its values.
-    is_counts : bool
-        Whether it is delivered as counts (int32) rather than values (float64).
-    sampling : Sampling
-        Samples, times and interval.
-    """
-
-    unit: str
-    run: str
-    signal: str
-    unit_of_measure: str
-    is_counts: bool
-    sampling: Sampling
-
-
-@dataclass(frozen=True)
-class TableSummary:
-    """What a table holds.
-
-    Parameters
-    ----------
-    rows : int
-        Rows in the file, without header and blank lines.
-    bad_rows : int
-        How many of them are bad.
-    bad : tuple of BadRow
-        The first 1000 of these.
-    date_known : bool
-        Whether times are UTC; else they count from an unknown moment.
-    steps : int
-        Steps that the step words make.
-    signals : tuple of SignalSummary
-        Every signal that has samples.
-    """
-
-    rows: int
-    bad_rows: int
-    bad: tuple[BadRow, ...]
-    date_known: bool
-    steps: int
-    signals: tuple[SignalSummary, ...]
-
-
-@dataclass(frozen=True)
-class SignalChunk:
-    """Consecutive samples of one signal: counts where `data` is int32, values where it is float64."""
-
-    unit: str
-    run: str
-    signal: str
-    times_ns: IntArray
-    data: FloatArray | CountArray
 
 
 class TableFile:
@@ -171,9 +108,7 @@ class TableFile:
         if rows.log.count and not self._options.skip_bad:
             raise BadRows(self._path, tuple(rows.log.kept), rows.log.count)
         if not grids:
-            raise BadInput(
-                f"{self._path}: {rows.rows} rows, {rows.log.count} of them bad, and not one sample"
-            )
+            raise BadInput(f"{self._path}: {rows.rows} rows, {rows.log.count} of them bad, and not one sample")
         units = {signal.name: signal.unit_of_measure for signal in self._columns.signals}
         self._summary = TableSummary(
             rows=rows.rows,
@@ -201,9 +136,7 @@ class TableFile:
             for name, cells in good.signals.items():
                 times_ns, data = _samples(good.times_ns, cells)
                 if len(times_ns):
-                    yield SignalChunk(
-                        *good.owner, name, times_ns, data.astype(np.int32) if counts[name] else data
-                    )
+                    yield SignalChunk(*good.owner, name, times_ns, data.astype(np.int32) if counts[name] else data)
 
     def batches(
         self,

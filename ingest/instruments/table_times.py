@@ -74,9 +74,7 @@ def ns_from_decimals(times: pa.Array, places: int) -> tuple[IntArray, BoolArray]
     if times.type != pa.decimal128(38, places):
         wide = times.cast(pa.decimal128(38, max(times.type.scale, places)))
         times = pc.round(wide, places, "half_to_even").cast(pa.decimal128(38, places))
-    words = np.frombuffer(times.buffers()[1], np.int64).reshape(-1, 2)[
-        times.offset : times.offset + len(times)
-    ]
+    words = np.frombuffer(times.buffers()[1], np.int64).reshape(-1, 2)[times.offset : times.offset + len(times)]
     low, high = words[:, 0], words[:, 1]
     wrong = (high != low >> 63) | (low > MAX_NS) | (low < -MAX_NS)
     return np.ascontiguousarray(low), wrong

@@ -55,6 +55,19 @@ def samples() -> Callable[[Delivered], dict[tuple[str, str, str], list[tuple[int
 
 
 @pytest.fixture
+def by_signal() -> Callable[[Delivered], dict[str, Delivered]]:
+    """Sort what is delivered by its signal; how signals are interleaved depends on the size of the blocks."""
+
+    def do(delivered: Delivered) -> dict[str, Delivered]:
+        result: dict[str, Delivered] = {}
+        for item in delivered:
+            result.setdefault(item.signal if isinstance(item, SampleBatch) else "steps", []).append(item)
+        return result
+
+    return do
+
+
+@pytest.fixture
 def said() -> Callable[[tuple[BadRow, ...]], list[str]]:
     """Give bad rows as people read them."""
     return lambda bad: [str(row) for row in bad]

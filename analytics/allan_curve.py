@@ -62,3 +62,27 @@ def allan_curve(
         hi=tuple(point.hi for point in points),
         edf=tuple(point.edf for point in points),
     )
+
+
+def stored_curves(catalog: Catalog, run: str, signal: str) -> list[AllanCurve]:
+    """The final Allan curves of a run as they were estimated while it ran, one for each unit.
+
+    Raises
+    ------
+    NotFound
+        If there are none.
+    """
+    rows = catalog.rows(
+        "select unit, unit_of_measure, sample_interval_s, samples, missing, "
+        "list(tau_s order by tau_s), list(value order by tau_s), list(lo order by tau_s), list(hi order by tau_s), "
+        "list(edf order by tau_s) "
+        "from estimates where run = $run and signal = $signal and estimator = $estimator and final and tau_s is not null "
+        "group by all order by unit",
+        {"run": run, "signal": signal, "estimator": AllanDeviation.key},
+    )
+    if not rows:
+        raise NotFound(f"run {run}, signal {signal}: no final Allan deviation is stored; has the run ended?")
+    return [
+        AllanCurve(unit, signal, run, unit_of_measure, interval_s, samples, missing, *(tuple(each) for each in columns))
+        for unit, unit_of_measure, interval_s, samples, missing, *columns in rows
+    ]

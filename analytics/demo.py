@@ -1,0 +1,151 @@
+"""The demonstration: eight simulated gyros through the whole path, faster than real time."""
+
+import heapq
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+from analytics.limits import LimitsTable, demo_limits, judge_unit
+from ingest.instruments.simulated.gyro import GyroParameters, demo_fleet, unit_batches
+from ingest.pipeline import EmbeddedPipeline
+from stream.batch import SampleBatch
+from stream.events import EstimatePublished, PowerOn, RunEnded, RunStarted, StreamTotal, VerdictGiven
+from stream.identity import Place, event_key, sample_key
+from stream.quantities import report_unit
+
+PLACE = Place("simulated", "demo-station")
+ESTIMATE_EVERY_S = 600.0
+
+
+@dataclass
+class UnitView:
+    """What the live view shows of one unit."""
+
+    unit: str
+    samples: int = 0
+    rate_deg_per_h: float | None = None
+    temperature_deg_c: float | None = None
+    estimates: dict[str, EstimatePublished] = field(default_factory=dict)
+    verdict: VerdictGiven | None = None
+
+
+@dataclass
+class DemoState:
+    """How far the demonstration is; written by the pipeline's threads, read by whoever draws it."""
+
+    run: str
+    duration_s: float
+    limits: LimitsTable
+    units: dict[str, UnitView]
+    began: float = field(default_factory=time.monotonic)
+    simulated_s: float = 0.0
+    samples: int = 0
+    seconds: float = 0.0
+    phase: str = "running"
+
+    def rate(self) -> float:
+        """Samples a second since the beginning."""
+        return self.samples / max(time.monotonic() - self.began, 1e-9)
+
+
+def run_demo(
+    folder: Path, *, hours: float, seed: int, on_progress: Callable[[DemoState], None] | None = None
+) -> DemoState:
+    """Simulate the fleet, send it through bus, log, lake and estimators, and judge it.
+
+    Parameters
+    ----------
+    folder : Path
+        The store.
+    hours : float
+        Simulated length of the run.
+    seed : int
+        Of the simulation: the same seed gives the same samples.
+    on_progress : callable, optional
+        Called now and then, in the caller's thread.
+
+    Raises
+    ------
+    GyrofleetError
+        If any part of the path failed.
+    """
+    fleet = demo_fleet()
+    duration_s = hours * 3600.0
+    began = datetime.now(UTC)
+    t0_ns = (int(began.timestamp()) - round(duration_s)) * 10**9
+    run = f"demo-{began:%Y%m%dT%H%M%SZ}"
+    state = DemoState(run, duration_s, demo_limits(), {gyro.unit: UnitView(gyro.unit) for gyro in fleet})
+    finals: list[EstimatePublished] = []
+
+    def on_estimate(document: EstimatePublished) -> None:
+        if document.unit in state.units and document.signal == "rate":
+            state.units[document.unit].estimates[document.estimator] = document
+        if document.final:
+            finals.append(document)
+
+    with EmbeddedPipeline(
+        folder, "gyrofleet demo", estimate_every_s=ESTIMATE_EVERY_S, on_estimate=on_estimate
+    ) as pipeline:
+        publisher, events = pipeline.publisher, event_key(PLACE)
+        started = RunStarted(
+            run=run,
+            t_ns=t0_ns,
+            simulated=True,
+            source=f"simulated station, seed {seed}",
+            units=tuple(gyro.unit for gyro in fleet),
+            procedure="static_bias",
+            lot="DEMO-LOT-1",
+        )
+        publisher.send_event(events, started)
+        publisher.send_event(events, state.limits.applied(run, t0_ns))
+        totals: dict[tuple[str, str], StreamTotal] = {}
+        shown_at = 0.0
+        for batch in _station(fleet, run, duration_s, seed, t0_ns):
+            if (batch.unit, batch.signal) not in totals and batch.signal == "rate":
+                power_on = PowerOn(run=run, t_ns=batch.t0_ns, unit=batch.unit, epoch=str(batch.epoch))
+                publisher.send_event(events, power_on)
+            publisher.send_batch(sample_key(PLACE, batch.unit, batch.signal), batch)
+            totals[batch.unit, batch.signal] = StreamTotal(
+                unit=batch.unit, signal=batch.signal, epoch=str(batch.epoch), samples=batch.next_seq
+            )
+            _follow(state, batch, t0_ns)
+            if on_progress is not None and time.monotonic() - shown_at >= 0.1:
+                shown_at = time.monotonic()
+                on_progress(state)
+        end_ns = t0_ns + round(duration_s * 1e9)
+        publisher.send_event(events, RunEnded(run=run, t_ns=end_ns, totals=tuple(totals.values())))
+        state.phase = "completing the record"
+        if on_progress is not None:
+            on_progress(state)
+        pipeline.complete_estimates()
+        for view in state.units.values():
+            view.verdict = judge_unit(state.limits, finals, run=run, unit=view.unit, t_ns=end_ns)
+            publisher.send_event(events, view.verdict)
+        pipeline.finish()
+    state.seconds = time.monotonic() - state.began
+    state.phase = "done"
+    if on_progress is not None:
+        on_progress(state)
+    return state
+
+
+def _station(
+    fleet: tuple[GyroParameters, ...], run: str, duration_s: float, seed: int, t0_ns: int
+) -> Iterator[SampleBatch]:
+    """Batches of all units in the order of time, as a station would send them."""
+    sources = [unit_batches(gyro, run=run, duration_s=duration_s, seed=seed, t0_ns=t0_ns) for gyro in fleet]
+    return heapq.merge(*sources, key=lambda batch: batch.last_ns)
+
+
+def _follow(state: DemoState, batch: SampleBatch, t0_ns: int) -> None:
+    view = state.units[batch.unit]
+    state.samples += len(batch)
+    view.samples += len(batch)
+    state.simulated_s = (batch.last_ns - t0_ns) / 1e9
+    mean = float(batch.value_array.mean())
+    if batch.signal == "rate":
+        view.rate_deg_per_h = mean * report_unit(batch.unit_of_measure)[1]
+    else:
+        view.temperature_deg_c = mean

@@ -1,0 +1,110 @@
+"""The terminal's view of a run: units, rates, bias stability, verdicts; headings in English and Chinese."""
+
+import time
+from collections.abc import Sequence
+
+from rich.console import Group, RenderableType
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from analytics.demo import DemoState, UnitView
+from analytics.limits import judge
+from stream.events import Check, EstimatePublished, Limit, Verdict, VerdictGiven
+
+_COLOURS = {
+    Verdict.PASS: "green",
+    Verdict.FAIL: "bold red",
+    Verdict.MARGINAL: "yellow",
+    Verdict.NO_DATA: "dim",
+    Verdict.ABORTED: "red",
+}
+_CHINESE = {
+    Verdict.PASS: "合格",
+    Verdict.FAIL: "不合格",
+    Verdict.MARGINAL: "临界",
+    Verdict.NO_DATA: "无数据",
+    Verdict.ABORTED: "中止",
+}
+_NAMES = {
+    "angle_random_walk": ("Angle random walk", "角度随机游走"),
+    "allan_deviation": ("Allan deviation", "Allan 标准差"),
+    "bias_stability": ("Bias stability", "零偏稳定性"),
+}
+
+
+def live_view(state: DemoState) -> RenderableType:
+    """Everything at a glance: the table of units, how fast, how far."""
+    elapsed_s = state.seconds or time.monotonic() - state.began
+    times = state.simulated_s / max(elapsed_s, 1e-9)
+    line = Text.assemble(
+        ("SIMULATED  模拟数据  ", "bold magenta"),
+        f"run {state.run}   {state.simulated_s / 3600:.2f} of {state.duration_s / 3600:g} h   ",
+        f"{state.samples:,} samples   {state.samples / max(elapsed_s, 1e-9) / 1e6:.2f} M samples/s   ",
+        f"{times:,.0f} x real time   {state.phase}",
+    )
+    bar = ProgressBar(total=state.duration_s, completed=state.simulated_s, width=110)
+    return Group(line, bar, fleet_table(state))
+
+
+def fleet_table(state: DemoState) -> Table:
+    """A row for each unit: where it is, each limit's estimate with its confidence interval, the verdict."""
+    table = Table(header_style="bold", caption=_caption(state), caption_justify="left")
+    table.add_column("Unit\n产品")
+    table.add_column("Samples\n采样数", justify="right")
+    table.add_column("Rate\n角速率\ndeg/h", justify="right")
+    table.add_column("Temp.\n温度\ndegC", justify="right")
+    for limit in state.limits.limits:
+        table.add_column(limit_title(limit), justify="right")
+    table.add_column("Verdict\n判定")
+    for view in state.units.values():
+        table.add_row(*_row(view, state.limits.limits))
+    return table
+
+
+def limit_title(limit: Limit) -> str:
+    """Heading of a limit's column in two languages.
+
+    Examples
+    --------
+    >>> limit_title(Limit(characteristic="bias_stability", signal="rate", tau_s=10.0, upper=0.8,
+    ...     unit_of_measure="deg/h")).splitlines()
+    ['Bias stability 10 s', '零偏稳定性', '<= 0.8 deg/h']
+    """
+    english, chinese = _NAMES[limit.characteristic]
+    tau = "" if limit.tau_s is None else f" {limit.tau_s:g} s"
+    return f"{english}{tau}\n{chinese}\n<= {limit.upper:g} {limit.unit_of_measure}"
+
+
+def _row(view: UnitView, limits: Sequence[Limit]) -> list[RenderableType]:
+    checks = view.verdict.checks if view.verdict else [judge(limit, _estimates(view)) for limit in limits]
+    return [
+        view.unit,
+        f"{view.samples:,}",
+        "" if view.rate_deg_per_h is None else f"{view.rate_deg_per_h:+.2f}",
+        "" if view.temperature_deg_c is None else f"{view.temperature_deg_c:.2f}",
+        *(_cell(check, final=view.verdict is not None) for check in checks),
+        _verdict(view.verdict),
+    ]
+
+
+def _estimates(view: UnitView) -> list[EstimatePublished]:
+    return list(view.estimates.values())
+
+
+def _cell(check: Check, *, final: bool) -> Text:
+    if check.value is None:
+        return Text("...", style="dim")
+    text = f"{check.value:.4f}\n{check.lo:.4f} to {check.hi:.4f}"
+    return Text(text, style=_COLOURS[check.verdict] if final else "")
+
+
+def _verdict(given: VerdictGiven | None) -> Text:
+    if given is None:
+        # a look at an interval in mid-run decides wrongly too often: the verdict is given once, at the end
+        return Text("at the end\n结束时", style="dim")
+    return Text(f"{given.verdict}\n{_CHINESE[given.verdict]}", style=_COLOURS[given.verdict])
+
+
+def _caption(state: DemoState) -> str:
+    return f"values with their 95 % confidence limits; limits {state.limits.revision}"

@@ -1,0 +1,68 @@
+"""Fonts of plots: a Chinese one where it is installed, and never a character that no font can draw."""
+
+from functools import lru_cache
+
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, fontManager, get_font
+from matplotlib.text import Text
+
+LATIN_FONT = "DejaVu Sans"
+NOT_DRAWABLE = "\N{WHITE SQUARE}"
+
+_CHINESE_FONTS = (
+    "Noto Sans CJK SC",
+    "Noto Sans SC",
+    "Source Han Sans SC",
+    "WenQuanYi Micro Hei",
+    "WenQuanYi Zen Hei",
+    "Droid Sans Fallback",
+    "Microsoft YaHei",
+    "SimHei",
+    "PingFang SC",
+)
+
+
+@lru_cache(maxsize=1)
+def chinese_font() -> str | None:
+    """Name of an installed font with Chinese characters, None where there is none.
+
+    matplotlib keeps a list of fonts in its cache directory: a font installed later is seen once that is deleted.
+    """
+    installed = {entry.name for entry in fontManager.ttflist}
+    return next((name for name in _CHINESE_FONTS if name in installed), None)
+
+
+def set_fonts(figure: Figure, *, chinese: bool) -> None:
+    """Give all texts of a figure their fonts, and print them as they are: a ``$`` begins no formula.
+
+    Parameters
+    ----------
+    figure : Figure
+        With all its texts; characters that none of the fonts has become squares.
+    chinese : bool
+        Whether to fall back on the Chinese font.
+    """
+    extra = chinese_font() if chinese else None
+    families = [LATIN_FONT] if extra is None else [LATIN_FONT, extra]
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)
+        text.set_fontfamily(families)
+        text.set_text(drawable(text.get_text(), tuple(families)))
+
+
+def drawable(text: str, families: tuple[str, ...]) -> str:
+    """Return `text` with a square for every character that none of the fonts can draw.
+
+    Examples
+    --------
+    >>> drawable("τ = 1 s\\n\\x07", (LATIN_FONT,))
+    'τ = 1 s □'
+    """
+    known = frozenset[int]().union(*(_characters(family) for family in families))
+    return "".join(c if ord(c) in known else NOT_DRAWABLE for c in text.replace("\n", " "))
+
+
+@lru_cache(maxsize=8)
+def _characters(family: str) -> frozenset[int]:
+    path = fontManager.findfont(FontProperties(family=family), fallback_to_default=False)
+    return frozenset(get_font(path).get_charmap())
