@@ -30,7 +30,7 @@ _SUFFIXES = (".png", ".svg")
 _INK, _SOFT, _GRID, _FLEET = "#1a1a1a", "#5f6b76", "#dfe3e8", "#a9b4be"
 _LIMIT = "#a40000"
 # Okabe and Ito's colours for all kinds of colour vision, without their yellow, which is lost on white
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#1a1a1a", "#7a4fa3")
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#6b4423", "#7a4fa3")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h")
 _WORDS = {
     "en": {
@@ -38,7 +38,7 @@ _WORDS = {
         "deviation": "Allan deviation ({unit})",
         "what": "Overlapping Allan deviation; bands: 95 % confidence",
         "limit": "limit",
-        "record": "{unit}: {samples} samples at {interval} s ({hours} h), {missing} missing",
+        "record": "{hours} h at {interval} s; {samples} samples, {missing} missing",
         "others": "{n} other units",
     },
     "zh": {
@@ -46,10 +46,11 @@ _WORDS = {
         "deviation": "Allan 标准差 ({unit})",
         "what": "重叠 Allan 标准差；色带：95 % 置信区间",
         "limit": "限值",
-        "record": "{unit}：{samples} 个样本，间隔 {interval} s（{hours} h），缺失 {missing}",
+        "record": "{hours} h，采样间隔 {interval} s；样本 {samples} 个，缺失 {missing} 个",
         "others": "其余 {n} 只",
     },
 }
+SECONDS_PER_HOUR = 3600.0
 _LEFT, _WIDTH = 0.095, 0.745
 _NAMED_AT_MOST = 24
 _NAME_HEIGHT = 0.0405
@@ -207,8 +208,9 @@ def _figure(
     figure.text(_LEFT, 0.945, title or _title(curves, chosen), fontsize=13, fontweight="bold", color=_INK)
     what = "  \N{MIDDLE DOT}  ".join(_WORDS[part]["what"] for part in wanted)
     figure.text(_LEFT, 0.893, what, fontsize=8.5, color=_SOFT)
-    figure.text(_LEFT, 0.022, _record(curves[-1], words), fontsize=7.5, color=_SOFT)
-    set_fonts(figure, chinese=True)
+    shown = [curve for curve in curves if chosen in (None, curve.unit)]
+    figure.text(_LEFT, 0.022, _record(shown, words), fontsize=7.5, color=_SOFT)
+    set_fonts(figure)
     return figure
 
 
@@ -256,7 +258,7 @@ def _curve(axes: Axes, curve: AllanCurve, i: int, total: int, chosen: str | None
     if chosen is not None and not bold:
         axes.plot(curve.tau_s, curve.adev, color=colour, linewidth=0.8)
         return
-    axes.fill_between(curve.tau_s, curve.lo, curve.hi, color=colour, alpha=0.22 if bold else 0.10, linewidth=0)
+    axes.fill_between(curve.tau_s, curve.lo, curve.hi, color=colour, alpha=0.22 if bold else 0.07, linewidth=0)
     axes.plot(
         curve.tau_s,
         curve.adev,
@@ -353,10 +355,10 @@ def _limit(axes: Axes, tau_s: float, deviation: float, text: str) -> None:
         )
     axes.annotate(
         text,
-        (tau_s, deviation),
+        (tau_s / half, deviation),
         (0, 8),
         textcoords="offset points",
-        ha="center",
+        ha="left",
         va="bottom",
         color=_LIMIT,
         fontsize=8.5,
@@ -413,13 +415,13 @@ def _title(curves: list[AllanCurve], chosen: str | None) -> str:
     )
 
 
-def _record(curve: AllanCurve, words: dict[str, str]) -> str:
-    """How long the record on top is and what it lacks."""
-    hours = curve.samples * curve.sample_interval_s / 3600
+def _record(curves: list[AllanCurve], words: dict[str, str]) -> str:
+    """How long the records are and what they lack."""
+    hours = sorted(curve.samples * curve.sample_interval_s / SECONDS_PER_HOUR for curve in curves)
+    least, most = f"{hours[0]:.3g}", f"{hours[-1]:.3g}"
     return words["record"].format(
-        unit=curve.unit,
-        samples=f"{curve.samples:,}",
-        missing=f"{curve.missing:,}",
-        interval=f"{curve.sample_interval_s:g}",
-        hours=f"{hours:.3g}",
+        hours=least if least == most else f"{least} \N{EN DASH} {most}",
+        interval=", ".join(sorted({f"{curve.sample_interval_s:g}" for curve in curves})),
+        samples=f"{sum(curve.samples for curve in curves):,}",
+        missing=f"{sum(curve.missing for curve in curves):,}",
     )

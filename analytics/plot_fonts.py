@@ -26,36 +26,37 @@ _CHINESE_FONTS = (
 def chinese_font() -> str | None:
     """Name of an installed font with Chinese characters, None where there is none.
 
-    matplotlib keeps a list of fonts in its cache directory: a font installed later is seen once that is deleted.
+    matplotlib keeps a list of fonts in its cache directory: a font installed later is seen once that is
+    deleted.
     """
     installed = {entry.name for entry in fontManager.ttflist}
     return next((name for name in _CHINESE_FONTS if name in installed), None)
 
 
-def set_fonts(figure: Figure, *, chinese: bool) -> None:
+def set_fonts(figure: Figure) -> None:
     """Give all texts of a figure their fonts, and print them as they are: a ``$`` begins no formula.
 
-    Parameters
-    ----------
-    figure : Figure
-        With all its texts; characters that none of the fonts has become squares.
-    chinese : bool
-        Whether to fall back on the Chinese font.
+    Texts with characters that the Latin font lacks fall back on the Chinese one, where there is one; a
+    character that neither has becomes a square.
     """
-    extra = chinese_font() if chinese else None
-    families = [LATIN_FONT] if extra is None else [LATIN_FONT, extra]
+    chinese = chinese_font()
     for text in figure.findobj(Text):
         text.set_parse_math(False)
-        text.set_fontfamily(families)
-        text.set_text(drawable(text.get_text(), tuple(families)))
+        families = (LATIN_FONT,)
+        if chinese is not None and NOT_DRAWABLE in drawable(text.get_text(), families):
+            families = (LATIN_FONT, chinese)
+            # most Chinese fonts come in one weight, and asking for another is logged as a failure
+            text.set_fontweight("normal")
+        text.set_fontfamily(list(families))
+        text.set_text(drawable(text.get_text(), families))
 
 
 def drawable(text: str, families: tuple[str, ...]) -> str:
-    """Return `text` with a square for every character that none of the fonts can draw.
+    r"""Return `text` with a square for every character that none of the fonts can draw.
 
     Examples
     --------
-    >>> drawable("τ = 1 s\\n\\x07", (LATIN_FONT,))
+    >>> drawable("τ = 1 s\n\x07", (LATIN_FONT,))
     'τ = 1 s □'
     """
     known = frozenset[int]().union(*(_characters(family) for family in families))

@@ -9,7 +9,7 @@ from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import EstimatorError
 
 INTERVAL_TOLERANCE = 1e-3
-MAX_SLOT = 2**62
+MAX_SPAN_NS = 2**62
 
 
 class Piece(NamedTuple):
@@ -94,9 +94,10 @@ class GridTracker:
             self.late += late
             if late == n:
                 return []
-        first_slot = self._slot_of(t0_ns + late * batch.dt_ns, batch)
-        self.next_slot = first_slot + n - late
-        self.last_ns = t0_ns + (n - 1) * batch.dt_ns
+        last_ns = t0_ns + (n - 1) * batch.dt_ns
+        self._check_span(batch, last_ns)
+        first_slot = self._slot_of(t0_ns + late * batch.dt_ns)
+        self.next_slot, self.last_ns = first_slot + n - late, last_ns
         pieces = [Piece(first_slot, late, n)]
         self._count(batch, pieces)
         return pieces
@@ -113,6 +114,7 @@ class GridTracker:
 
     def _place_timed(self, batch: SampleBatch, times_ns: IntArray) -> list[Piece]:
         highest = np.maximum.accumulate(times_ns)
+        self._check_span(batch, int(highest[-1]))
         after = np.ones(len(times_ns), np.bool_)
         after[1:] = times_ns[1:] > highest[:-1]
         if self.next_slot:
@@ -124,31 +126,29 @@ class GridTracker:
         steps = np.diff(times_ns[kept])
         is_break = np.diff(kept) != 1
         if not self.irregular:
-            # a step that looks negative is one of more than 2**63 ns
-            is_break |= (steps >= -(-3 * self.dt_ns // 2)) | (steps < 0)
+            is_break |= steps >= -(-3 * self.dt_ns // 2)
         pieces = []
         begin = 0
         for end in [*(np.flatnonzero(is_break) + 1).tolist(), len(kept)]:
             start, stop = int(kept[begin]), int(kept[end - 1]) + 1
-            first = self._slot_of(int(times_ns[start]), batch)
+            first = self._slot_of(int(times_ns[start]))
             pieces.append(Piece(first, start, stop))
             self.next_slot, self.last_ns = first + stop - start, int(times_ns[stop - 1])
             begin = end
         self._count(batch, pieces)
         return pieces
 
-    def _slot_of(self, t_ns: int, batch: SampleBatch) -> int:
+    def _slot_of(self, t_ns: int) -> int:
         if self.next_slot == 0:
             return 0
-        advance = (
-            1 if self.irregular else max(1, (2 * (t_ns - self.last_ns) + self.dt_ns) // (2 * self.dt_ns))
-        )
-        slot = self.next_slot - 1 + advance
-        if slot + len(batch) > MAX_SLOT:
+        advance = 1 if self.irregular else max(1, (2 * (t_ns - self.last_ns) + self.dt_ns) // (2 * self.dt_ns))
+        return self.next_slot - 1 + advance
+
+    def _check_span(self, batch: SampleBatch, last_ns: int) -> None:
+        if last_ns - self.first_ns > MAX_SPAN_NS:
             raise EstimatorError(
-                f"{_who(batch)}: sample at {t_ns} ns lies {slot} intervals after the first; check the source's clock"
+                f"{_who(batch)}: a sample at {last_ns} ns lies more than 146 years after the first; check the clock"
             )
-        return slot
 
     def _count(self, batch: SampleBatch, pieces: list[Piece]) -> None:
         for _, start, stop in pieces:

@@ -11,6 +11,8 @@ GRID_TOLERANCE = 0.1
 _LONE_SAMPLE_DT_NS = 10**9
 # An interval longer than this many nominal ones is a gap.
 _GAP = 1.5
+# After a gap this long the source may have begun anew: its grid is then another one, and the gap proves nothing.
+_RESTART = 10.5
 
 
 @dataclass(frozen=True)
@@ -26,9 +28,10 @@ class Sampling:
     dt_ns : int
         Nominal interval, nanoseconds: the median of the first 10,000 intervals.
     off_grid : int
-        Intervals further than a tenth of the nominal one from every multiple of it.
+        Intervals further than a tenth of the nominal one from every multiple of it. Gaps of more than ten intervals
+        are not counted: a source that begins anew after one has a grid of its own.
     worst_ns : int
-        Largest distance of an interval from a multiple of the nominal one, nanoseconds.
+        Largest distance of such an interval from a multiple of the nominal one, nanoseconds.
     gaps : int
         Intervals longer than 1.5 nominal ones.
     """
@@ -110,10 +113,11 @@ class SamplingGrid:
         others = intervals_ns[intervals_ns != self._dt_ns]
         if not len(others):
             return
-        multiples = np.maximum(np.rint(others / self._dt_ns).astype(np.int64), 1)
-        distances_ns = np.abs(others - multiples * self._dt_ns)
+        within = others[others <= _RESTART * self._dt_ns]
+        multiples = np.maximum(np.rint(within / self._dt_ns).astype(np.int64), 1)
+        distances_ns = np.abs(within - multiples * self._dt_ns)
         self._off_grid += int(np.count_nonzero(distances_ns > GRID_TOLERANCE * self._dt_ns))
-        self._worst_ns = max(self._worst_ns, int(distances_ns.max()))
+        self._worst_ns = max(self._worst_ns, int(distances_ns.max(initial=0)))
         self._gaps += int(np.count_nonzero(is_gap(others, self._dt_ns)))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.clock import Piece
 from stream.errors import EstimatorError
-from stream.estimators.base import Estimator, NoEstimate, contiguous_runs
+from stream.estimators.base import Estimator, NoEstimate, contiguous_runs, first_finite
 from stream.estimators.confidence import deviation_limits, least_edf
 from stream.estimators.pyramid_kernel import empty_state, push
 from stream.events import EstimatePoint
@@ -80,7 +80,7 @@ class AllanDeviation(Estimator):
             return
         for first_slot, values in contiguous_runs(batch, pieces):
             if math.isnan(self._reference):
-                self._reference = _first_finite(values)
+                self._reference = first_finite(values)
             push(*self._state, self._lags, LEAST_SHARE, self._reference, first_slot, values)
 
     def estimate(self) -> tuple[EstimatePoint, ...] | NoEstimate:
@@ -110,36 +110,25 @@ class AllanDeviation(Estimator):
     def _point(self, factor: int, value: float, windows: int, lag: int) -> EstimatePoint:
         edf = least_edf(averaging_factor=factor, windows=windows, stride_per_tau=lag)
         lo, hi = deviation_limits(value, edf, self.confidence)
-        return EstimatePoint(
-            tau_s=factor * self._tracker.dt_ns / 1e9, value=value, lo=lo, hi=hi, edf=edf, n=windows
-        )
+        return EstimatePoint(tau_s=factor * self._tracker.dt_ns / 1e9, value=value, lo=lo, hi=hi, edf=edf, n=windows)
 
     def _too_little(self) -> str:
         if self.samples < 2:
             return f"2 samples needed, {self.samples} seen"
         return (
-            f"2 neighbouring averages with {LEAST_SHARE:.0%} of their samples needed, none seen: {self.samples} samples, "
-            f"{self.missing} missing"
+            f"2 neighbouring averages with {LEAST_SHARE:.0%} of their samples needed, none seen: "
+            f"{self.samples} samples, {self.missing} missing"
         )
 
 
 def _lag_table(points_per_octave: int) -> IntArray:
     """Windows in blocks: row 0 for level 0, row 1 for the others; zeros fill up."""
     top = list(range(OVERLAP, 2 * OVERLAP, OVERLAP // points_per_octave))
-    low = [
-        lag
-        for octave in (1, 2, 4, 8)
-        for lag in range(octave, 2 * octave, max(1, octave // points_per_octave))
-    ]
+    low = [lag for octave in (1, 2, 4, 8) for lag in range(octave, 2 * octave, max(1, octave // points_per_octave))]
     table = np.zeros((2, len(low) + len(top)), np.int64)
     table[0] = low + top
     table[1, : len(top)] = top
     return table
-
-
-def _first_finite(values: FloatArray) -> float:
-    finite = np.flatnonzero(np.isfinite(values))
-    return float(values[finite[0]]) if len(finite) else math.nan
 
 
 def overlapping_allan_variance(values: FloatArray, averaging_factor: int) -> float:

@@ -3,14 +3,16 @@
 import functools
 import importlib
 import inspect
+import math
 import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 from uuid import UUID
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from stream.batch import FloatArray, SampleBatch
 from stream.clock import GridTracker, Piece
@@ -20,6 +22,8 @@ from stream.quantities import report_unit
 
 _PACKAGE = __name__.rpartition(".")[0]
 _JOINED_SPAN = 8
+
+Number = TypeVar("Number", np.float64, np.int64)
 
 
 class NoEstimate(msgspec.Struct, frozen=True):
@@ -123,10 +127,7 @@ def contiguous_runs(batch: SampleBatch, pieces: list[Piece]) -> list[tuple[int, 
 
     Pieces that lie close together come as one, NaN between them: a call for each would cost more than the NaN.
     """
-    values = batch.value_array
-    if not values.flags.c_contiguous or not values.flags.writeable or values.dtype != np.float64:
-        # arrays off the wire are read-only, which numba takes for another type and would compile once more
-        values = np.array(values, np.float64)
+    values = for_kernel(batch.value_array)
     if len(pieces) == 1:
         first_slot, start, stop = pieces[0]
         return [(first_slot, values[start:stop])]
@@ -140,13 +141,28 @@ def contiguous_runs(batch: SampleBatch, pieces: list[Piece]) -> list[tuple[int, 
     return [(origin, joined)]
 
 
+def for_kernel(array: npt.NDArray[Number]) -> npt.NDArray[Number]:
+    """The array, copied unless it is contiguous and writeable.
+
+    Arrays off the wire are read-only, which numba takes for another type and would compile its code for once more.
+    """
+    flags = array.flags
+    return array if flags.c_contiguous and flags.writeable else array.copy()
+
+
+def first_finite(values: FloatArray) -> float:
+    """The first finite value, NaN where there is none."""
+    finite = np.flatnonzero(np.isfinite(values))
+    return float(values[finite[0]]) if len(finite) else math.nan
+
+
 def estimator_classes() -> tuple[type[Estimator], ...]:
     """Every concrete estimator of this package, by name of its class."""
     package = importlib.import_module(_PACKAGE)
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{_PACKAGE}.{module.name}")
     found: set[type[Estimator]] = set()
-    waiting: list[type[Estimator]] = [Estimator]
+    waiting = list(Estimator.__subclasses__())
     while waiting:
         cls = waiting.pop()
         waiting.extend(cls.__subclasses__())

@@ -26,9 +26,7 @@ KEY = sample_key(PLACE, "U1", "rate")
 
 def batch(i: int, n: int = 100, signal: str = "rate", epoch: int = 1) -> SampleBatch:
     values = np.arange(i * n, (i + 1) * n, dtype=np.float64)
-    return SampleBatch(
-        "U1", signal, "r1", UUID(int=epoch), i * n, i * n * 10**6, 10**6, "deg/s", values=values
-    )
+    return SampleBatch("U1", signal, "r1", UUID(int=epoch), i * n, i * n * 10**6, 10**6, "deg/s", values=values)
 
 
 class FaultyBus(LocalBus):
@@ -54,10 +52,7 @@ class FaultyBus(LocalBus):
 
 def lake_values(store: Store) -> list[float]:
     with Catalog(store) as catalog:
-        return [
-            value
-            for (value,) in catalog.rows("select value from samples where signal = 'rate' order by t_ns")
-        ]
+        return [value for (value,) in catalog.rows("select value from samples where signal = 'rate' order by t_ns")]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -84,9 +79,7 @@ def test_each_sample_once_over_a_bus_that_loses_doubles_and_delays(tmp_path: Pat
 def test_a_source_gives_up_with_what_is_outstanding_when_nobody_records() -> None:
     with DurablePublisher(LocalBus(), timeout_s=0.3) as publisher:
         publisher.send_batch(KEY, batch(0))
-        with pytest.raises(
-            DeliveryError, match=r"1 messages of gyrofleet/plant/bench/U1/rate are outstanding.*record"
-        ):
+        with pytest.raises(DeliveryError, match=r"1 messages of gyrofleet/plant/bench/U1/rate are outstanding.*record"):
             publisher.drain()
 
 

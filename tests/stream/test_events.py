@@ -25,13 +25,9 @@ def of(kind: type) -> st.SearchStrategy[typing.Any]:
         float: numbers,
         str | None: st.none() | text,
     }
-    fields = {
-        field.name: by_type[field.type] for field in msgspec.structs.fields(kind) if field.type in by_type
-    }
+    fields = {field.name: by_type[field.type] for field in msgspec.structs.fields(kind) if field.type in by_type}
     nested: dict[type, dict[str, st.SearchStrategy[typing.Any]]] = {
-        StepStarted: {
-            "words": st.builds(StepWords, step=text, repeat=st.none() | st.integers(0, 9), settle_s=numbers)
-        },
+        StepStarted: {"words": st.builds(StepWords, step=text, repeat=st.none() | st.integers(0, 9), settle_s=numbers)},
         EstimatePublished: {
             "points": st.lists(
                 st.builds(

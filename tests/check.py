@@ -1,0 +1,68 @@
+"""Every gate, from nothing but Python 3.11: ``python3 tests/check.py``.
+
+Sets up ``.venv``, runs ruff, mypy, import-linter and pytest on the checkout, then builds the wheel and runs the
+tests once more against it, installed in a clean environment (``.venv-wheel``).
+"""
+
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def run(*command: str | Path, cwd: Path = ROOT) -> None:
+    print(f"\n$ {' '.join(str(part) for part in command)}", flush=True)
+    code = subprocess.run([str(part) for part in command], cwd=cwd, check=False).returncode
+    if code != 0:
+        sys.exit(f"failed with exit code {code}: {' '.join(str(part) for part in command)}")
+
+
+def environment(folder: Path) -> Path:
+    """A virtual environment; its folder of programs."""
+    if not (folder / "bin" / "python").exists():
+        print(f"making {folder}", flush=True)
+        venv.create(folder, with_pip=True, clear=True)
+    return folder / "bin"
+
+
+def development_requirements() -> list[str]:
+    """The `dev` group; the pip that comes with Python 3.11 does not know groups."""
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        group: list[str] = tomllib.load(file)["dependency-groups"]["dev"]
+    return [requirement for requirement in group if not requirement.startswith("gyrofleet")]
+
+
+def main() -> None:
+    if sys.version_info < (3, 11):
+        sys.exit(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
+    bin_ = environment(ROOT / ".venv")
+    run(bin_ / "python", "-m", "pip", "install", "--quiet", "--editable", ".[test]", *development_requirements())
+    run(bin_ / "ruff", "check", ".")
+    run(bin_ / "ruff", "format", "--check", ".")
+    run(bin_ / "mypy")
+    run(bin_ / "lint-imports")
+    run(bin_ / "python", "-m", "pytest")
+
+    with tempfile.TemporaryDirectory() as temporary:
+        there = Path(temporary)
+        run(bin_ / "python", "-m", "build", "--wheel", "--outdir", there / "dist", ".")
+        (wheel,) = (there / "dist").glob("*.whl")
+        shutil.rmtree(ROOT / ".venv-wheel", ignore_errors=True)
+        clean = environment(ROOT / ".venv-wheel")
+        run(clean / "python", "-m", "pip", "install", "--quiet", f"{wheel}[test]")
+        # beside nothing of the checkout but its tests, so that only the wheel can be imported
+        shutil.copytree(ROOT / "tests", there / "project" / "tests", ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copy(ROOT / "pyproject.toml", there / "project")
+        shared = ROOT.parent / "shared"
+        if shared.exists():
+            (there / "shared").symlink_to(shared)
+        run(clean / "python", "-m", "pytest", "tests", cwd=there / "project")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,195 @@
+"""Importing as a user does: counted to the last sample, repeated without harm, refused without a trace."""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+
+def fingerprint(folder: Path) -> dict[str, str]:
+    """Content of every file below a folder, but for the empty lock."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def table(path: Path, n: int = 2000, start: int = 0, shift: float = 0.0) -> Path:
+    i = np.arange(start, start + n)
+    frame = pl.DataFrame(
+        {"time[s]": i * 0.01, "rate[deg/s]": np.sin(i * 0.1) + shift, "temperature[degC]": 25 + i * 1e-3}
+    )
+    (frame.write_csv if path.suffix == ".csv" else frame.write_parquet)(path)
+    return path
+
+
+def samples(gyrofleet: Callable[..., object], where: str = "true") -> int:
+    return gyrofleet("sql", f"select count(*) as n from samples where {where}", "--json").json[0]["n"]
+
+
+def test_the_same_file_again_adds_nothing_and_says_so(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+    path = table(tmp_path / "a.csv")
+    first = gyrofleet("import", path, "--unit", "U1", "--json").json["files"][0]
+    assert [signal["in_lake"] for signal in first["signals"]] == [2000, 2000]
+    log = fingerprint(tmp_path / "gyrofleet-data")
+    again = gyrofleet("import", path, "--unit", "U1")
+    assert again.code == 0
+    assert "Nothing to add: all 4,000 samples are stored already" in again.out
+    assert fingerprint(tmp_path / "gyrofleet-data") == log
+    assert samples(gyrofleet) == 4000
+
+
+def test_csv_and_parquet_of_the_same_samples_are_the_same_samples(
+    gyrofleet: Callable[..., object], tmp_path: Path
+) -> None:
+    table(tmp_path / "a.csv")
+    table(tmp_path / "a.parquet")
+    gyrofleet("import", "a.csv", "--unit", "U1")
+    assert "Nothing to add" in gyrofleet("import", "a.parquet", "--unit", "U1").out
+
+
+def test_other_values_at_the_same_time_are_refused_and_the_store_stays(
+    gyrofleet: Callable[..., object], tmp_path: Path
+) -> None:
+    gyrofleet("import", table(tmp_path / "a.csv"), "--unit", "U1", "--run", "r")
+    before = fingerprint(tmp_path / "gyrofleet-data")
+    refused = gyrofleet("import", table(tmp_path / "b.csv", shift=0.5), "--unit", "U1", "--run", "r")
+    assert refused.code == 1
+    assert "unit U1, signal rate, run r" in refused.err
+    assert "--run" in refused.err
+    assert refused.err.count("\n") == 1
+    assert fingerprint(tmp_path / "gyrofleet-data") == before
+
+
+def test_samples_between_stored_ones_are_another_recording(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+    gyrofleet("import", table(tmp_path / "a.csv"), "--unit", "U1", "--run", "r")
+    shifted = pl.read_csv(tmp_path / "a.csv").with_columns(pl.col("time[s]") + 0.005)
+    shifted.write_csv(tmp_path / "b.csv")
+    assert "other values" in gyrofleet("import", "b.csv", "--unit", "U1", "--run", "r").err
+    assert samples(gyrofleet) == 4000
+
+
+def test_a_file_may_add_signals_and_time_ranges_to_a_run(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+    gyrofleet("import", table(tmp_path / "a.csv"), "--unit", "U1", "--run", "r")
+    later = gyrofleet("import", table(tmp_path / "b.csv", start=1500), "--unit", "U1", "--run", "r", "--json")
+    assert [s["added"] for s in later.json["files"][0]["signals"]] == [1500, 1500]
+    assert [s["already_stored"] for s in later.json["files"][0]["signals"]] == [500, 500]
+    other = pl.DataFrame({"time[s]": [0.0, 1.0, 2.0], "supply_voltage[V]": [5.0, 5.1, 5.0]})
+    other.write_parquet(tmp_path / "c.parquet")
+    assert gyrofleet("import", "c.parquet", "--unit", "U1", "--run", "r").code == 0
+    assert samples(gyrofleet, "signal = 'rate'") == 3500
+    assert samples(gyrofleet, "signal = 'supply_voltage'") == 3
+    curve = gyrofleet("allan", "--unit", "U1", "--signal", "rate", "--json").json
+    assert (curve["samples"], curve["missing"]) == (3500, 0)
+    (run,) = gyrofleet("sql", "select run, samples, signals, date_known, started, outcome from runs", "--json").json
+    assert run == {
+        "run": "r", "samples": 7003, "signals": 3, "date_known": False, "started": None, "outcome": "completed",
+    }  # fmt: skip
+
+
+def test_start_gives_the_date_and_no_start_leaves_it_open(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+    path = table(tmp_path / "a.csv", n=10)
+    gyrofleet("import", path, "--unit", "U1", "--run", "dated", "--start", "2026-03-01T20:00:00+08:00")
+    (row,) = gyrofleet("sql", "select date_known, started from runs", "--json").json
+    assert row == {"date_known": True, "started": "2026-03-01 12:00:00.000000000"}
+    refused = gyrofleet("import", path, "--unit", "U2", "--run", "dated")
+    assert refused.code == 1
+    assert "--start" in refused.err
+
+
+def test_three_bad_rows_of_ten_thousand(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+    lines = ["time[s],rate[deg/s]"] + [f"{i / 100},{i % 7}" for i in range(10_000)]
+    lines[5], lines[5000], lines[9999] = "0.04,fast", "49.99,nan", "99.98"
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    refused = gyrofleet("import", "a.csv", "--unit", "U1")
+    assert refused.code == 1
+    for line in (6, 5001, 10_000):
+        assert f"line {line}" in refused.err
+    assert not (tmp_path / "gyrofleet-data").exists()
+    done = gyrofleet("import", "a.csv", "--unit", "U1", "--skip-bad")
+    assert done.code == 0
+    assert "3 of 10,000 rows of a.csv left out as bad" in done.err
+    assert samples(gyrofleet) == 9997
+
+
+PARQUET = {"time[s]": [0.0, 1.0, 2.0], "rate[deg/s]": [1.0, 2.0, 3.0]}
+BAD_FILES: dict[str, tuple[object, tuple[str, ...]]] = {
+    "no_signal.csv": ("time[s]\n1\n2\n", ("no_signal.csv",)),
+    "no_unit_of_measure.csv": ("time[s],rate\n0,1\n", ("rate", "[deg/s]")),
+    "text.csv": ("time[s],rate[deg/s]\n0,one\n1,two\n", ("line 2", "rate[deg/s]", "one")),
+    "unknown_unit.csv": ("time[s],rate[dge/s]\n0,1\n", ("dge/s", "did you mean deg/s")),
+    "decreasing.csv": ("time[s],rate[deg/s]\n0,1\n2,1\n1,1\n", ("line 4",)),
+    "duplicate.csv": ("time[s],rate[deg/s]\n0,1\n1,1\n1,1\n", ("line 4",)),
+    "nan.csv": ("time[s],rate[deg/s]\n0,1\n1,nan\n", ("line 3", "nan")),
+    "infinity.csv": ("time[s],rate[deg/s]\n0,1\n1,inf\n", ("line 3", "inf")),
+    "empty.csv": ("", ("empty",)),
+    "header_only.csv": ("time[s],rate[deg/s]\n", ("header_only.csv",)),
+    "no_time.csv": ("rate[deg/s]\n1\n", ("time[s]", "--sample-rate")),
+    "nan.parquet": ({**PARQUET, "rate[deg/s]": [1.0, float("nan"), 3.0]}, ("row 2", "nan")),
+    "text.parquet": ({**PARQUET, "rate[deg/s]": ["a", "b", "c"]}, ("rate[deg/s]",)),
+    "garbage.parquet": ("not parquet at all", ("garbage.parquet",)),
+    "table.xlsx": ("x", (".parquet",)),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_a_bad_file_is_refused_in_words_and_leaves_no_trace(
+    gyrofleet: Callable[..., object], tmp_path: Path, name: str
+) -> None:
+    content, wanted = BAD_FILES[name]
+    if isinstance(content, dict):
+        pl.DataFrame(content).write_parquet(tmp_path / name)
+    else:
+        (tmp_path / name).write_text(str(content))
+    table(tmp_path / "good.csv")
+    refused = gyrofleet("import", "good.csv", name, "--unit", "U1")
+    assert refused.code == 1
+    assert refused.err.startswith("error: ")
+    assert all(word in refused.err for word in (name, *wanted)), refused.err
+    assert not (tmp_path / "gyrofleet-data").exists()
+    as_json = gyrofleet("import", "good.csv", name, "--unit", "U1", "--json")
+    assert as_json.code == 1
+    assert name in as_json.json["error"]["message"]
+
+
+def test_a_truncated_parquet_file_is_refused(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+    path = table(tmp_path / "a.parquet")
+    path.write_bytes(path.read_bytes()[:-100])
+    refused = gyrofleet("import", path, "--unit", "U1")
+    assert refused.code == 1
+    assert "a.parquet" in refused.err
+
+
+def test_a_missing_unit_missing_file_and_foreign_folder_are_said_so(
+    gyrofleet: Callable[..., object], tmp_path: Path
+) -> None:
+    path = table(tmp_path / "a.csv")
+    assert "--unit" in gyrofleet("import", path).err
+    assert "no such file" in gyrofleet("import", "b.csv", "--unit", "U1").err
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "text.txt").write_text("x")
+    refused = gyrofleet("import", path, "--unit", "U1", "--store", "thesis")
+    assert refused.code == 1
+    assert "not a gyrofleet store" in refused.err
+    assert [each.name for each in (tmp_path / "thesis").iterdir()] == ["text.txt"]
+
+
+def test_a_store_on_an_unwritable_place_is_said_so(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+    path = table(tmp_path / "a.csv")
+    refused = gyrofleet("import", path, "--unit", "U1", "--store", "/proc/gyrofleet")
+    assert refused.code == 1
+    assert "cannot write the store /proc/gyrofleet" in refused.err
+
+
+def test_several_units_in_one_file(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+    lines = ["unit,time[s],rate[deg/s],temperature[degC]"]
+    for i in range(500):
+        lines += [f"A,{i / 10},{i},{25 if i % 10 == 0 else ''}", f"B,{i / 10},{-i},"]
+    (tmp_path / "two.csv").write_text("\n".join(lines))
+    gyrofleet("import", "two.csv")
+    rows = gyrofleet("sql", "select unit, signal, samples from signals order by all", "--json").json
+    assert [tuple(row.values()) for row in rows] == [("A", "rate", 500), ("A", "temperature", 50), ("B", "rate", 500)]
