@@ -38,6 +38,9 @@ _WORDS = {
         "deviation": "Allan deviation ({unit})",
         "what": "Overlapping Allan deviation; bands: 95 % confidence",
         "limit": "limit",
+        "+1/2": "rate random walk",
+        "0": "bias instability",
+        "\N{MINUS SIGN}1/2": "angle random walk",
         "record": "{hours} h at {interval} s; {samples} samples, {missing} missing",
         "others": "{n} other units",
     },
@@ -46,6 +49,9 @@ _WORDS = {
         "deviation": "Allan 标准差 ({unit})",
         "what": "重叠 Allan 标准差；色带：95 % 置信区间",
         "limit": "限值",
+        "+1/2": "角速率随机游走",
+        "0": "零偏不稳定性",
+        "\N{MINUS SIGN}1/2": "角度随机游走",
         "record": "{hours} h，采样间隔 {interval} s；样本 {samples} 个，缺失 {missing} 个",
         "others": "其余 {n} 只",
     },
@@ -56,6 +62,10 @@ _NAMED_AT_MOST = 24
 _NAME_HEIGHT = 0.0405
 _NAME_LENGTH = 19
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+# averaging time in s, deviation in the curves' unit, text
+_Mark = tuple[float, float, str]
 
 
 @dataclass(frozen=True)
@@ -189,7 +199,7 @@ def _figure(
     axes = figure.add_axes((_LEFT, 0.135, _WIDTH, 0.725))
     marks = _limit_marks(curves, limits)
     _scales(axes, curves, marks)
-    _slope_key(axes, curves, marks)
+    _slope_key(axes, curves, marks, words)
     names: list[tuple[str, str, AllanCurve]] = []
     for i, curve in enumerate(curves):
         _curve(axes, curve, i, len(curves), chosen)
@@ -214,7 +224,7 @@ def _figure(
     return figure
 
 
-def _scales(axes: Axes, curves: list[AllanCurve], marks: list[tuple[float, float, str]]) -> None:
+def _scales(axes: Axes, curves: list[AllanCurve], marks: list[_Mark]) -> None:
     """Logarithmic axes around all there is to see, one line of the grid a decade."""
     tau_s = [t for curve in curves for t in curve.tau_s] + [t for t, _, _ in marks]
     low = [y for curve in curves for y in curve.lo] + [y for _, y, _ in marks]
@@ -312,7 +322,7 @@ def _spread(heights: list[float], gap: float) -> list[float]:
     return [centre + (k - (n - 1) / 2) * gap for centre, n in groups for k in range(n)]
 
 
-def _limit_marks(curves: list[AllanCurve], limits: list[Limit]) -> list[tuple[float, float, str]]:
+def _limit_marks(curves: list[AllanCurve], limits: list[Limit]) -> list[_Mark]:
     """Averaging time, deviation in the curves' unit, and text of each limit that is a point of this plot."""
     target = curves[0].unit_of_measure
     signals = {curve.signal for curve in curves}
@@ -367,7 +377,7 @@ def _limit(axes: Axes, tau_s: float, deviation: float, text: str) -> None:
     )
 
 
-def _slope_key(axes: Axes, curves: list[AllanCurve], marks: list[tuple[float, float, str]]) -> None:
+def _slope_key(axes: Axes, curves: list[AllanCurve], marks: list[_Mark], words: dict[str, str]) -> None:
     """Three short lines of the slopes -1/2, 0 and +1/2, in the emptiest corner."""
     to_axes = axes.transData + axes.transAxes.inverted()
     points = [
@@ -386,11 +396,7 @@ def _slope_key(axes: Axes, curves: list[AllanCurve], marks: list[tuple[float, fl
 
     x, y = min(((0.04, 0.15), (0.72, 0.85), (0.04, 0.85), (0.72, 0.15)), key=crowd)
     start, end = to_axes.inverted().transform([(x, y), (x + 0.09, y)])
-    for power, text in (
-        (0.5, "+1/2  rate random walk"),
-        (0.0, "0  bias instability"),
-        (-0.5, "\N{MINUS SIGN}1/2  angle random walk"),
-    ):
+    for power, slope in ((0.5, "+1/2"), (0.0, "0"), (-0.5, "\N{MINUS SIGN}1/2")):
         height = start[1] * (end[0] / start[0]) ** power
         axes.plot((start[0], end[0]), (start[1], height), color=_FLEET, linewidth=0.9, linestyle=(0, (4, 2)))
         axes.annotate(text, (end[0], height), (4, 0), textcoords="offset points", va="center", color=_SOFT, fontsize=7)

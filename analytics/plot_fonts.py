@@ -42,7 +42,7 @@ def set_fonts(figure: Figure) -> None:
     chinese = chinese_font()
     for text in figure.findobj(Text):
         text.set_parse_math(False)
-        families = (LATIN_FONT,)
+        families: tuple[str, ...] = (LATIN_FONT,)
         if chinese is not None and NOT_DRAWABLE in drawable(text.get_text(), families):
             families = (LATIN_FONT, chinese)
             # most Chinese fonts come in one weight, and asking for another is logged as a failure

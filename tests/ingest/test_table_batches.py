@@ -41,6 +41,7 @@ def batched(times_ns: IntArray, cuts: list[int], batch_samples: int, *, splits_a
         ([0, 100, 211, 300, 400], 100, 2, 11, 0),
         ([0, 100, 200, 1205, 1305], 100, 0, 5, 1),
         ([0, 100, 200, 250, 350, 450], 100, 1, 50, 0),
+        ([0, 100, 200, 1_000_237, 1_000_337], 100, 0, 0, 1),
     ],
 )
 def test_the_grid_is_a_tenth_of_an_interval_wide(

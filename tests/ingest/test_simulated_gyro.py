@@ -1,0 +1,273 @@
+"""The simulated gyro: its noise against theory, its counts, and that neither length nor blocks change anything."""
+
+import math
+import tracemalloc
+
+import allantools
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ingest.instruments.simulated.chamber import ChamberParameters
+from ingest.instruments.simulated.gyro import (
+    GyroParameters,
+    SimulatedGyro,
+    demo_fleet,
+    unit_batches,
+)
+from ingest.instruments.simulated.noise import GaussMarkovSum, flicker_noise, rate_random_walk
+from stream.batch import FloatArray
+from stream.errors import BadInput
+
+FINE = 1e-9
+FLOOR = math.sqrt(2 * math.log(2) / math.pi)
+STILL = ChamberParameters(
+    mean_deg_c=25, start_offset_deg_c=0, daily_amplitude_deg_c=0, draught_deg_c=0, thermometer_noise_deg_c=0
+)
+LIVELY = GyroParameters(
+    unit="FOG-1",
+    angle_random_walk_deg_per_sqrt_h=0.02,
+    bias_instability_deg_per_h=0.1,
+    rate_random_walk_deg_per_h_per_sqrt_h=0.1,
+    turn_on_bias_deg_per_h=1.0,
+    bias_temperature_coefficient_deg_per_h_per_deg_c=0.5,
+    warm_up_deg_per_h=3.0,
+)
+
+
+def rate_deg_per_h(parameters: GyroParameters, n: int, seed: int) -> FloatArray:
+    counts = SimulatedGyro(parameters, seed, STILL).rate_counts(n)
+    rate: FloatArray = counts * (parameters.scale_deg_per_s_per_count * 3600)
+    return rate
+
+
+def allan_deviation(rate: FloatArray, interval_s: float, tau_s: FloatArray) -> FloatArray:
+    _, deviation, _, _ = allantools.oadev(rate, rate=1 / interval_s, data_type="freq", taus=tau_s)
+    found: FloatArray = deviation
+    assert len(found) == len(tau_s)
+    return found
+
+
+def chance(tau_s: FloatArray, record_s: float) -> FloatArray:
+    """Five standard deviations of an Allan deviation with at least 0.7 T/tau degrees of freedom, relative."""
+    bound: FloatArray = 5 / np.sqrt(2 * 0.7 * record_s / tau_s)
+    return bound
+
+
+def test_white_noise_alone_has_the_slope_of_angle_random_walk() -> None:
+    gyro = GyroParameters(unit="N", angle_random_walk_deg_per_sqrt_h=0.02, scale_deg_per_s_per_count=1e-7)
+    tau_s = np.array([0.005, 0.1, 1.0, 10.0, 100.0])
+    measured = allan_deviation(rate_deg_per_h(gyro, 2_000_000, seed=11), 0.005, tau_s)
+    expected = 0.02 / np.sqrt(tau_s / 3600)
+    assert (np.abs(measured / expected - 1) < chance(tau_s, 10_000.0)).all()
+
+
+def test_flicker_alone_is_flat_at_0_664_b_over_two_decades() -> None:
+    gyro = GyroParameters(unit="B", bias_instability_deg_per_h=5.0, scale_deg_per_s_per_count=FINE * 100)
+    tau_s = np.array([1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0])
+    records = [allan_deviation(rate_deg_per_h(gyro, 1_000_000, seed), 0.005, tau_s) for seed in range(20, 24)]
+    measured = np.sqrt(np.mean(np.square(records), axis=0))
+    assert (np.abs(measured / (FLOOR * 5.0) - 1) < np.minimum(0.1, 0.01 + chance(tau_s, 20_000.0))).all()
+
+
+def test_flicker_bank_is_flat_in_theory_from_half_a_second_to_a_day() -> None:
+    bank = flicker_noise(1.0, 0.1, np.random.default_rng(0))
+    variances = (bank._kick**2) / (1 - bank._decay**2)
+    correlation_s = -0.1 / np.log(bank._decay)
+    for tau_s in np.geomspace(0.5, 1e5, 60):
+        u = tau_s / correlation_s
+        # the series where the difference loses its digits: AVAR = (2/3) u
+        shape = np.where(u < 1e-4, 2 / 3 * u, (2 * u - 3 + 4 * np.exp(-u) - np.exp(-2 * u)) / u**2)
+        assert math.sqrt(float(np.sum(variances * shape))) == pytest.approx(FLOOR, rel=0.02)
+
+
+def test_rate_random_walk_alone_has_the_slope_of_rate_random_walk() -> None:
+    gyro = GyroParameters(
+        unit="K",
+        rate_random_walk_deg_per_h_per_sqrt_h=2.0,
+        scale_deg_per_s_per_count=1e-7,
+        sample_interval_ns=10**9,
+    )
+    tau_s = np.array([1.0, 10.0, 100.0, 1000.0, 10_000.0])
+    measured = allan_deviation(rate_deg_per_h(gyro, 1_000_000, seed=5), 1.0, tau_s)
+    # means over a second of a random walk: at tau equal to the interval the formula still holds exactly
+    expected = 2.0 * np.sqrt(tau_s / 3600 / 3)
+    assert (np.abs(measured / expected - 1) < chance(tau_s, 1e6)).all()
+
+
+def held_covariance(process: GaussMarkovSum, n: int) -> FloatArray:
+    """Exact covariance of n + 1 interval means of stationary processes, lag by lag."""
+    a, w = process._decay, process._weight
+    v = process._kick**2 / (1 - a**2)
+    lag = np.arange(1, n + 1)[:, None]
+    tail = np.sum(w**2 * v * (1 + a) ** 2 * a ** (lag - 1), axis=1)
+    head = float(np.sum(2 * w**2 * v * (1 + a))) + process._scatter**2
+    return np.concatenate([[head], tail])
+
+
+@pytest.mark.parametrize("samples", [200, 201, 205, 210, 219, 310, 410])
+def test_holding_for_a_tenth_of_a_second_disturbs_flicker_by_less_than_2_percent(samples: int) -> None:
+    hold = 20
+    process = flicker_noise(1.0, 0.1, np.random.default_rng(0))
+    n = 2 * samples // hold + 2
+    covariance = scipy.linalg.toeplitz(held_covariance(process, n))
+    variances = []
+    for phase in range(hold):
+        interval = (phase + np.arange(2 * samples)) // hold
+        signs = np.repeat([-1.0, 1.0], samples) / samples
+        weights = np.bincount(interval, signs, minlength=n + 1)
+        variances.append(weights @ covariance @ weights / 2)
+    u = samples * 0.005 / (-0.1 / np.log(process._decay))
+    v = process._kick**2 / (1 - process._decay**2)
+    shape = np.where(u < 1e-4, 2 / 3 * u, (2 * u - 3 + 4 * np.exp(-u) - np.exp(-2 * u)) / u**2)
+    exact = float(np.sum(v * shape))
+    assert math.sqrt(float(np.mean(variances)) / exact) == pytest.approx(1, abs=0.02)
+    if samples % hold == 0:
+        assert math.sqrt(variances[0] / exact) == pytest.approx(1, abs=1e-6)
+
+
+def test_holding_disturbs_rate_random_walk_by_less_than_2_percent() -> None:
+    process = rate_random_walk(1.0, 0.1, np.random.default_rng(3))
+    means = np.repeat(process.means(200_000), 20)
+    tau_s = np.array([1.0, 1.025, 1.05, 1.5])
+    measured = allan_deviation(means, 0.005, tau_s)
+    expected = np.sqrt(tau_s / 3600 / 3)
+    assert (np.abs(measured / expected - 1) < 0.02 + chance(tau_s, 20_000.0)).all()
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    blocks=st.lists(st.integers(0, 30_000), min_size=1, max_size=8),
+    seconds=st.lists(st.integers(0, 300), min_size=1, max_size=5),
+    temperature_first=st.booleans(),
+)
+def test_counts_do_not_depend_on_the_sizes_of_the_blocks(
+    blocks: list[int], seconds: list[int], temperature_first: bool
+) -> None:
+    whole, parts = SimulatedGyro(LIVELY, seed=7), SimulatedGyro(LIVELY, seed=7)
+    temperature = [parts.temperature_counts(n) for n in seconds] if temperature_first else []
+    rate = [parts.rate_counts(n) for n in blocks]
+    temperature = temperature or [parts.temperature_counts(n) for n in seconds]
+    assert np.array_equal(np.concatenate(rate), whole.rate_counts(sum(blocks)))
+    assert np.array_equal(np.concatenate(temperature), whole.temperature_counts(sum(seconds)))
+
+
+def test_seeds_and_units_give_other_noise_and_the_same_ones_the_same() -> None:
+    counts = {
+        (unit, seed): SimulatedGyro(GyroParameters(unit=unit, angle_random_walk_deg_per_sqrt_h=0.02), seed).rate_counts(
+            20_000
+        )
+        for unit in ("FOG-1", "FOG-2")
+        for seed in (0, 1)
+    }
+    correlation = np.corrcoef(list(counts.values()))
+    assert np.abs(correlation - np.eye(4)).max() < 5 / math.sqrt(20_000)
+    again = SimulatedGyro(GyroParameters(unit="FOG-1", angle_random_walk_deg_per_sqrt_h=0.02), 1)
+    assert np.array_equal(again.rate_counts(20_000), counts["FOG-1", 1])
+
+
+def test_memory_stays_bounded() -> None:
+    gyro = SimulatedGyro(LIVELY, seed=1)
+    gyro.rate_counts(1000)
+    tracemalloc.start()
+    try:
+        for _ in range(3000):
+            gyro.rate_counts(1000)
+        current, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 1_000_000
+    assert current < 200_000
+
+
+def test_bias_follows_temperature_and_warm_up() -> None:
+    gyro = GyroParameters(
+        unit="T",
+        bias_deg_per_h=2.0,
+        bias_temperature_coefficient_deg_per_h_per_deg_c=0.5,
+        warm_up_deg_per_h=3.0,
+        warm_up_time_constant_s=200.0,
+        scale_deg_per_s_per_count=FINE,
+    )
+    chamber = ChamberParameters(draught_deg_c=0.5, draught_correlation_s=30.0, thermometer_noise_deg_c=0.0)
+    simulated = SimulatedGyro(gyro, 3, chamber)
+    rate = simulated.rate_counts(200 * 600).reshape(600, 200).mean(axis=1) * FINE * 3600
+    reading = simulated.temperature_counts(601) * 0.01
+    seconds = np.arange(600) + 0.5
+    felt = (reading[1:] + reading[:-1]) / 2
+    expected = 2.0 + 0.5 * (felt - 25) + 3.0 * np.exp(-seconds / 200)
+    assert np.abs(rate - expected).max() < 0.5 * 0.005 + 1e-4
+
+
+def test_turn_on_bias_scatters_as_declared() -> None:
+    gyro = GyroParameters(unit="T", turn_on_bias_deg_per_h=2.0, scale_deg_per_s_per_count=FINE)
+    bias = [rate_deg_per_h(gyro, 1, seed)[0] for seed in range(300)]
+    assert np.std(bias, ddof=1) == pytest.approx(2.0, rel=5 / math.sqrt(2 * 299))
+
+
+def test_thermometer_noise_and_draught_scatter_as_declared() -> None:
+    chamber = ChamberParameters(
+        start_offset_deg_c=0, daily_amplitude_deg_c=0, draught_deg_c=0, thermometer_noise_deg_c=0.05
+    )
+    counts = SimulatedGyro(LIVELY, 2, chamber).temperature_counts(20_000)
+    assert counts.dtype == np.int32
+    assert (counts * 0.01).std() == pytest.approx(math.hypot(0.05, 0.01 / math.sqrt(12)), rel=5 / math.sqrt(40_000))
+    assert (counts * 0.01).mean() == pytest.approx(25.5, abs=5 * 0.05 / math.sqrt(20_000))
+
+
+def test_rates_are_rounded_to_the_nearest_count_and_stop_at_the_ends_of_int32() -> None:
+    for bias, count in ((1.6, 2), (-1.6, -2), (0.4, 0), (1e15, 2**31 - 1), (-1e15, -(2**31))):
+        gyro = GyroParameters(unit="Q", bias_deg_per_h=bias, scale_deg_per_s_per_count=1 / 3600)
+        assert SimulatedGyro(gyro, 0, STILL).rate_counts(3).tolist() == [count] * 3
+
+
+def test_batches_are_numbered_and_in_order() -> None:
+    batches = list(unit_batches(LIVELY, run="r1", duration_s=130.0, seed=4, t0_ns=10**18))
+    assert [batch.last_ns for batch in batches] == sorted(batch.last_ns for batch in batches)
+    rate = [batch for batch in batches if batch.signal == "rate"]
+    temperature = [batch for batch in batches if batch.signal == "temperature"]
+    assert [len(batch) for batch in temperature] == [60, 60, 10]
+    assert sum(len(batch) for batch in rate) == 26_000
+    for line in (rate, temperature):
+        assert [batch.seq for batch in line[1:]] == [batch.next_seq for batch in line[:-1]]
+        assert all(batch.t0_ns == 10**18 + batch.seq * batch.dt_ns for batch in line)
+    assert {batch.epoch for batch in batches} == {batches[0].epoch}
+    assert [b.unit_of_measure for b in (rate[0], temperature[0])] == ["deg/s", "degC"]
+    assert batches == list(unit_batches(LIVELY, run="r1", duration_s=130.0, seed=4, t0_ns=10**18))
+    whole = SimulatedGyro(LIVELY, 4).rate_counts(26_000)
+    assert np.array_equal(np.concatenate([batch.counts for batch in rate if batch.counts is not None]), whole)
+
+
+def test_other_runs_seeds_and_parameters_are_other_power_ons() -> None:
+    def epoch(run: str, seed: int, parameters: GyroParameters) -> object:
+        return next(unit_batches(parameters, run=run, duration_s=5.0, seed=seed)).epoch
+
+    other = GyroParameters(unit="FOG-1")
+    assert len({epoch("a", 1, LIVELY), epoch("b", 1, LIVELY), epoch("a", 2, LIVELY), epoch("a", 1, other)}) == 4
+
+
+def test_what_cannot_be_simulated_is_refused() -> None:
+    with pytest.raises(BadInput, match="FOG-1: angle_random_walk_deg_per_sqrt_h is -1"):
+        GyroParameters(unit="FOG-1", angle_random_walk_deg_per_sqrt_h=-1)
+    with pytest.raises(BadInput, match="sample_interval_ns is 0, more than 0"):
+        GyroParameters(unit="FOG-1", sample_interval_ns=0)
+    with pytest.raises(BadInput, match="mean_deg_c is nan, a finite"):
+        ChamberParameters(mean_deg_c=math.nan)
+    with pytest.raises(BadInput, match="unit 'a b' cannot be used"):
+        GyroParameters(unit="a b")
+    with pytest.raises(BadInput, match="seed -1"):
+        SimulatedGyro(LIVELY, -1)
+    with pytest.raises(BadInput, match="duration of nan s"):
+        unit_batches(LIVELY, run="r", duration_s=math.nan, seed=0)
+    with pytest.raises(BadInput, match="at least one sample"):
+        unit_batches(LIVELY, run="r", duration_s=1, seed=0, rate_batch=0)
+
+
+def test_demo_fleet_has_eight_names_and_its_planted_units() -> None:
+    fleet = {gyro.unit: gyro for gyro in demo_fleet()}
+    assert len(fleet) == 8
+    assert fleet["FOG-0234"].angle_random_walk_deg_per_sqrt_h == 0.06
+    worst = max(fleet.values(), key=lambda gyro: gyro.bias_temperature_coefficient_deg_per_h_per_deg_c)
+    assert worst.unit == "FOG-0236"
