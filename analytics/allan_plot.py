@@ -10,25 +10,28 @@ from typing import Literal
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from analytics.limits import (
-    ALLAN_DEVIATION,
-    ANGLE_RANDOM_WALK,
-    ANGLE_RANDOM_WALK_TAU_S,
-    SQRT_SECONDS_PER_SQRT_HOUR,
+from analytics.allan_marks import (
+    FLEET,
+    INK,
+    MINUS_HALF,
+    SOFT,
+    EndName,
+    LimitMark,
+    draw_limit,
+    draw_slopes,
+    limit_marks,
+    write_names,
 )
 from analytics.plot_fonts import chinese_font, set_fonts
-from stream.errors import BadInput, UnknownUnit
+from stream.errors import BadInput
 from stream.events import Limit
-from stream.quantities import conversion
 
 Language = Literal["en", "zh", "en+zh"]
 
 _SUFFIXES = (".png", ".svg")
-_INK, _SOFT, _GRID, _FLEET = "#1a1a1a", "#5f6b76", "#dfe3e8", "#a9b4be"
-_LIMIT = "#a40000"
+_GRID = "#dfe3e8"
 # Okabe and Ito's colours for all kinds of colour vision, without their yellow, which is lost on white
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#6b4423", "#7a4fa3")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h")
@@ -40,7 +43,7 @@ _WORDS = {
         "limit": "limit",
         "+1/2": "rate random walk",
         "0": "bias instability",
-        "\N{MINUS SIGN}1/2": "angle random walk",
+        MINUS_HALF: "angle random walk",
         "record": "{hours} h at {interval} s; {samples} samples, {missing} missing",
         "others": "{n} other units",
     },
@@ -51,7 +54,7 @@ _WORDS = {
         "limit": "限值",
         "+1/2": "角速率随机游走",
         "0": "零偏不稳定性",
-        "\N{MINUS SIGN}1/2": "角度随机游走",
+        MINUS_HALF: "角度随机游走",
         "record": "{hours} h，采样间隔 {interval} s；样本 {samples} 个，缺失 {missing} 个",
         "others": "其余 {n} 只",
     },
@@ -59,13 +62,8 @@ _WORDS = {
 SECONDS_PER_HOUR = 3600.0
 _LEFT, _WIDTH = 0.095, 0.745
 _NAMED_AT_MOST = 24
-_NAME_HEIGHT = 0.0405
 _NAME_LENGTH = 19
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
-# averaging time in s, deviation in the curves' unit, text
-_Mark = tuple[float, float, str]
 
 
 @dataclass(frozen=True)
@@ -112,6 +110,11 @@ class AllanCurve:
         """Check that the columns fit together."""
         if len({len(column) for column in (self.tau_s, self.adev, self.lo, self.hi, self.edf)}) != 1:
             raise BadInput(f"Allan curve of unit {self.unit}, run {self.run}: its columns differ in length")
+
+    @property
+    def end(self) -> tuple[float, float]:
+        """Longest averaging time (seconds) and the deviation there."""
+        return self.tau_s[-1], self.adev[-1]
 
     def drawable(self) -> "AllanCurve":
         """Return the curve without the points that a logarithmic axis cannot show."""
@@ -197,34 +200,45 @@ def _figure(
     figure = Figure(figsize=(8.2, 5.4), facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.add_axes((_LEFT, 0.135, _WIDTH, 0.725))
-    marks = _limit_marks(curves, limits)
+    marks = limit_marks(limits, {curve.signal for curve in curves}, curves[0].unit_of_measure)
     _scales(axes, curves, marks)
-    _slope_key(axes, curves, marks, words)
-    names: list[tuple[str, str, AllanCurve]] = []
+    draw_slopes(axes, _crowd(curves, marks), words)
+    names: list[EndName] = []
     for i, curve in enumerate(curves):
         _curve(axes, curve, i, len(curves), chosen)
         if chosen is None or curve.unit == chosen:
-            names.append((_name(curve, curves), _colour(i, curve, chosen), curve))
+            names.append(EndName(_name(curve, curves), _colour(i, curve, chosen), *curve.end))
     others = [curve for curve in curves if chosen is not None and curve.unit != chosen]
     if others:
         middle = sorted(others, key=lambda curve: curve.adev[-1])[len(others) // 2]
-        names.append((words["others"].format(n=len({curve.unit for curve in others})), _SOFT, middle))
+        names.append(EndName(words["others"].format(n=len({c.unit for c in others})), SOFT, *middle.end))
     if len(names) <= _NAMED_AT_MOST:
-        _write_names(axes, names)
-    for tau_s, deviation, text in marks:
-        _limit(axes, tau_s, deviation, f"{words['limit']} {text}")
-    axes.set_xlabel(words["tau"], color=_INK, fontsize=10)
-    axes.set_ylabel(words["deviation"].format(unit=curves[0].unit_of_measure), color=_INK, fontsize=10)
-    figure.text(_LEFT, 0.945, title or _title(curves, chosen), fontsize=13, fontweight="bold", color=_INK)
+        write_names(axes, names)
+    for mark in marks:
+        draw_limit(axes, mark, words["limit"])
+    axes.set_xlabel(words["tau"], color=INK, fontsize=10)
+    axes.set_ylabel(words["deviation"].format(unit=curves[0].unit_of_measure), color=INK, fontsize=10)
+    figure.text(_LEFT, 0.945, title or _title(curves, chosen), fontsize=13, fontweight="bold", color=INK)
     what = "  \N{MIDDLE DOT}  ".join(_WORDS[part]["what"] for part in wanted)
-    figure.text(_LEFT, 0.893, what, fontsize=8.5, color=_SOFT)
+    figure.text(_LEFT, 0.893, what, fontsize=8.5, color=SOFT)
     shown = [curve for curve in curves if chosen in (None, curve.unit)]
-    figure.text(_LEFT, 0.022, _record(shown, words), fontsize=7.5, color=_SOFT)
+    figure.text(_LEFT, 0.022, _record(shown, words), fontsize=7.5, color=SOFT)
     set_fonts(figure)
     return figure
 
 
-def _scales(axes: Axes, curves: list[AllanCurve], marks: list[_Mark]) -> None:
+def _crowd(curves: list[AllanCurve], marks: list[LimitMark]) -> list[tuple[float, float]]:
+    """Points that other things keep clear of; a limit with its text weighs as much as many of a curve."""
+    points = [
+        (tau_s, y)
+        for curve in curves
+        for line in (curve.adev, curve.lo, curve.hi)
+        for tau_s, y in zip(curve.tau_s, line, strict=True)
+    ]
+    return points + [(mark.tau_s, mark.deviation) for mark in marks for _ in range(20)]
+
+
+def _scales(axes: Axes, curves: list[AllanCurve], marks: list[LimitMark]) -> None:
     """Logarithmic axes around all there is to see, one line of the grid a decade."""
     tau_s = [t for curve in curves for t in curve.tau_s] + [t for t, _, _ in marks]
     low = [y for curve in curves for y in curve.lo] + [y for _, y, _ in marks]
@@ -232,9 +246,9 @@ def _scales(axes: Axes, curves: list[AllanCurve], marks: list[_Mark]) -> None:
     high = [min(hi, 3 * y) for curve in curves for hi, y in zip(curve.hi, curve.adev, strict=True)]
     high += [1.3 * y for _, y, _ in marks]
     bottom, top = min(low) / 1.25, max(high) * 1.25
-    stretch = math.sqrt(max(1.0, 20.0 * bottom / top))
-    axes.set(xscale="log", yscale="log", xlim=(min(tau_s) / 1.4, max(tau_s) * 1.4))
-    axes.set_ylim(bottom / stretch, top * stretch)
+    axes.set(xscale="log", yscale="log")
+    axes.set_xlim(_at_least_a_decade(min(tau_s) / 1.4, max(tau_s) * 1.4))
+    axes.set_ylim(_at_least_a_decade(bottom, top))
     axes.set_axisbelow(True)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(10, numticks=99))
@@ -243,9 +257,15 @@ def _scales(axes: Axes, curves: list[AllanCurve], marks: list[_Mark]) -> None:
         axis.set_minor_formatter(NullFormatter())
         axis.grid(True, which="major", color=_GRID, linewidth=0.9)
         axis.grid(True, which="minor", color=_GRID, linewidth=0.35)
-    axes.tick_params(which="both", color=_FLEET, labelcolor=_INK, labelsize=9, direction="out")
+    axes.tick_params(which="both", color=FLEET, labelcolor=INK, labelsize=9, direction="out")
     for spine in axes.spines.values():
-        spine.set_color(_FLEET)
+        spine.set_color(FLEET)
+
+
+def _at_least_a_decade(low: float, high: float) -> tuple[float, float]:
+    """Widen a range that might hold no power of ten to label."""
+    stretch = math.sqrt(max(1.0, 20.0 * low / high))
+    return low / stretch, high * stretch
 
 
 def _plain(value: float) -> str:
@@ -259,7 +279,7 @@ def _plain(value: float) -> str:
 def _colour(i: int, curve: AllanCurve, chosen: str | None) -> str:
     if chosen is None:
         return _COLOURS[i % len(_COLOURS)]
-    return _COLOURS[0] if curve.unit == chosen else _FLEET
+    return _COLOURS[0] if curve.unit == chosen else FLEET
 
 
 def _curve(axes: Axes, curve: AllanCurve, i: int, total: int, chosen: str | None) -> None:
@@ -279,127 +299,6 @@ def _curve(axes: Axes, curve: AllanCurve, i: int, total: int, chosen: str | None
         markeredgewidth=0.5,
         markeredgecolor="white",
     )
-
-
-def _write_names(axes: Axes, names: list[tuple[str, str, AllanCurve]]) -> None:
-    """Write each name beside the right edge at the height of its curve's end, pushed apart where they would touch."""
-    to_axes = axes.transData + axes.transAxes.inverted()
-    ends = [tuple(to_axes.transform((curve.tau_s[-1], curve.adev[-1]))) for _, _, curve in names]
-    order = sorted(range(len(names)), key=lambda i: float(ends[i][1]))
-    heights = _spread([float(ends[i][1]) for i in order], _NAME_HEIGHT)
-    for i, height in zip(order, heights, strict=True):
-        name, colour, _ = names[i]
-        x, y = ends[i]
-        axes.plot(
-            (x, 1.012, 1.022),
-            (y, height, height),
-            color=colour,
-            linewidth=0.7,
-            alpha=0.8,
-            transform=axes.transAxes,
-            clip_on=False,
-            zorder=1.5,
-        )
-        axes.text(1.03, height, name, color=_INK, fontsize=8.5, va="center", transform=axes.transAxes)
-
-
-def _spread(heights: list[float], gap: float) -> list[float]:
-    """Move rising heights apart by at least `gap`, each as little as the others allow, and keep them in [0, 1].
-
-    Examples
-    --------
-    >>> [round(h, 2) for h in _spread([0.5, 0.5, 0.9], 0.1)]
-    [0.45, 0.55, 0.9]
-    """
-    groups: list[tuple[float, int]] = []
-    for height in heights:
-        centre, n = height, 1
-        while groups and groups[-1][0] + groups[-1][1] * gap / 2 > centre - n * gap / 2:
-            before, m = groups.pop()
-            centre, n = (before * m + centre * n) / (m + n), m + n
-        half = (n - 1) * gap / 2
-        groups.append((min(max(centre, half), max(half, 1 - half)), n))
-    return [centre + (k - (n - 1) / 2) * gap for centre, n in groups for k in range(n)]
-
-
-def _limit_marks(curves: list[AllanCurve], limits: list[Limit]) -> list[_Mark]:
-    """Averaging time, deviation in the curves' unit, and text of each limit that is a point of this plot."""
-    target = curves[0].unit_of_measure
-    signals = {curve.signal for curve in curves}
-    marks = []
-    for limit in limits:
-        if limit.signal not in signals or limit.characteristic not in {ALLAN_DEVIATION, ANGLE_RANDOM_WALK}:
-            continue
-        is_walk = limit.characteristic == ANGLE_RANDOM_WALK
-        tau_s = ANGLE_RANDOM_WALK_TAU_S if is_walk else limit.tau_s
-        try:
-            factor = conversion("deg/h" if is_walk else limit.unit_of_measure, target)[0]
-        except UnknownUnit as error:
-            raise BadInput(f"limit on {limit.characteristic} of signal {limit.signal}: {error}") from error
-        assert tau_s is not None
-        deviation = limit.upper * factor * (SQRT_SECONDS_PER_SQRT_HOUR if is_walk else 1.0)
-        unit = "deg/\N{SQUARE ROOT}h" if is_walk else limit.unit_of_measure
-        marks.append((tau_s, deviation, f"{limit.upper:g} {unit}"))
-    return marks
-
-
-def _limit(axes: Axes, tau_s: float, deviation: float, text: str) -> None:
-    """A bar with ticks on its forbidden side, named above."""
-    half = 1.35
-    axes.plot(
-        (tau_s / half, tau_s * half),
-        (deviation, deviation),
-        color=_LIMIT,
-        linewidth=2.0,
-        zorder=5,
-        solid_capstyle="butt",
-    )
-    for k in (-1.0, -1 / 3, 1 / 3, 1.0):
-        axes.annotate(
-            "",
-            (tau_s * half**k, deviation),
-            (4, 5),
-            textcoords="offset points",
-            arrowprops={"arrowstyle": "-", "color": _LIMIT, "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0},
-            zorder=5,
-        )
-    axes.annotate(
-        text,
-        (tau_s / half, deviation),
-        (0, 8),
-        textcoords="offset points",
-        ha="left",
-        va="bottom",
-        color=_LIMIT,
-        fontsize=8.5,
-        zorder=6,
-        path_effects=[withStroke(linewidth=2.5, foreground="white")],
-    )
-
-
-def _slope_key(axes: Axes, curves: list[AllanCurve], marks: list[_Mark], words: dict[str, str]) -> None:
-    """Three short lines of the slopes -1/2, 0 and +1/2, in the emptiest corner."""
-    to_axes = axes.transData + axes.transAxes.inverted()
-    points = [
-        (t, y)
-        for curve in curves
-        for line in (curve.adev, curve.lo, curve.hi)
-        for t, y in zip(curve.tau_s, line, strict=True)
-    ]
-    points += [(t, y) for t, y, _ in marks for _ in range(20)]
-    places = to_axes.transform(points)
-
-    def crowd(corner: tuple[float, float]) -> int:
-        x, y = corner
-        inside = (abs(places[:, 0] - x - 0.125) < 0.16) & (abs(places[:, 1] - y) < 0.17)
-        return int(inside.sum())
-
-    x, y = min(((0.04, 0.15), (0.72, 0.85), (0.04, 0.85), (0.72, 0.15)), key=crowd)
-    start, end = to_axes.inverted().transform([(x, y), (x + 0.09, y)])
-    for power, slope in ((0.5, "+1/2"), (0.0, "0"), (-0.5, "\N{MINUS SIGN}1/2")):
-        height = start[1] * (end[0] / start[0]) ** power
-        axes.plot((start[0], end[0]), (start[1], height), color=_FLEET, linewidth=0.9, linestyle=(0, (4, 2)))
-        axes.annotate(text, (end[0], height), (4, 0), textcoords="offset points", va="center", color=_SOFT, fontsize=7)
 
 
 def _name(curve: AllanCurve, curves: list[AllanCurve]) -> str:

@@ -36,13 +36,15 @@ class Outcome:
         return json.loads(self.out)
 
 
-def command_line(*arguments: object) -> list[str]:
-    """The installed console script with arguments."""
-    return [str(Path(sys.executable).with_name("gyrofleet")), *(str(argument) for argument in arguments)]
+@pytest.fixture(scope="session")
+def command_line() -> Callable[..., list[str]]:
+    """The installed console script with arguments, for a process that a test starts itself."""
+    program = str(Path(sys.executable).with_name("gyrofleet"))
+    return lambda *arguments: [program, *(str(argument) for argument in arguments)]
 
 
 @pytest.fixture
-def gyrofleet(tmp_path: Path) -> Callable[..., Outcome]:
+def gyrofleet(tmp_path: Path, command_line: Callable[..., list[str]]) -> Callable[..., Outcome]:
     """Run a command in a process of its own, in an empty folder."""
 
     def run(*arguments: object, timeout_s: float = 120.0) -> Outcome:

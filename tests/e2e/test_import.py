@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -27,11 +28,11 @@ def table(path: Path, n: int = 2000, start: int = 0, shift: float = 0.0) -> Path
     return path
 
 
-def samples(gyrofleet: Callable[..., object], where: str = "true") -> int:
-    return gyrofleet("sql", f"select count(*) as n from samples where {where}", "--json").json[0]["n"]
+def samples(gyrofleet: Callable[..., Any], where: str = "true") -> int:
+    return int(gyrofleet("sql", f"select count(*) as n from samples where {where}", "--json").json[0]["n"])
 
 
-def test_the_same_file_again_adds_nothing_and_says_so(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+def test_the_same_file_again_adds_nothing_and_says_so(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     path = table(tmp_path / "a.csv")
     first = gyrofleet("import", path, "--unit", "U1", "--json").json["files"][0]
     assert [signal["in_lake"] for signal in first["signals"]] == [2000, 2000]
@@ -44,7 +45,7 @@ def test_the_same_file_again_adds_nothing_and_says_so(gyrofleet: Callable[..., o
 
 
 def test_csv_and_parquet_of_the_same_samples_are_the_same_samples(
-    gyrofleet: Callable[..., object], tmp_path: Path
+    gyrofleet: Callable[..., Any], tmp_path: Path
 ) -> None:
     table(tmp_path / "a.csv")
     table(tmp_path / "a.parquet")
@@ -53,7 +54,7 @@ def test_csv_and_parquet_of_the_same_samples_are_the_same_samples(
 
 
 def test_other_values_at_the_same_time_are_refused_and_the_store_stays(
-    gyrofleet: Callable[..., object], tmp_path: Path
+    gyrofleet: Callable[..., Any], tmp_path: Path
 ) -> None:
     gyrofleet("import", table(tmp_path / "a.csv"), "--unit", "U1", "--run", "r")
     before = fingerprint(tmp_path / "gyrofleet-data")
@@ -65,7 +66,7 @@ def test_other_values_at_the_same_time_are_refused_and_the_store_stays(
     assert fingerprint(tmp_path / "gyrofleet-data") == before
 
 
-def test_samples_between_stored_ones_are_another_recording(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+def test_samples_between_stored_ones_are_another_recording(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     gyrofleet("import", table(tmp_path / "a.csv"), "--unit", "U1", "--run", "r")
     shifted = pl.read_csv(tmp_path / "a.csv").with_columns(pl.col("time[s]") + 0.005)
     shifted.write_csv(tmp_path / "b.csv")
@@ -73,7 +74,7 @@ def test_samples_between_stored_ones_are_another_recording(gyrofleet: Callable[.
     assert samples(gyrofleet) == 4000
 
 
-def test_a_file_may_add_signals_and_time_ranges_to_a_run(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+def test_a_file_may_add_signals_and_time_ranges_to_a_run(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     gyrofleet("import", table(tmp_path / "a.csv"), "--unit", "U1", "--run", "r")
     later = gyrofleet("import", table(tmp_path / "b.csv", start=1500), "--unit", "U1", "--run", "r", "--json")
     assert [s["added"] for s in later.json["files"][0]["signals"]] == [1500, 1500]
@@ -91,7 +92,7 @@ def test_a_file_may_add_signals_and_time_ranges_to_a_run(gyrofleet: Callable[...
     }  # fmt: skip
 
 
-def test_start_gives_the_date_and_no_start_leaves_it_open(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+def test_start_gives_the_date_and_no_start_leaves_it_open(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     path = table(tmp_path / "a.csv", n=10)
     gyrofleet("import", path, "--unit", "U1", "--run", "dated", "--start", "2026-03-01T20:00:00+08:00")
     (row,) = gyrofleet("sql", "select date_known, started from runs", "--json").json
@@ -101,7 +102,7 @@ def test_start_gives_the_date_and_no_start_leaves_it_open(gyrofleet: Callable[..
     assert "--start" in refused.err
 
 
-def test_three_bad_rows_of_ten_thousand(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+def test_three_bad_rows_of_ten_thousand(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     lines = ["time[s],rate[deg/s]"] + [f"{i / 100},{i % 7}" for i in range(10_000)]
     lines[5], lines[5000], lines[9999] = "0.04,fast", "49.99,nan", "99.98"
     (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
@@ -138,7 +139,7 @@ BAD_FILES: dict[str, tuple[object, tuple[str, ...]]] = {
 
 @pytest.mark.parametrize("name", BAD_FILES)
 def test_a_bad_file_is_refused_in_words_and_leaves_no_trace(
-    gyrofleet: Callable[..., object], tmp_path: Path, name: str
+    gyrofleet: Callable[..., Any], tmp_path: Path, name: str
 ) -> None:
     content, wanted = BAD_FILES[name]
     if isinstance(content, dict):
@@ -156,7 +157,7 @@ def test_a_bad_file_is_refused_in_words_and_leaves_no_trace(
     assert name in as_json.json["error"]["message"]
 
 
-def test_a_truncated_parquet_file_is_refused(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+def test_a_truncated_parquet_file_is_refused(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     path = table(tmp_path / "a.parquet")
     path.write_bytes(path.read_bytes()[:-100])
     refused = gyrofleet("import", path, "--unit", "U1")
@@ -165,7 +166,7 @@ def test_a_truncated_parquet_file_is_refused(gyrofleet: Callable[..., object], t
 
 
 def test_a_missing_unit_missing_file_and_foreign_folder_are_said_so(
-    gyrofleet: Callable[..., object], tmp_path: Path
+    gyrofleet: Callable[..., Any], tmp_path: Path
 ) -> None:
     path = table(tmp_path / "a.csv")
     assert "--unit" in gyrofleet("import", path).err
@@ -178,14 +179,14 @@ def test_a_missing_unit_missing_file_and_foreign_folder_are_said_so(
     assert [each.name for each in (tmp_path / "thesis").iterdir()] == ["text.txt"]
 
 
-def test_a_store_on_an_unwritable_place_is_said_so(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+def test_a_store_on_an_unwritable_place_is_said_so(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     path = table(tmp_path / "a.csv")
     refused = gyrofleet("import", path, "--unit", "U1", "--store", "/proc/gyrofleet")
     assert refused.code == 1
     assert "cannot write the store /proc/gyrofleet" in refused.err
 
 
-def test_several_units_in_one_file(gyrofleet: Callable[..., object], tmp_path: Path) -> None:
+def test_several_units_in_one_file(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
     lines = ["unit,time[s],rate[deg/s],temperature[degC]"]
     for i in range(500):
         lines += [f"A,{i / 10},{i},{25 if i % 10 == 0 else ''}", f"B,{i / 10},{-i},"]

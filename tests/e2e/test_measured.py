@@ -1,7 +1,9 @@
 """The measured recordings through the whole path, in real processes."""
 
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import allantools
 import numpy as np
@@ -14,12 +16,10 @@ RATES = ("rate_x", "rate_y", "rate_z")
 
 
 @pytest.fixture(scope="module")
-def adis_store(measured: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def adis_store(
+    measured: Path, tmp_path_factory: pytest.TempPathFactory, command_line: Callable[..., list[str]]
+) -> Path:
     """Both static runs of the ADIS16405 as runs of one unit."""
-    import subprocess
-
-    from conftest import command_line
-
     store = tmp_path_factory.mktemp("adis") / "store"
     files = [measured / f"adis16405_static_run{i}.parquet" for i in (1, 2)]
     subprocess.run(command_line("import", *files, "--unit", "ADIS16405", "--store", store), check=True)
@@ -29,7 +29,7 @@ def adis_store(measured: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 @pytest.mark.parametrize("run", [1, 2])
 @pytest.mark.parametrize("signal", RATES)
 def test_allan_agrees_with_an_independent_computation(
-    gyrofleet: Callable[..., object], measured: Path, adis_store: Path, signal: str, run: int
+    gyrofleet: Callable[..., Any], measured: Path, adis_store: Path, signal: str, run: int
 ) -> None:
     name = f"adis16405_static_run{run}"
     curve = gyrofleet(
@@ -53,7 +53,7 @@ def test_allan_agrees_with_an_independent_computation(
 
 
 def test_every_sample_is_in_the_lake_once_with_its_value(
-    gyrofleet: Callable[..., object], measured: Path, adis_store: Path
+    gyrofleet: Callable[..., Any], measured: Path, adis_store: Path
 ) -> None:
     counted = gyrofleet(
         "sql",
@@ -72,7 +72,7 @@ def test_every_sample_is_in_the_lake_once_with_its_value(
         assert row["mixed"] == pytest.approx((value * t_ns).sum(), rel=1e-9)
 
 
-def test_what_was_estimated_live_is_what_the_store_gives(gyrofleet: Callable[..., object], adis_store: Path) -> None:
+def test_what_was_estimated_live_is_what_the_store_gives(gyrofleet: Callable[..., Any], adis_store: Path) -> None:
     stored = gyrofleet(
         "sql",
         "select tau_s, value, lo, hi, edf from estimates where run = 'adis16405_static_run1' and signal = 'rate_x' "
@@ -89,7 +89,7 @@ def test_what_was_estimated_live_is_what_the_store_gives(gyrofleet: Callable[...
 
 
 def test_bias_stability_is_that_of_the_averages(
-    gyrofleet: Callable[..., object], measured: Path, adis_store: Path
+    gyrofleet: Callable[..., Any], measured: Path, adis_store: Path
 ) -> None:
     stored = gyrofleet(
         "sql",
@@ -105,7 +105,7 @@ def test_bias_stability_is_that_of_the_averages(
     }  # fmt: skip
 
 
-def test_steps_of_the_ferraris_session(gyrofleet: Callable[..., object], measured: Path) -> None:
+def test_steps_of_the_ferraris_session(gyrofleet: Callable[..., Any], measured: Path) -> None:
     done = gyrofleet("import", measured / "ferraris_session.parquet", "--unit", "IMU-1", "--json")
     assert done.json["files"][0]["steps"] == 9
     rows = gyrofleet(
@@ -120,7 +120,7 @@ def test_steps_of_the_ferraris_session(gyrofleet: Callable[..., object], measure
     ]  # fmt: skip
 
 
-def test_a_gap_is_a_gap_in_the_cold_chamber(gyrofleet: Callable[..., object], measured: Path) -> None:
+def test_a_gap_is_a_gap_in_the_cold_chamber(gyrofleet: Callable[..., Any], measured: Path) -> None:
     assert gyrofleet("import", measured / "psim_cold_chamber.parquet", "--unit", "PSIM").code == 0
     rows = gyrofleet(
         "sql",

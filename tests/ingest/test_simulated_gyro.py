@@ -39,8 +39,7 @@ LIVELY = GyroParameters(
 
 def rate_deg_per_h(parameters: GyroParameters, n: int, seed: int) -> FloatArray:
     counts = SimulatedGyro(parameters, seed, STILL).rate_counts(n)
-    rate: FloatArray = counts * (parameters.scale_deg_per_s_per_count * 3600)
-    return rate
+    return counts.astype(np.float64) * (parameters.scale_deg_per_s_per_count * 3600)
 
 
 def allan_deviation(rate: FloatArray, interval_s: float, tau_s: FloatArray) -> FloatArray:

@@ -1,0 +1,189 @@
+"""The parts as separate processes over loopback: recorder, estimator, source; stopped, killed, started again."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+Spawn = Callable[..., subprocess.Popen[str]]
+
+
+@pytest.fixture
+def endpoint() -> str:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
+@pytest.fixture
+def spawn(tmp_path: Path, command_line: Callable[..., list[str]]) -> Iterator[Spawn]:
+    """Start a command in the background; whatever still runs at the end of the test is killed."""
+    running: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: object) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            command_line(*arguments), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        running.append(process)
+        return process
+
+    yield start
+    for process in running:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def recorder(spawn: Spawn, endpoint: str) -> subprocess.Popen[str]:
+    process = spawn("record", "--listen", endpoint, "--json")
+    assert process.stdout is not None
+    assert json.loads(process.stdout.readline())["event"] == "recording"
+    return process
+
+
+def stopped(process: subprocess.Popen[str]) -> tuple[str, str]:
+    """End a service as an operator does, with Ctrl-C."""
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    return out, err
+
+
+def table(path: Path, n: int) -> Path:
+    rng = np.random.default_rng(5)
+    i = np.arange(n)
+    pl.DataFrame(
+        {"time[s]": i * 0.01, **{f"rate_{axis}[deg/s]": rng.standard_normal(n) for axis in "xyz"}}
+    ).write_parquet(path)
+    return path
+
+
+def listening_addresses(pid: int) -> set[str]:
+    """Addresses of the TCP sockets that a process listens on."""
+    inodes = set()
+    for descriptor in Path(f"/proc/{pid}/fd").iterdir():
+        try:
+            target = os.readlink(descriptor)
+        except FileNotFoundError:
+            continue
+        if target.startswith("socket:["):
+            inodes.add(target[8:-1])
+    found = set()
+    for name in ("tcp", "tcp6", "udp", "udp6"):
+        for line in Path(f"/proc/{pid}/net/{name}").read_text().splitlines()[1:]:
+            fields = line.split()
+            is_open = fields[3] == "0A" or name.startswith("udp")
+            if fields[9] in inodes and is_open:
+                found.add(fields[1].split(":")[0])
+    return found
+
+
+def test_recorder_estimator_and_source_as_processes(
+    gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, tmp_path: Path
+) -> None:
+    record = recorder(spawn, endpoint)
+    assert listening_addresses(record.pid) == {"0100007F"}  # 127.0.0.1, and nothing else
+    estimate = spawn("estimate", "--connect", endpoint, "--every", "100", "--json")
+    assert estimate.stderr is not None
+    assert "estimating" in estimate.stderr.readline()
+    source = gyrofleet("import", table(tmp_path / "a.parquet", 50_000), "--unit", "U1", "--connect", endpoint, "--json")
+    assert source.code == 0, source.err
+    assert [signal["in_lake"] for signal in source.json["files"][0]["signals"]] == [50_000] * 3
+    documents = [json.loads(line) for line in stopped(estimate)[0].splitlines()]
+    assert {d["estimator"] for d in documents} == {
+        "allan_deviation", "bias_stability_1s", "bias_stability_10s", "bias_stability_100s",
+    }  # fmt: skip
+    ended = json.loads(stopped(record)[0].splitlines()[-1])
+    assert (ended["samples"], ended["rejected"]) == (150_000, 0)
+    rows = gyrofleet(
+        "sql",
+        "select signal, count(*) as n, count(distinct t_ns) as moments, "
+        "(select count(*) from estimates e where e.signal = s.signal and final and estimator = 'allan_deviation') as taus "
+        "from samples s group by signal", "--json",
+    ).json  # fmt: skip
+    assert [(row["n"], row["moments"]) for row in rows] == [(50_000, 50_000)] * 3
+    assert all(row["taus"] >= 14 for row in rows)
+    again = gyrofleet("import", "a.parquet", "--unit", "U1")
+    assert "Nothing to add" in again.out
+
+
+def test_a_source_survives_the_recorder_being_killed(
+    gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, tmp_path: Path
+) -> None:
+    first = recorder(spawn, endpoint)
+    source = spawn("import", table(tmp_path / "a.parquet", 1_000_000), "--unit", "U1", "--connect", endpoint, "--json")
+    log = tmp_path / "gyrofleet-data" / "log"
+    deadline = time.monotonic() + 30
+    while not any(path.stat().st_size > 1_000_000 for path in log.glob("*.open")) and time.monotonic() < deadline:
+        time.sleep(0.005)
+    first.kill()
+    first.wait()
+    assert source.poll() is None, "the source was to be caught in the middle"
+    second = recorder(spawn, endpoint)
+    out, err = source.communicate(timeout=120)
+    assert source.returncode == 0, err
+    stopped(second)
+    (row,) = gyrofleet(
+        "sql", "select count(*) as n, count(distinct (signal, t_ns)) as moments from samples", "--json"
+    ).json
+    assert row == {"n": 3_000_000, "moments": 3_000_000}
+    assert list((log / "aside").iterdir())
+
+
+@pytest.mark.parametrize("fault", [signal.SIGKILL, signal.SIGINT])
+def test_an_interrupted_import_is_completed_by_giving_it_again(
+    gyrofleet: Callable[..., Any], spawn: Spawn, tmp_path: Path, fault: signal.Signals
+) -> None:
+    path = table(tmp_path / "a.parquet", 3_000_000)
+    source = spawn("import", path, "--unit", "U1")
+    log = tmp_path / "gyrofleet-data" / "log"
+    deadline = time.monotonic() + 60
+    while not any(path.stat().st_size > 2_000_000 for path in log.glob("*.open")) and time.monotonic() < deadline:
+        time.sleep(0.005)
+    source.send_signal(fault)
+    source.communicate(timeout=60)
+    assert source.returncode == (130 if fault == signal.SIGINT else -signal.SIGKILL)
+    done = gyrofleet("import", path, "--unit", "U1", "--json")
+    assert done.code == 0, done.err
+    signals = done.json["files"][0]["signals"]
+    assert all(0 < each["already_stored"] < 3_000_000 for each in signals)
+    assert [each["in_lake"] for each in signals] == [3_000_000] * 3
+    (row,) = gyrofleet(
+        "sql", "select count(*) as n, count(distinct (signal, t_ns)) as moments from samples", "--json"
+    ).json
+    assert row == {"n": 9_000_000, "moments": 9_000_000}
+
+
+def test_nobody_to_connect_to_and_an_address_in_use_are_said_so(
+    gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, tmp_path: Path
+) -> None:
+    path = table(tmp_path / "a.parquet", 100)
+    refused = gyrofleet("import", path, "--unit", "U1", "--connect", endpoint)
+    assert refused.code == 1
+    assert f"cannot connect to {endpoint}" in refused.err
+    recorder(spawn, endpoint)
+    taken = gyrofleet("record", "--listen", endpoint, "--store", "other")
+    assert taken.code == 1
+    assert f"cannot listen on {endpoint}" in taken.err
+    locked = gyrofleet("import", path, "--unit", "U1")
+    assert locked.code == 1
+    assert f"--connect {endpoint}" in locked.err
+
+
+def test_the_embedded_path_opens_no_port(spawn: Spawn, tmp_path: Path) -> None:
+    source = spawn("import", table(tmp_path / "a.parquet", 2_000_000), "--unit", "U1")
+    log = tmp_path / "gyrofleet-data" / "log"
+    deadline = time.monotonic() + 30
+    while not list(log.glob("*.open")) and time.monotonic() < deadline:
+        time.sleep(0.005)
+    assert listening_addresses(source.pid) == set()
+    assert source.wait(timeout=60) == 0
