@@ -158,10 +158,11 @@ def spread(heights: list[float], gap: float) -> list[float]:
     """
     groups: list[tuple[float, int]] = []
     for height in heights:
-        centre, n = height, 1
+        centre, n = min(max(height, 0.0), 1.0), 1
         while groups and groups[-1][0] + groups[-1][1] * gap / 2 > centre - n * gap / 2:
             before, m = groups.pop()
             centre, n = (before * m + centre * n) / (m + n), m + n
-        half = (n - 1) * gap / 2
-        groups.append((min(max(centre, half), max(half, 1 - half)), n))
+            half = (n - 1) * gap / 2
+            centre = min(max(centre, half), max(half, 1 - half))
+        groups.append((centre, n))
     return [centre + (k - (n - 1) / 2) * gap for centre, n in groups for k in range(n)]

@@ -19,8 +19,13 @@ if TYPE_CHECKING:
 @click.option("--signal", required=True, help="Which of its signals, as rate or rate_x.")
 @click.option("--run", help="Which run; the one recorded last if left out.")
 @store_option
-@click.option("--points-per-octave", type=click.Choice(["1", "2", "4", "8"]), default="1", show_default=True,
-              help="Averaging times in an octave.")
+@click.option(
+    "--points-per-octave",
+    type=click.Choice(["1", "2", "4", "8"]),
+    default="1",
+    show_default=True,
+    help="Averaging times in an octave.",
+)
 @click.option("--resample", "resample_s", type=float, help="Take means of blocks of so many seconds first.")
 @click.option("--plot", "plot_path", type=click.Path(path_type=Path), help="Draw the curve: FILE.png or FILE.svg.")
 @reporting
@@ -41,9 +46,7 @@ def allan(
     from storage.store import Store
 
     with Catalog(Store.open(folder)) as catalog:
-        curve = allan_curve(
-            catalog, unit, signal, run, points_per_octave=int(points_per_octave), resample_s=resample_s
-        )
+        curve = allan_curve(catalog, unit, signal, run, points_per_octave=int(points_per_octave), resample_s=resample_s)
     if plot_path is not None:
         from analytics.allan_plot import plot_allan
 
@@ -75,8 +78,13 @@ def _curve_table(curve: "AllanCurve") -> Table:
 
 @click.command("demo")
 @store_option
-@click.option("--hours", type=click.FloatRange(min=0.1, max=1000), default=6.0, show_default=True,
-              help="Simulated length of the run.")
+@click.option(
+    "--hours",
+    type=click.FloatRange(min=0.1, max=1000),
+    default=6.0,
+    show_default=True,
+    help="Simulated length of the run.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulation.")
 @reporting
 def demo(folder: Path, hours: float, seed: int, *, as_json: bool) -> None:

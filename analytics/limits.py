@@ -113,8 +113,7 @@ def parse_limits(text: str | bytes, source: str) -> LimitsTable:
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise BadInput(f"limits {source}: {error}") from error
     limits = tuple(
-        _limit(entry, f"limits {source}: $.limit[{i}] ({entry.characteristic})")
-        for i, entry in enumerate(parsed.limit)
+        _limit(entry, f"limits {source}: $.limit[{i}] ({entry.characteristic})") for i, entry in enumerate(parsed.limit)
     )
     return LimitsTable(parsed.revision, limits)
 
@@ -290,9 +289,7 @@ def judge_unit(
     """
     own = [e for e in estimates if e.run == run and e.unit == unit]
     checks = tuple(judge(limit, own) for limit in table.limits)
-    return VerdictGiven(
-        run=run, t_ns=t_ns, unit=unit, verdict=unit_verdict(checks, aborted=aborted), checks=checks
-    )
+    return VerdictGiven(run=run, t_ns=t_ns, unit=unit, verdict=unit_verdict(checks, aborted=aborted), checks=checks)
 
 
 def _limit(entry: _Entry, where: str) -> Limit:
@@ -300,9 +297,7 @@ def _limit(entry: _Entry, where: str) -> Limit:
         raise BadInput(f"{where}: upper and tau_s are finite numbers")
     if entry.characteristic == ANGLE_RANDOM_WALK:
         if entry.unit_of_measure != ANGLE_RANDOM_WALK_UNIT:
-            raise BadInput(
-                f"{where}: unit_of_measure is {ANGLE_RANDOM_WALK_UNIT!r}, not {entry.unit_of_measure!r}"
-            )
+            raise BadInput(f"{where}: unit_of_measure is {ANGLE_RANDOM_WALK_UNIT!r}, not {entry.unit_of_measure!r}")
         if entry.tau_s not in (None, ANGLE_RANDOM_WALK_TAU_S):
             raise BadInput(f"{where}: it is read at 1 s; leave tau_s out")
     else:

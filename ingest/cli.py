@@ -19,19 +19,11 @@ _LISTED_BAD_ROWS = 20
 @click.command("import")
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @store_option
-@click.option(
-    "--unit", help="Unit (serial number) that the samples are of, where the file has no column 'unit'."
-)
-@click.option(
-    "--run", help="Run that they belong to, where the file has no column 'run'; else the file's name."
-)
-@click.option(
-    "--start", help="Moment of the run's start where times count from it: 2026-11-21T18:00:00+08:00."
-)
+@click.option("--unit", help="Unit (serial number) that the samples are of, where the file has no column 'unit'.")
+@click.option("--run", help="Run that they belong to, where the file has no column 'run'; else the file's name.")
+@click.option("--start", help="Moment of the run's start where times count from it: 2026-11-21T18:00:00+08:00.")
 @click.option("--sample-rate", "sample_rate_hz", type=float, help="Hz, for a file without a time column.")
-@click.option(
-    "--skip-bad", is_flag=True, help="Leave bad rows out, and list them, instead of refusing the file."
-)
+@click.option("--skip-bad", is_flag=True, help="Leave bad rows out, and list them, instead of refusing the file.")
 @click.option("--site", default="local", show_default=True, help="Site the samples come from.")
 @click.option("--station", default="files", show_default=True, help="Station the samples come from.")
 @click.option("--connect", help="Send to a `gyrofleet record` there instead of recording in this process.")
@@ -123,9 +115,7 @@ def _tell(imported: "FileImport", folder: Path) -> None:
     _tell_bad_rows(imported)
     table = Table(title=f"{imported.file}: {imported.rows:,} rows", title_justify="left", header_style="bold")
     for title in ("unit", "run", "signal", "in", "interval", "in file", "added", "already stored", "in lake"):
-        table.add_column(
-            title, justify="right" if title in {"interval", "in file", "added", "in lake"} else "left"
-        )
+        table.add_column(title, justify="right" if title in {"interval", "in file", "added", "in lake"} else "left")
     for signal in imported.signals:
         table.add_row(
             signal.unit,
@@ -163,6 +153,4 @@ def _tell_bad_rows(imported: "FileImport") -> None:
     for row in imported.bad_rows[:_LISTED_BAD_ROWS]:
         console.print(f"  {row}", markup=False)
     if imported.bad_row_count > _LISTED_BAD_ROWS:
-        console.print(
-            f"  ... and {imported.bad_row_count - _LISTED_BAD_ROWS:,} more (--json lists up to 1000)"
-        )
+        console.print(f"  ... and {imported.bad_row_count - _LISTED_BAD_ROWS:,} more (--json lists up to 1000)")

@@ -94,9 +94,7 @@ class _Sending:
             return
         content = _sha256(self._path)
         owners = dict.fromkeys((s.unit, s.run) for s in self._summary.signals)
-        epochs = {
-            owner: uuid5(_NAMESPACE, "\0".join([content, *owner, str(self._common)])) for owner in owners
-        }
+        epochs = {owner: uuid5(_NAMESPACE, "\0".join([content, *owner, str(self._common)])) for owner in owners}
         runs = dict.fromkeys(run for _, run in owners)
         for run in runs:
             if self._stored is None or run not in self._stored.runs:
@@ -249,9 +247,7 @@ def import_table(
         with ZenohBus(connect=[connect]) as bus, DurablePublisher(bus) as publisher:
             sending.send(publisher, progress)
             publisher.drain()
-    in_lake = (
-        None if store is None else sending.await_lake(store, patience_s=_LAKE_PATIENCE_S if connect else 0.0)
-    )
+    in_lake = None if store is None else sending.await_lake(store, patience_s=_LAKE_PATIENCE_S if connect else 0.0)
     return FileImport(
         file=str(path),
         rows=summary.rows,

@@ -5,13 +5,16 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
 
-from storage.event_log import DEFAULT_ROTATE_BYTES, EventLog, Recovery
+from storage.event_log import EventLog, Recovery
 from storage.recorder import Recorder
 from storage.store import Store, WriterLock
 from stream.delivery import DurablePublisher
 from stream.events import EstimatePublished
 from stream.worker import EstimationWorker
 from stream.zenoh_bus import ZenohBus
+
+# Small enough that most of the lake is made while samples still come in.
+EMBEDDED_ROTATE_BYTES = 32 << 20
 
 
 class EmbeddedPipeline:
@@ -43,9 +46,9 @@ class EmbeddedPipeline:
         folder: Path,
         role: str,
         *,
-        estimate_every_s: float = 60.0,
+        estimate_every_s: float = 600.0,
         listen: Sequence[str] = (),
-        rotate_bytes: int = DEFAULT_ROTATE_BYTES,
+        rotate_bytes: int = EMBEDDED_ROTATE_BYTES,
         on_estimate: Callable[[EstimatePublished], None] | None = None,
     ) -> None:
         with ExitStack() as stack:
@@ -56,9 +59,7 @@ class EmbeddedPipeline:
             bus = stack.enter_context(ZenohBus(listen=listen))
             self.recorder = stack.enter_context(Recorder(self.store, bus, log))
             self._estimates = stack.enter_context(DurablePublisher(bus))
-            self.worker = EstimationWorker(
-                bus, self._estimates, every_s=estimate_every_s, on_estimate=on_estimate
-            )
+            self.worker = EstimationWorker(bus, self._estimates, every_s=estimate_every_s, on_estimate=on_estimate)
             self.publisher = stack.enter_context(DurablePublisher(bus))
             self.bus = bus
             self._stack = stack.pop_all()

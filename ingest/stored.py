@@ -86,10 +86,7 @@ class StoredSamples:
         stored, sampling = self._stored.get(name), self._signals[name].sampling
         if stored is None:
             return False
-        return (
-            sampling.t_first_ns - sampling.dt_ns <= stored[2]
-            and stored[1] <= sampling.t_last_ns + sampling.dt_ns
-        )
+        return sampling.t_first_ns - sampling.dt_ns <= stored[2] and stored[1] <= sampling.t_last_ns + sampling.dt_ns
 
     def _check_chunk(self, chunk: SignalChunk) -> int:
         sampling = self._signals[chunk.unit, chunk.run, chunk.signal].sampling
@@ -113,9 +110,7 @@ class StoredSamples:
             nearest_ns = np.minimum(np.abs(stored_ns[after] - times_ns), np.abs(times_ns - stored_ns[before]))
             differs |= ~same_time & (2 * nearest_ns <= sampling.dt_ns)
         if differs.any():
-            self._refuse(
-                chunk, int(np.flatnonzero(differs)[0]), int(differs.sum()), stored_ns[after], stored[after]
-            )
+            self._refuse(chunk, int(np.flatnonzero(differs)[0]), int(differs.sum()), stored_ns[after], stored[after])
         return int(same_time.sum())
 
     def _refuse(

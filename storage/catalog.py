@@ -71,9 +71,7 @@ class Catalog:
         try:
             statements = self._connection.extract_statements(sql)
             if len(statements) != 1:
-                raise QueryError(
-                    f"{len(statements)} statements found, one is expected: give them one at a time"
-                )
+                raise QueryError(f"{len(statements)} statements found, one is expected: give them one at a time")
             kind = statements[0].type
             if kind not in _READING:
                 raise QueryError(

@@ -67,11 +67,7 @@ def record(folder: Path, listen: str, rotate_mb: int, rotate_s: float, *, as_jso
                 console.print(f"recording from {listen} to {folder}; Ctrl-C ends")
             told_at, told_samples = time.monotonic(), 0
             while not stopped.wait(0.2) and recorder.failure is None:
-                if (
-                    time.monotonic() - told_at >= 5.0
-                    and recorder.counts.samples != told_samples
-                    and not as_json
-                ):
+                if time.monotonic() - told_at >= 5.0 and recorder.counts.samples != told_samples and not as_json:
                     rate = (recorder.counts.samples - told_samples) / (time.monotonic() - told_at)
                     told_at, told_samples = time.monotonic(), recorder.counts.samples
                     console.print(f"{told_samples:,} samples, {rate:,.0f}/s")
@@ -107,9 +103,7 @@ def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
 @click.argument("statement")
 @store_option
 @click.option("--csv", "as_csv", is_flag=True, help="Print the result as CSV.")
-@click.option(
-    "--parquet", "parquet_path", type=click.Path(path_type=Path), help="Write the result to this file."
-)
+@click.option("--parquet", "parquet_path", type=click.Path(path_type=Path), help="Write the result to this file.")
 @reporting
 def sql(statement: str, folder: Path, parquet_path: Path | None, *, as_csv: bool, as_json: bool) -> None:
     """Ask the store in SQL: views samples, signals, runs, steps, estimates, events.
@@ -145,8 +139,7 @@ def _plain(batches: "Iterator[pa.RecordBatch]") -> "Iterator[list[dict[str, Any]
 
     for batch in batches:
         columns = [
-            column.cast(pa.string()) if pa.types.is_temporal(column.type) else column
-            for column in batch.columns
+            column.cast(pa.string()) if pa.types.is_temporal(column.type) else column for column in batch.columns
         ]
         yield pa.RecordBatch.from_arrays(columns, names=_distinct(batch.schema.names)).to_pylist()
 
@@ -197,7 +190,5 @@ def _write_parquet(schema: "pa.Schema", batches: "Iterator[pa.RecordBatch]", pat
                 count += batch.num_rows
         fresh.rename(path)
     except OSError as error:
-        raise BadInput(
-            f"cannot write {path}: {error}; give --parquet a file in a folder you can write"
-        ) from error
+        raise BadInput(f"cannot write {path}: {error}; give --parquet a file in a folder you can write") from error
     notes().print(f"{count:,} rows written to {path}")

@@ -89,8 +89,7 @@ class EventLog:
         """Whether the open segment has reached its size or age."""
         segment = self._segment
         return segment is not None and (
-            segment.payload_bytes >= self._rotate_bytes
-            or time.monotonic() - self._opened_at >= self._rotate_s
+            segment.payload_bytes >= self._rotate_bytes or time.monotonic() - self._opened_at >= self._rotate_s
         )
 
     def seal(self) -> Path | None:

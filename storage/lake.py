@@ -258,9 +258,7 @@ def _write_samples(path: Path, channels: dict[int, _Channel]) -> None:
         ) as writer,
     ):
         for identity in sorted(channels):
-            writer.write_table(
-                _sample_table(identity, channels.pop(identity).batches), row_group_size=_ROW_GROUP
-            )
+            writer.write_table(_sample_table(identity, channels.pop(identity).batches), row_group_size=_ROW_GROUP)
         writer.close()
         file.flush()
         os.fsync(file.fileno())
@@ -268,8 +266,18 @@ def _write_samples(path: Path, channels: dict[int, _Channel]) -> None:
 
 def _sample_table(identity: int, batches: list[SampleBatch]) -> pa.Table:
     n = sum(len(batch) for batch in batches)
-    seq = np.concatenate([np.arange(batch.seq, batch.next_seq, dtype=np.int64) for batch in batches])
-    t_ns = np.concatenate([batch.time_array for batch in batches])
+    seq = np.empty(n, np.int64)
+    t_ns = np.empty(n, np.int64)
+    at = 0
+    for stretch in _stretches(batches):
+        first = stretch[0]
+        end = at + stretch[-1].next_seq - first.seq
+        seq[at:end] = np.arange(first.seq, stretch[-1].next_seq)
+        if first.times_ns is None:
+            t_ns[at:end] = first.t0_ns + first.dt_ns * np.arange(end - at)
+        else:
+            np.concatenate([batch.times_ns for batch in stretch if batch.times_ns is not None], out=t_ns[at:end])
+        at = end
     counts = _joined([batch.counts for batch in batches], pa.int32(), n)
     value = _joined([batch.values for batch in batches], pa.float64(), n)
     if any(batch.flags is not None for batch in batches):
@@ -278,9 +286,25 @@ def _sample_table(identity: int, batches: list[SampleBatch]) -> pa.Table:
     else:
         flags = pa.nulls(n, pa.uint8())
     channel = pa.array(np.full(n, identity, np.int64))
-    return pa.Table.from_arrays(
-        [channel, pa.array(seq), pa.array(t_ns), counts, value, flags], schema=SAMPLE_COLUMNS
-    )
+    return pa.Table.from_arrays([channel, pa.array(seq), pa.array(t_ns), counts, value, flags], schema=SAMPLE_COLUMNS)
+
+
+def _stretches(batches: list[SampleBatch]) -> Iterator[list[SampleBatch]]:
+    """Batches that follow each other in number and, where their times are computed, in time."""
+    stretch: list[SampleBatch] = []
+    for batch in batches:
+        if stretch and not _follows(stretch[-1], batch):
+            yield stretch
+            stretch = []
+        stretch.append(batch)
+    yield stretch
+
+
+def _follows(before: SampleBatch, batch: SampleBatch) -> bool:
+    if batch.seq != before.next_seq or (batch.times_ns is None) != (before.times_ns is None):
+        return False
+    is_timed = batch.times_ns is not None
+    return is_timed or (batch.dt_ns == before.dt_ns and batch.t0_ns == before.last_ns + batch.dt_ns)
 
 
 def _joined(arrays: list[npt.NDArray[np.generic] | None], kind: pa.DataType, n: int) -> pa.Array:

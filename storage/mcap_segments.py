@@ -75,9 +75,7 @@ class SegmentWriter:
         self._schemas = {
             SAMPLES: self._writer.register_schema(SAMPLES, "protobuf", descriptors),
             PREVIEW: self._writer.register_schema(PREVIEW, "protobuf", descriptors),
-            EVENTS: self._writer.register_schema(
-                EVENTS, "jsonschema", msgspec.json.encode(document_schema())
-            ),
+            EVENTS: self._writer.register_schema(EVENTS, "jsonschema", msgspec.json.encode(document_schema())),
             REJECTED: 0,
         }
         self._encodings = {SAMPLES: "protobuf", PREVIEW: "protobuf", EVENTS: "json", REJECTED: ""}
@@ -91,9 +89,7 @@ class SegmentWriter:
                 record.topic, self._encodings[record.schema], self._schemas[record.schema]
             )
         # MCAP's own times are unsigned; a time before 1970 stays in the message itself
-        self._writer.add_message(
-            channel, record.arrival_ns, record.data, max(record.publish_ns, 0), self.records
-        )
+        self._writer.add_message(channel, record.arrival_ns, record.data, max(record.publish_ns, 0), self.records)
         self.records += 1
         self.payload_bytes += len(record.data)
 
@@ -130,9 +126,7 @@ def read_segment(path: Path) -> Iterator[LogRecord]:
     channels: dict[int, tuple[str, str]] = {}
     try:
         with path.open("rb") as file:
-            for record in StreamReader(
-                file, validate_crcs=True, record_size_limit=_RECORD_LIMIT_BYTES
-            ).records:
+            for record in StreamReader(file, validate_crcs=True, record_size_limit=_RECORD_LIMIT_BYTES).records:
                 if isinstance(record, Message):
                     topic, schema = channels[record.channel_id]
                     yield LogRecord(topic, schema, record.log_time, record.publish_time, record.data)

@@ -42,14 +42,9 @@ def find_signal(catalog: Catalog, unit: str, signal: str, run: str | None = None
             "run": "where unit = $unit and signal = $signal",
         }[column]
         given = {"unit": {}, "signal": {"unit": unit}, "run": {"unit": unit, "signal": signal}}[column]
-        held = [
-            str(row[0])
-            for row in catalog.rows(f"select distinct {column} from signals {where} order by 1", given)
-        ]  # noqa: S608
+        held = [str(row[0]) for row in catalog.rows(f"select distinct {column} from signals {where} order by 1", given)]  # noqa: S608
         if wanted not in held:
-            of = {"unit": "", "signal": f" of unit {unit}", "run": f" of unit {unit}, signal {signal}"}[
-                column
-            ]
+            of = {"unit": "", "signal": f" of unit {unit}", "run": f" of unit {unit}, signal {signal}"}[column]
             listed = ", ".join(held[:12]) + (f" and {len(held) - 12} more" if len(held) > 12 else "")
             raise NotFound(
                 f"{column} {wanted!r}{of} is not in {catalog.store.folder}; it holds {listed or 'nothing yet'}"

@@ -80,6 +80,4 @@ def _matches(expression: str, key: str) -> bool:
     if not expression.endswith("/**"):
         return expression == key
     prefix = expression.removesuffix("**")
-    return key.startswith(prefix) and not any(
-        chunk.startswith("@") for chunk in key[len(prefix) :].split("/")
-    )
+    return key.startswith(prefix) and not any(chunk.startswith("@") for chunk in key[len(prefix) :].split("/"))

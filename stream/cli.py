@@ -8,9 +8,7 @@ from stream.console import compile_kernels, notes, print_json, reporting, until_
 
 
 @click.command("estimate")
-@click.option(
-    "--connect", default="tcp/127.0.0.1:7447", show_default=True, help="Where the recorder listens."
-)
+@click.option("--connect", default="tcp/127.0.0.1:7447", show_default=True, help="Where the recorder listens.")
 @click.option(
     "--every",
     "every_s",
@@ -46,9 +44,7 @@ def estimate(connect: str, every_s: float, *, as_json: bool) -> None:
         publisher.drain()
     if not as_json:
         counts = worker.counts
-        console.print(
-            f"{counts.samples:,} samples, {counts.estimates:,} estimates, {counts.lost:,} samples missed"
-        )
+        console.print(f"{counts.samples:,} samples, {counts.estimates:,} estimates, {counts.lost:,} samples missed")
 
 
 def told(document: object) -> str:

@@ -61,9 +61,7 @@ def reporting(command: Callable[P, R]) -> Callable[..., R]:
             _tell(type(error).__name__, str(error), as_json=kwargs.get("as_json", False))
             sys.exit(1)
         except KeyboardInterrupt:
-            _tell(
-                "Interrupted", "interrupted; what was recorded is kept", as_json=kwargs.get("as_json", False)
-            )
+            _tell("Interrupted", "interrupted; what was recorded is kept", as_json=kwargs.get("as_json", False))
             sys.exit(130)
         except BrokenPipeError:
             # the reader of our output has gone, as `head` does
@@ -85,9 +83,7 @@ def progress_bar(*, hidden: bool) -> Iterator[Progress]:
     """A progress bar on standard error; nothing where that is not a terminal or `hidden`."""
     console = notes()
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(
-        *columns, console=console, disable=hidden or not console.is_terminal, transient=True
-    ) as progress:
+    with Progress(*columns, console=console, disable=hidden or not console.is_terminal, transient=True) as progress:
         yield progress
 
 
@@ -112,11 +108,7 @@ def compile_kernels(*, quiet: bool) -> None:
     from stream.estimators.base import warm_up
 
     console = notes()
-    with (
-        console.status("making the estimators ready (some seconds, the first time only)")
-        if not quiet
-        else _nothing()
-    ):
+    with console.status("making the estimators ready (some seconds, the first time only)") if not quiet else _nothing():
         warm_up()
 
 

@@ -192,9 +192,7 @@ class DurablePublisher:
             raise DeliveryError(self._broken)
 
     def _told_outstanding(self) -> str:
-        waiting = [
-            (stream_id, len(stream.held)) for stream_id, stream in self._streams.items() if stream.held
-        ]
+        waiting = [(stream_id, len(stream.held)) for stream_id, stream in self._streams.items() if stream.held]
         first, count = waiting[0]
         more = f" and {len(waiting) - 1} more streams" if len(waiting) > 1 else ""
         return f"{count} messages of {first.key}{more} are outstanding"

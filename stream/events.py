@@ -267,9 +267,7 @@ def decode_event(payload: bytes) -> EventMessage:
     try:
         schema = _head_decoder.decode(payload).schema
         if schema > EVENT_SCHEMA:
-            raise NewerSchema(
-                f"event of schema {schema}, this gyrofleet reads up to {EVENT_SCHEMA}: upgrade this side"
-            )
+            raise NewerSchema(f"event of schema {schema}, this gyrofleet reads up to {EVENT_SCHEMA}: upgrade this side")
         return _decoder.decode(payload)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise WireError(f"not a run document: {error}") from error

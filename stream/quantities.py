@@ -9,11 +9,11 @@ from stream.errors import UnknownUnit
 
 ANGULAR_RATE_UNIT = "deg/h"
 
-_ANGLES = frozenset(
-    {"degree", "radian", "turn", "arcminute", "arcsecond", "milliarcsecond", "grade", "milliradian"}
-)
+_ANGLES = frozenset({"degree", "radian", "turn", "arcminute", "arcsecond", "milliarcsecond", "grade", "milliradian"})
 _ROTATIONS = frozenset({"revolutions_per_minute", "revolutions_per_second"})
-_COMMON = "deg/s deg/h rad/s rad/h arcsec/s rpm degC K V mV A mA W g_0 m/s^2 T nT Hz s ms count LSB Pa hPa percent 1".split()
+_COMMON = (
+    "deg/s deg/h rad/s rad/h arcsec/s rpm degC K V mV A mA W g_0 m/s^2 T nT Hz s ms count LSB Pa hPa percent 1".split()
+)
 
 
 @cache
@@ -44,9 +44,7 @@ def check_unit(text: str) -> str:
         _registry().parse_units(text)
     except Exception as error:  # noqa: BLE001  pint's parser raises whatever its tokenizer meets
         near = difflib.get_close_matches(text, _COMMON, n=3, cutoff=0.5)
-        hint = (
-            f"did you mean {', '.join(near)}?" if near else f"some that are known: {', '.join(_COMMON[:8])}"
-        )
+        hint = f"did you mean {', '.join(near)}?" if near else f"some that are known: {', '.join(_COMMON[:8])}"
         raise UnknownUnit(f"unit of measure {text!r} is not known; {hint}") from error
     return text
 
@@ -72,14 +70,10 @@ def conversion(source: str, target: str) -> tuple[float, float]:
         zero = quantity(0.0, _unit(source)).to(_unit(target)).magnitude
         one = quantity(1.0, _unit(source)).to(_unit(target)).magnitude
     except pint.errors.DimensionalityError as error:
-        raise UnknownUnit(
-            f"{source!r} cannot be turned into {target!r}: they measure different quantities"
-        ) from error
+        raise UnknownUnit(f"{source!r} cannot be turned into {target!r}: they measure different quantities") from error
     factor = float(one - zero)
     # a factor of exactly 3600 comes out of pint as 3599.9999999999995
-    return (float(round(factor)) if abs(factor - round(factor)) < 1e-12 * abs(factor) else factor), float(
-        zero
-    )
+    return (float(round(factor)) if abs(factor - round(factor)) < 1e-12 * abs(factor) else factor), float(zero)
 
 
 @cache

@@ -67,9 +67,7 @@ def decode_batch(payload: bytes) -> SampleBatch:
         )
     n = message.samples
     if message.schema < 1 or not 1 <= n <= MAX_SAMPLES_PER_BATCH or len(message.epoch) != 16:
-        raise WireError(
-            f"not a sample batch: schema {message.schema}, {n} samples, epoch {len(message.epoch)} bytes"
-        )
+        raise WireError(f"not a sample batch: schema {message.schema}, {n} samples, epoch {len(message.epoch)} bytes")
     try:
         return SampleBatch(
             unit=message.unit,

@@ -72,6 +72,7 @@ class ZenohBus:
             ) from error
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._subscribers: list[Any] = []
+        self._handlers: dict[str, list[Handler]] = {}
         self._lock = threading.Lock()
 
     def publish(self, key: str, payload: bytes) -> None:
@@ -96,8 +97,18 @@ class ZenohBus:
     def subscribe(self, key_expression: str, handler: Handler) -> None:
         """Call `handler` with (key, payload) for every message that matches; it must not raise."""
 
+        with self._lock:
+            handlers = self._handlers.get(key_expression)
+            if handlers is not None:
+                # one subscription for all: the payload is copied out of Zenoh once
+                handlers.append(handler)
+                return
+            handlers = self._handlers[key_expression] = [handler]
+
         def on_sample(sample: zenoh.Sample) -> None:
-            handler(str(sample.key_expr), sample.payload.to_bytes())
+            key, payload = str(sample.key_expr), sample.payload.to_bytes()
+            for each in handlers:
+                each(key, payload)
 
         self._subscribers.append(self._session.declare_subscriber(key_expression, on_sample))
 

@@ -155,7 +155,7 @@ def test_an_interrupted_import_is_completed_by_giving_it_again(
     done = gyrofleet("import", path, "--unit", "U1", "--json")
     assert done.code == 0, done.err
     signals = done.json["files"][0]["signals"]
-    assert all(0 < each["already_stored"] < 3_000_000 for each in signals)
+    assert 0 < sum(each["already_stored"] for each in signals) < 9_000_000
     assert [each["in_lake"] for each in signals] == [3_000_000] * 3
     (row,) = gyrofleet(
         "sql", "select count(*) as n, count(distinct (signal, t_ns)) as moments from samples", "--json"

@@ -146,9 +146,7 @@ class SimulatedGyro:
     (dtype('int32'), 3)
     """
 
-    def __init__(
-        self, parameters: GyroParameters, seed: int, chamber: ChamberParameters | None = None
-    ) -> None:
+    def __init__(self, parameters: GyroParameters, seed: int, chamber: ChamberParameters | None = None) -> None:
         if seed < 0:
             raise BadInput(f"simulated gyro {parameters.unit}: seed {seed}, a number from 0 on is needed")
         chamber = chamber or ChamberParameters()
@@ -161,9 +159,7 @@ class SimulatedGyro:
 
         generators = [np.random.default_rng(child) for child in children]
         self._flicker = flicker_noise(p.bias_instability_deg_per_h, self._hold_s, generators[_FLICKER])
-        self._walk = rate_random_walk(
-            p.rate_random_walk_deg_per_h_per_sqrt_h, self._hold_s, generators[_WALK]
-        )
+        self._walk = rate_random_walk(p.rate_random_walk_deg_per_h_per_sqrt_h, self._hold_s, generators[_WALK])
         self._constant = p.bias_deg_per_h + p.turn_on_bias_deg_per_h * generators[_TURN_ON].standard_normal()
         self._white = generators[_WHITE]
         sd = white_sd_deg_per_h(p.angle_random_walk_deg_per_sqrt_h, p.sample_interval_ns * 1e-9)
@@ -302,9 +298,10 @@ def unit_batches(
 def demo_fleet() -> tuple[GyroParameters, ...]:
     """Eight gyros as they might come off a line; by the demonstration's limits, not all pass 6 h.
 
-    Planted: FOG-0234 has twice the white noise that is allowed; FOG-0236 has a bias that follows the
-    temperature and fails at long averaging times only; FOG-0238 has its Allan deviation at 100 s right at the
-    limit, so that 6 h do not decide. The other five are good.
+    Planted, and certain to be found in 6 h or more: FOG-0234 has twice the white noise that is allowed and fails
+    from 1 s on; FOG-0236 has a bias of 1.2 deg/h/degC that follows the chamber and fails the bias stability at
+    100 s. FOG-0238 has its Allan deviation at 100 s right at the limit, so that it stays MARGINAL (in about 95 % of
+    seeds). The other five are good and pass in 6 h; in 1 h some of them may still be MARGINAL.
 
     Examples
     --------
@@ -318,7 +315,7 @@ def demo_fleet() -> tuple[GyroParameters, ...]:
         ("FOG-0233", 0.016, 0.08, 0.04, 0.3, 0.04, -0.20),
         ("FOG-0234", 0.060, 0.11, 0.03, -0.6, 0.03, 0.30),
         ("FOG-0235", 0.020, 0.14, 0.02, 1.9, -0.04, 0.35),
-        ("FOG-0236", 0.019, 0.10, 0.03, -0.2, 0.80, 0.30),
+        ("FOG-0236", 0.019, 0.10, 0.03, -0.2, 1.20, 0.30),
         ("FOG-0237", 0.022, 0.09, 0.03, 1.1, 0.02, 0.15),
         ("FOG-0238", 0.0265, 0.18, 0.03, -0.9, 0.03, 0.25),
     )

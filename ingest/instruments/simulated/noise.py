@@ -148,12 +148,8 @@ def flicker_noise(
     it bend down to white below 0.02 s and to a constant above 1.3e6 s. They start in their stationary state,
     as if they had always been running: at time 0 the process already stands about 2.5 B from 0.
     """
-    correlation_s = SHORTEST_CORRELATION_S * CORRELATION_RATIO ** np.arange(
-        CORRELATION_TIMES, dtype=np.float64
-    )
-    sd = np.full(
-        CORRELATION_TIMES, bias_instability_deg_per_h * math.sqrt(math.log(CORRELATION_RATIO) / math.pi)
-    )
+    correlation_s = SHORTEST_CORRELATION_S * CORRELATION_RATIO ** np.arange(CORRELATION_TIMES, dtype=np.float64)
+    sd = np.full(CORRELATION_TIMES, bias_instability_deg_per_h * math.sqrt(math.log(CORRELATION_RATIO) / math.pi))
     return ornstein_uhlenbeck(sd, correlation_s, interval_s, generator)
 
 
