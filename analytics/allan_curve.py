@@ -1,12 +1,77 @@
 """The Allan curve of a recorded signal."""
 
-from analytics.allan_plot import AllanCurve
+import math
+from dataclasses import dataclass
+
 from analytics.block_means import BlockMeans
 from storage.catalog import Catalog
 from storage.reading import find_signal, read_signal
-from stream.errors import NotFound
+from stream.errors import BadInput, NotFound
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
+
+
+@dataclass(frozen=True)
+class AllanCurve:
+    """Allan deviation of one signal over averaging time.
+
+    Parameters
+    ----------
+    unit, signal, run : str
+        Whose curve it is.
+    unit_of_measure : str
+        Of `adev`, `lo` and `hi`.
+    sample_interval_s : float
+        Sample interval of the record, seconds.
+    samples, missing : int
+        Samples in the record, and missing from it.
+    tau_s : tuple of float
+        Averaging times, seconds, rising.
+    adev, lo, hi : tuple of float
+        Deviation and its confidence limits (95 %).
+    edf : tuple of float
+        Equivalent degrees of freedom.
+
+    Raises
+    ------
+    BadInput
+        If the columns differ in length.
+    """
+
+    unit: str
+    signal: str
+    run: str
+    unit_of_measure: str
+    sample_interval_s: float
+    samples: int
+    missing: int
+    tau_s: tuple[float, ...]
+    adev: tuple[float, ...]
+    lo: tuple[float, ...]
+    hi: tuple[float, ...]
+    edf: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Check that the columns fit together."""
+        if len({len(column) for column in (self.tau_s, self.adev, self.lo, self.hi, self.edf)}) != 1:
+            raise BadInput(f"Allan curve of unit {self.unit}, run {self.run}: its columns differ in length")
+
+    @property
+    def end(self) -> tuple[float, float]:
+        """Longest averaging time (seconds) and the deviation there."""
+        return self.tau_s[-1], self.adev[-1]
+
+    def drawable(self) -> "AllanCurve":
+        """Return the curve without the points that a logarithmic axis cannot show."""
+        rows = [
+            row
+            for row in zip(self.tau_s, self.adev, self.lo, self.hi, self.edf, strict=True)
+            if all(math.isfinite(x) and x > 0 for x in row[:4])
+        ]
+        columns = zip(*rows, strict=True) if rows else ((),) * 5
+        tau_s, adev, lo, hi, edf = (tuple(column) for column in columns)
+        head = (self.unit, self.signal, self.run, self.unit_of_measure, self.sample_interval_s)
+        return AllanCurve(*head, self.samples, self.missing, tau_s, adev, lo, hi, edf)
 
 
 def allan_curve(
@@ -76,7 +141,8 @@ def stored_curves(catalog: Catalog, run: str, signal: str) -> list[AllanCurve]:
         "select unit, unit_of_measure, sample_interval_s, samples, missing, "
         "list(tau_s order by tau_s), list(value order by tau_s), list(lo order by tau_s), list(hi order by tau_s), "
         "list(edf order by tau_s) "
-        "from estimates where run = $run and signal = $signal and estimator = $estimator and final and tau_s is not null "
+        "from estimates "
+        "where run = $run and signal = $signal and estimator = $estimator and final and tau_s is not null "
         "group by all order by unit",
         {"run": run, "signal": signal, "estimator": AllanDeviation.key},
     )

@@ -3,7 +3,6 @@
 import io
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -12,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from analytics.allan_curve import AllanCurve
 from analytics.allan_marks import (
     FLEET,
     INK,
@@ -64,69 +64,6 @@ _LEFT, _WIDTH = 0.095, 0.745
 _NAMED_AT_MOST = 24
 _NAME_LENGTH = 16
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
-@dataclass(frozen=True)
-class AllanCurve:
-    """Allan deviation of one signal over averaging time.
-
-    Parameters
-    ----------
-    unit, signal, run : str
-        Whose curve it is.
-    unit_of_measure : str
-        Of `adev`, `lo` and `hi`.
-    sample_interval_s : float
-        Sample interval of the record, seconds.
-    samples, missing : int
-        Samples in the record, and missing from it.
-    tau_s : tuple of float
-        Averaging times, seconds, rising.
-    adev, lo, hi : tuple of float
-        Deviation and its confidence limits (95 %).
-    edf : tuple of float
-        Equivalent degrees of freedom.
-
-    Raises
-    ------
-    BadInput
-        If the columns differ in length.
-    """
-
-    unit: str
-    signal: str
-    run: str
-    unit_of_measure: str
-    sample_interval_s: float
-    samples: int
-    missing: int
-    tau_s: tuple[float, ...]
-    adev: tuple[float, ...]
-    lo: tuple[float, ...]
-    hi: tuple[float, ...]
-    edf: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        """Check that the columns fit together."""
-        if len({len(column) for column in (self.tau_s, self.adev, self.lo, self.hi, self.edf)}) != 1:
-            raise BadInput(f"Allan curve of unit {self.unit}, run {self.run}: its columns differ in length")
-
-    @property
-    def end(self) -> tuple[float, float]:
-        """Longest averaging time (seconds) and the deviation there."""
-        return self.tau_s[-1], self.adev[-1]
-
-    def drawable(self) -> "AllanCurve":
-        """Return the curve without the points that a logarithmic axis cannot show."""
-        rows = [
-            row
-            for row in zip(self.tau_s, self.adev, self.lo, self.hi, self.edf, strict=True)
-            if all(math.isfinite(x) and x > 0 for x in row[:4])
-        ]
-        columns = zip(*rows, strict=True) if rows else ((),) * 5
-        tau_s, adev, lo, hi, edf = (tuple(column) for column in columns)
-        head = (self.unit, self.signal, self.run, self.unit_of_measure, self.sample_interval_s)
-        return AllanCurve(*head, self.samples, self.missing, tau_s, adev, lo, hi, edf)
 
 
 def plot_allan(

@@ -13,6 +13,11 @@ if TYPE_CHECKING:
     from analytics.allan_curve import AllanCurve
     from analytics.demo import DemoState
 
+_QUESTIONS = (
+    "select unit, document->>'$.verdict' as verdict from events where kind = 'VerdictGiven' order by unit",
+    "select unit, avg(value) * 3600 as bias_deg_per_h from samples where signal = 'rate' group by unit",
+)
+
 
 @click.command("allan")
 @click.option("--unit", required=True, help="Which unit.")
@@ -101,8 +106,8 @@ def demo(folder: Path, hours: float, seed: int, *, as_json: bool) -> None:
     console = notes()
     if not as_json:
         console.print(
-            f"This input is simulated: eight gyros at 200 Hz for {hours:g} h, three of them planted at or beyond a limit. "
-            f"Everything after the gyros is the real path."
+            f"This input is simulated: eight gyros at 200 Hz for {hours:g} h, three of them planted at or "
+            f"beyond a limit. Everything after the gyros is the real path."
         )
     compile_kernels(quiet=as_json)
     if console.is_terminal and not as_json:
@@ -154,10 +159,6 @@ def _tell_next(state: "DemoState", folder: Path, plot: Path) -> None:
     console.print(f"lake  {folder / 'lake'}  {size_mb['lake']:.0f} MB of Parquet: for any tool that reads it")
     console.print(f"plot  {plot}")
     console.print("\nAsk it:")
-    for statement in (
-        "select unit, verdict from (select unit, document->>'$.verdict' as verdict from events "
-        "where kind = 'VerdictGiven') order by unit",
-        "select unit, avg(value) * 3600 as bias_deg_per_h from samples where signal = 'rate' group by unit order by unit",
-    ):
+    for statement in _QUESTIONS:
         console.print(f'  gyrofleet sql "{statement}"{option}', soft_wrap=True, markup=False)
     console.print(f"  gyrofleet allan --unit {worst} --signal rate --plot allan.png{option}", soft_wrap=True)

@@ -88,7 +88,7 @@ def run_demo(
     with EmbeddedPipeline(
         folder, "gyrofleet demo", estimate_every_s=ESTIMATE_EVERY_S, on_estimate=on_estimate
     ) as pipeline:
-        publisher, events = pipeline.publisher, event_key(PLACE)
+        events = event_key(PLACE)
         started = RunStarted(
             run=run,
             t_ns=t0_ns,
@@ -98,15 +98,15 @@ def run_demo(
             procedure="static_bias",
             lot="DEMO-LOT-1",
         )
-        publisher.send_event(events, started)
-        publisher.send_event(events, state.limits.applied(run, t0_ns))
+        pipeline.send_event(events, started)
+        pipeline.send_event(events, state.limits.applied(run, t0_ns))
         totals: dict[tuple[str, str], StreamTotal] = {}
         shown_at = 0.0
         for batch in _station(fleet, run, duration_s, seed, t0_ns):
             if (batch.unit, batch.signal) not in totals and batch.signal == "rate":
                 power_on = PowerOn(run=run, t_ns=batch.t0_ns, unit=batch.unit, epoch=str(batch.epoch))
-                publisher.send_event(events, power_on)
-            publisher.send_batch(sample_key(PLACE, batch.unit, batch.signal), batch)
+                pipeline.send_event(events, power_on)
+            pipeline.send_batch(sample_key(PLACE, batch.unit, batch.signal), batch)
             totals[batch.unit, batch.signal] = StreamTotal(
                 unit=batch.unit, signal=batch.signal, epoch=str(batch.epoch), samples=batch.next_seq
             )
@@ -115,14 +115,14 @@ def run_demo(
                 shown_at = time.monotonic()
                 on_progress(state)
         end_ns = t0_ns + round(duration_s * 1e9)
-        publisher.send_event(events, RunEnded(run=run, t_ns=end_ns, totals=tuple(totals.values())))
+        pipeline.send_event(events, RunEnded(run=run, t_ns=end_ns, totals=tuple(totals.values())))
         state.phase = "completing the record"
         if on_progress is not None:
             on_progress(state)
         pipeline.complete_estimates()
         for view in state.units.values():
             view.verdict = judge_unit(state.limits, finals, run=run, unit=view.unit, t_ns=end_ns)
-            publisher.send_event(events, view.verdict)
+            pipeline.send_event(events, view.verdict)
         pipeline.finish()
     state.seconds = time.monotonic() - state.began
     state.phase = "done"

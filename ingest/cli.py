@@ -142,7 +142,8 @@ def _conclusion(imported: "FileImport", folder: Path) -> str:
     date = "" if imported.date_known else " Their date is unknown; --start gives it."
     if any(signal.in_lake is None for signal in imported.signals):
         return f"{imported.added:,} samples{steps} sent and acknowledged as recorded ({speed}).{date}"
-    return f"{imported.added:,} samples in, {imported.added:,} more in the lake of {folder}, each once{steps} ({speed}).{date}"
+    counted = f"{imported.added:,} samples in, {imported.added:,} more in the lake of {folder}, each once"
+    return f"{counted}{steps} ({speed}).{date}"
 
 
 def _tell_bad_rows(imported: "FileImport") -> None:

@@ -17,9 +17,9 @@ from ingest.stored import StoredSamples
 from storage.catalog import Catalog
 from storage.store import Store, writer_endpoint
 from stream.batch import IntArray, SampleBatch
-from stream.delivery import DurablePublisher
+from stream.delivery import DurablePublisher, Sender
 from stream.errors import StoreError
-from stream.events import AnyDocument, NoteAdded, RunEnded, RunStarted, StreamTotal
+from stream.events import NoteAdded, RunEnded, RunStarted, StreamTotal
 from stream.identity import Place, event_key, sample_key
 from stream.zenoh_bus import ZenohBus
 
@@ -88,7 +88,7 @@ class _Sending:
         self._held = _held(catalog)
         self._known_uids = frozenset(str(uid) for (uid,) in catalog.rows("select uid from events"))
 
-    def send(self, publisher: DurablePublisher, progress: Progress | None) -> None:
+    def send(self, sender: Sender, progress: Progress | None) -> None:
         """Publish what the store does not have: samples, steps, and the documents of the runs they belong to."""
         if self._common == sum(s.sampling.samples for s in self._summary.signals) and not self._summary.steps:
             return
@@ -98,19 +98,19 @@ class _Sending:
         runs = dict.fromkeys(run for _, run in owners)
         for run in runs:
             if self._stored is None or run not in self._stored.runs:
-                publisher.send_event(event_key(self._place), self._started(run, content))
+                sender.send_event(event_key(self._place), self._started(run, content))
         news = 0
         for item in self._table.batches(lambda unit, run: epochs[unit, run], self._keep, progress):
             if isinstance(item, SampleBatch):
-                publisher.send_batch(sample_key(self._place, item.unit, item.signal), item)
+                sender.send_batch(sample_key(self._place, item.unit, item.signal), item)
                 self._sent[item.unit, item.run, item.signal] += len(item)
                 news += 1
             elif item.uid not in self._known_uids:
-                publisher.send_event(event_key(self._place), item)
+                sender.send_event(event_key(self._place), item)
                 news += 1
         for run in runs if news else ():
-            publisher.send_event(event_key(self._place), self._noted(run, content))
-            publisher.send_event(event_key(self._place), self._ended(run, epochs))
+            sender.send_event(event_key(self._place), self._noted(run, content))
+            sender.send_event(event_key(self._place), self._ended(run, epochs))
 
     def await_lake(self, store: Store, *, patience_s: float) -> Counter[_Name]:
         """Samples of each signal in the lake, once all that was sent is there."""
@@ -237,7 +237,7 @@ def import_table(
             recovered = tuple(each.segment for each in pipeline.recovered)
             pipeline.recorder.wait_for_lake()
             sending.compare(pipeline.store)
-            sending.send(pipeline.publisher, progress)
+            sending.send(pipeline, progress)
             pipeline.finish()
         store: Store | None = pipeline.store
     else:

@@ -8,8 +8,9 @@ from typing import Self
 from storage.event_log import EventLog, Recovery
 from storage.recorder import Recorder
 from storage.store import Store, WriterLock
+from stream.batch import SampleBatch
 from stream.delivery import DurablePublisher
-from stream.events import EstimatePublished
+from stream.events import AnyDocument, EstimatePublished
 from stream.worker import EstimationWorker
 from stream.zenoh_bus import ZenohBus
 
@@ -60,9 +61,23 @@ class EmbeddedPipeline:
             self.recorder = stack.enter_context(Recorder(self.store, bus, log))
             self._estimates = stack.enter_context(DurablePublisher(bus))
             self.worker = EstimationWorker(bus, self._estimates, every_s=estimate_every_s, on_estimate=on_estimate)
-            self.publisher = stack.enter_context(DurablePublisher(bus))
-            self.bus = bus
+            self._publisher = stack.enter_context(DurablePublisher(bus))
             self._stack = stack.pop_all()
+
+    def send_batch(self, key: str, batch: SampleBatch) -> None:
+        """Send samples; waits while recorder or estimators are far behind.
+
+        Raises
+        ------
+        DeliveryError
+            If nothing is acknowledged for a minute.
+        """
+        self.worker.wait_for_room()
+        self._publisher.send_batch(key, batch)
+
+    def send_event(self, key: str, document: AnyDocument) -> None:
+        """Send a run document; waits and raises like `send_batch`."""
+        self._publisher.send_event(key, document)
 
     def complete_estimates(self) -> None:
         """Wait until everything sent is in the log and the estimates of the runs that have ended are published.
@@ -72,7 +87,7 @@ class EmbeddedPipeline:
         GyrofleetError
             If any part failed.
         """
-        self.publisher.drain()
+        self._publisher.drain()
         self.worker.close()
         self._estimates.drain()
 
@@ -85,6 +100,7 @@ class EmbeddedPipeline:
             If any part failed.
         """
         self.complete_estimates()
+        self._publisher.drain()
         self.recorder.close()
 
     def __enter__(self) -> Self:

@@ -106,7 +106,7 @@ def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
 @click.option("--parquet", "parquet_path", type=click.Path(path_type=Path), help="Write the result to this file.")
 @reporting
 def sql(statement: str, folder: Path, parquet_path: Path | None, *, as_csv: bool, as_json: bool) -> None:
-    """Ask the store in SQL: views samples, signals, runs, steps, estimates, events.
+    r"""Ask the store in SQL: views samples, signals, runs, steps, estimates, events.
 
     \b
     gyrofleet sql "select unit, signal, run, samples from signals"

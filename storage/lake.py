@@ -102,6 +102,10 @@ TABLES = {
     "estimates": ESTIMATE_COLUMNS,
 }
 _ROW_GROUP = 1_000_000
+_ESTIMATE_FIELDS = (
+    *("run", "unit", "signal", "estimator", "t_ns", "final", "confidence", "unit_of_measure"),
+    *("samples", "missing", "sample_interval_s", "reason", "uid"),
+)
 
 
 @dataclass
@@ -222,12 +226,7 @@ def _event_row(record: LogRecord, message: EventMessage) -> dict[str, object]:
 
 def _estimate_rows(record: LogRecord, document: EstimatePublished) -> list[dict[str, object]]:
     parsed = parse_key(record.topic)
-    common: dict[str, object] = {
-        name: getattr(document, name)
-        for name in (
-            "run unit signal estimator t_ns final confidence unit_of_measure samples missing sample_interval_s reason uid"
-        ).split()
-    }
+    common: dict[str, object] = {name: getattr(document, name) for name in _ESTIMATE_FIELDS}
     common |= {"site": parsed.place.site, "station": parsed.place.station, "arrival_ns": record.arrival_ns}
     return [common | msgspec.structs.asdict(point) for point in document.points] or [common]
 

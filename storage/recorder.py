@@ -156,8 +156,8 @@ class Recorder:
             self._log.abandon()
             self._fail(
                 StoreError(
-                    f"recording to {self._store.folder} stopped: {error}; what is acknowledged is safe, sources keep the "
-                    f"rest; free space or mend the disk and start again"
+                    f"recording to {self._store.folder} stopped: {error}; what is acknowledged is safe, sources "
+                    f"keep the rest; free space or mend the disk and start again"
                 )
             )
 
@@ -178,7 +178,7 @@ class Recorder:
             if isinstance(parsed, SampleKey):
                 batch = decode_batch(payload)
                 if (batch.unit, batch.signal) != (parsed.unit, parsed.signal):
-                    raise WireError(f"it holds samples of {batch.unit}/{batch.signal}")  # noqa: TRY301
+                    raise WireError(f"it holds samples of {batch.unit}/{batch.signal}")
                 stream = StreamId(key, batch.epoch.hex)
                 record = LogRecord(key, SAMPLES, arrival_ns, batch.t0_ns, payload)
                 if self._append(stream, batch.seq, batch.next_seq, record):
@@ -188,9 +188,9 @@ class Recorder:
                 event = decode_event(payload)
                 stream = StreamId(key, event.epoch)
                 record = LogRecord(key, EVENTS, arrival_ns, event.document.t_ns, payload)
-                if self._append(stream, event.seq, event.seq + 1, record):
-                    if isinstance(event.document, RunEnded):
-                        self._seal_at = time.monotonic() + _SEAL_GRACE_S
+                is_new = self._append(stream, event.seq, event.seq + 1, record)
+                if is_new and isinstance(event.document, RunEnded):
+                    self._seal_at = time.monotonic() + _SEAL_GRACE_S
         except GyrofleetError as error:
             self.counts.rejected += 1
             self.counts.rejections.append(f"{key}: {error}")

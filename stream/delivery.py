@@ -9,7 +9,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass, field
-from typing import NamedTuple, Self
+from typing import NamedTuple, Protocol, Self
 from uuid import uuid4
 
 import msgspec
@@ -67,6 +67,16 @@ def decode_acknowledgement(payload: bytes) -> Acknowledgement:
         return _decoder.decode(payload)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise WireError(f"not an acknowledgement: {error}") from error
+
+
+class Sender(Protocol):
+    """Where a source hands its samples and documents to."""
+
+    def send_batch(self, key: str, batch: SampleBatch) -> None:
+        """Send samples under `key`; waits while too much is on its way."""
+
+    def send_event(self, key: str, document: AnyDocument) -> None:
+        """Send a run document under `key`."""
 
 
 class _Held(NamedTuple):

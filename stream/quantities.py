@@ -12,7 +12,8 @@ ANGULAR_RATE_UNIT = "deg/h"
 _ANGLES = frozenset({"degree", "radian", "turn", "arcminute", "arcsecond", "milliarcsecond", "grade", "milliradian"})
 _ROTATIONS = frozenset({"revolutions_per_minute", "revolutions_per_second"})
 _COMMON = (
-    "deg/s deg/h rad/s rad/h arcsec/s rpm degC K V mV A mA W g_0 m/s^2 T nT Hz s ms count LSB Pa hPa percent 1".split()
+    *("deg/s", "deg/h", "rad/s", "rad/h", "arcsec/s", "rpm", "degC", "K", "V", "mV", "A", "mA", "W", "g_0", "m/s^2"),
+    *("T", "nT", "Hz", "s", "ms", "count", "LSB", "Pa", "hPa", "percent", "1"),
 )
 
 
@@ -42,7 +43,7 @@ def check_unit(text: str) -> str:
         return "1"
     try:
         _registry().parse_units(text)
-    except Exception as error:  # noqa: BLE001  pint's parser raises whatever its tokenizer meets
+    except Exception as error:
         near = difflib.get_close_matches(text, _COMMON, n=3, cutoff=0.5)
         hint = f"did you mean {', '.join(near)}?" if near else f"some that are known: {', '.join(_COMMON[:8])}"
         raise UnknownUnit(f"unit of measure {text!r} is not known; {hint}") from error

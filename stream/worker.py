@@ -15,7 +15,10 @@ from stream.events import EstimatePublished, RunEnded, decode_event
 from stream.identity import EVERYTHING, EventKey, Place, SampleKey, estimate_key, parse_key
 from stream.wire import decode_batch
 
-_QUEUE_BYTES = 256 << 20
+# A worker that falls behind must hold up neither the recorder, which shares its subscription, nor the bus that it
+# publishes on itself: sources in the same process wait for room, from others it leaves out what it cannot hold.
+_ROOM_BYTES = 32 << 20
+_MOST_BYTES = 256 << 20
 
 
 @dataclass
@@ -104,12 +107,18 @@ class EstimationWorker:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def wait_for_room(self) -> None:
+        """Wait until the worker is not far behind; for a source in the same process, before it sends more."""
+        with self._state:
+            while self._incoming_bytes > _ROOM_BYTES and self.failure is None and self._thread.is_alive():
+                self._state.wait(0.1)
+
     def _on_message(self, key: str, payload: bytes) -> None:
         if "/estimate/" in key:
             return
         with self._state:
-            while self._incoming_bytes > _QUEUE_BYTES and not self._closing and self.failure is None:
-                self._state.wait(0.1)
+            if self._incoming_bytes > _MOST_BYTES:
+                return  # the gap in the numbers is counted as lost when the next batch of the signal is taken
             self._incoming.append((key, payload))
             self._incoming_bytes += len(payload)
             if len(self._incoming) == 1:
@@ -122,10 +131,11 @@ class EstimationWorker:
                     while not self._incoming and not self._closing:
                         self._state.wait(0.5)
                     taken, self._incoming = self._incoming, deque()
-                    self._incoming_bytes = 0
-                    self._state.notify_all()
                 for key, payload in taken:
                     self._take(key, payload)
+                with self._state:
+                    self._incoming_bytes -= sum(len(payload) for _, payload in taken)
+                    self._state.notify_all()
                 if not taken and self._closing:
                     break
             for run, unit, name in list(self._signals):

@@ -96,7 +96,6 @@ class ZenohBus:
 
     def subscribe(self, key_expression: str, handler: Handler) -> None:
         """Call `handler` with (key, payload) for every message that matches; it must not raise."""
-
         with self._lock:
             handlers = self._handlers.get(key_expression)
             if handlers is not None:

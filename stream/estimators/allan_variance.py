@@ -55,7 +55,7 @@ class AllanDeviation(Estimator):
     ...                     values=np.array([1.0, 3.0, 2.0, 6.0, 4.0]))
     >>> estimator.update(batch)
     >>> [(point.tau_s, point.value, point.n) for point in estimator.estimate()]
-    [(1.0, 1.7677669529663689, 4), (2.0, 1.5811388300841898, 2)]
+    [(1.0, 1.7677669529663689, 4), (2.0, 1.6007810593582121, 2)]
     """
 
     key = "allan_deviation"
@@ -164,7 +164,7 @@ def overlapping_allan_variance(values: FloatArray, averaging_factor: int) -> flo
     Examples
     --------
     >>> overlapping_allan_variance(np.array([1.0, 3.0, 2.0, 6.0, 4.0]), 2)
-    2.5
+    2.5625
     """
     k, n = averaging_factor, len(values)
     if k < 1 or n < 2 * k:

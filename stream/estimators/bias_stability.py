@@ -4,7 +4,6 @@ Not bias instability, which is the floor of the Allan deviation (IEEE 952).
 """
 
 import math
-from types import MappingProxyType
 
 from stream.batch import FloatArray, SampleBatch
 from stream.clock import Piece
@@ -75,9 +74,7 @@ class BiasStability(Estimator):
             raise EstimatorError(f"averages of {average_s} s: bias stability takes 1e-9 to 1e9 s")
         self.average_s = average_s
         self.key = f"bias_stability_{average_s:g}s"
-        self.names = MappingProxyType(
-            {"en": f"Bias stability ({average_s:g} s averages)", "zh": f"零偏稳定性({average_s:g} s 平均)"}
-        )
+        self.names = {"en": f"Bias stability ({average_s:g} s averages)", "zh": f"零偏稳定性({average_s:g} s 平均)"}
         self._average_ns = round(average_s * 1e9)
         self._reference = math.nan
         self._state = empty_averages()

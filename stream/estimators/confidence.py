@@ -24,6 +24,8 @@ _FAR = 100.0
 def sw(t: FloatArray, alpha: int) -> FloatArray:
     """Generalised autocovariance of the phase of noise `alpha`, equation (7): abs(t)**n, n odd, or t**n ln abs(t).
 
+    Up to a factor that depends on `alpha` alone and may be negative; ratios of covariances do not notice.
+
     Examples
     --------
     >>> sw(np.array([0.0, -2.0]), 0).tolist(), sw(np.array([0.0, 1.0]), 1).tolist()
@@ -117,7 +119,7 @@ def edf(alpha: int, d: int, averaging_factor: int, windows: int, stride_per_tau:
     Examples
     --------
     >>> round(edf(alpha=0, d=2, averaging_factor=64, windows=873, stride_per_tau=64), 1)
-    21.4
+    20.9
     """
     return max(1.0, windows / basic_sum(windows, averaging_factor, stride_per_tau, alpha, d))
 

@@ -203,10 +203,9 @@ def _pair(
             parents[:, made:wanted] = 0.0
             made = wanted
     place[PENDING] = ends % 2
-    if place[PENDING] == 1:
-        empty = total > given
-        pending[SUM] = 0.0 if empty else line[SUM, given - 1]
-        pending[COUNT] = 0.0 if empty else (width if full else line[COUNT, given - 1])
+    is_empty = place[PENDING] == 0 or total > given
+    pending[SUM] = 0.0 if is_empty else line[SUM, given - 1]
+    pending[COUNT] = 0.0 if is_empty else (width if full else line[COUNT, given - 1])
     return made, ends // 2, full
 
 
@@ -247,30 +246,11 @@ def _climb(
         if not all_full:
             line[COUNT, :filled] = tails[level, COUNT, :filled]
             _prefix(line[COUNT, :length], prefix[COUNT])
-        _accumulate(
-            squares[level],
-            windows[level],
-            lags[min(level, 1)],
-            prefix,
-            filled,
-            length,
-            all_full,
-            share,
-            width,
-        )
+        _accumulate(squares[level], windows[level], lags[min(level, 1)], prefix, filled, length, all_full, share, width)
         _keep_tail(tails[level], place, line, length, all_full, width)
         place[NEXT] += total
-        given, total, full = _pair(
-            here[:, history:],
-            above[:, history:],
-            pending[level],
-            place,
-            given,
-            total,
-            full,
-            width,
-            history + 1,
-        )
+        new, parents = here[:, history:], above[:, history:]
+        given, total, full = _pair(new, parents, pending[level], place, given, total, full, width, history + 1)
         here, above = above, here
 
 

@@ -1,7 +1,6 @@
 """The parts as separate processes over loopback: recorder, estimator, source; stopped, killed, started again."""
 
 import json
-import os
 import signal
 import socket
 import subprocess
@@ -72,7 +71,7 @@ def listening_addresses(pid: int) -> set[str]:
     inodes = set()
     for descriptor in Path(f"/proc/{pid}/fd").iterdir():
         try:
-            target = os.readlink(descriptor)
+            target = str(descriptor.readlink())
         except FileNotFoundError:
             continue
         if target.startswith("socket:["):
@@ -107,8 +106,8 @@ def test_recorder_estimator_and_source_as_processes(
     rows = gyrofleet(
         "sql",
         "select signal, count(*) as n, count(distinct t_ns) as moments, "
-        "(select count(*) from estimates e where e.signal = s.signal and final and estimator = 'allan_deviation') as taus "
-        "from samples s group by signal", "--json",
+        "(select count(*) from estimates e where e.signal = s.signal and final "
+        "and estimator = 'allan_deviation') as taus from samples s group by signal", "--json",
     ).json  # fmt: skip
     assert [(row["n"], row["moments"]) for row in rows] == [(50_000, 50_000)] * 3
     assert all(row["taus"] >= 14 for row in rows)
@@ -129,7 +128,7 @@ def test_a_source_survives_the_recorder_being_killed(
     first.wait()
     assert source.poll() is None, "the source was to be caught in the middle"
     second = recorder(spawn, endpoint)
-    out, err = source.communicate(timeout=120)
+    _, err = source.communicate(timeout=120)
     assert source.returncode == 0, err
     stopped(second)
     (row,) = gyrofleet(

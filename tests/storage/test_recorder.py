@@ -186,9 +186,11 @@ def test_a_segment_left_open_is_recovered_without_its_damaged_chunk(tmp_path: Pa
 
 def test_two_processes_cannot_write_one_store(tmp_path: Path) -> None:
     store = Store.create(tmp_path)
-    with WriterLock(store, "gyrofleet record", "tcp/127.0.0.1:7447"):
-        with pytest.raises(StoreError, match=r"written by gyrofleet record.*--connect tcp/127.0.0.1:7447"):
-            WriterLock(store, "gyrofleet import")
+    with (
+        WriterLock(store, "gyrofleet record", "tcp/127.0.0.1:7447"),
+        pytest.raises(StoreError, match=r"written by gyrofleet record.*--connect tcp/127.0.0.1:7447"),
+    ):
+        WriterLock(store, "gyrofleet import")
     with WriterLock(store, "gyrofleet import"):
         pass
 
