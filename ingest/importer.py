@@ -10,8 +10,9 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 
 import numpy as np
 
-from ingest.instruments.table_file import SignalSummary, TableFile, TableSummary
+from ingest.instruments.table_file import TableFile
 from ingest.instruments.table_rows import BadRow, BoolArray
+from ingest.instruments.table_summary import SignalSummary, TableSummary
 from ingest.pipeline import EmbeddedPipeline
 from ingest.stored import StoredSamples
 from storage.catalog import Catalog

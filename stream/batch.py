@@ -135,7 +135,7 @@ class SampleBatch:
         if self.values is not None:
             return self.values
         assert self.counts is not None
-        return self.counts * self.scale + self.offset
+        return np.asarray(self.counts * self.scale + self.offset, np.float64)
 
 
 def _same(a: object, b: object) -> bool:

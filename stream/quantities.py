@@ -18,8 +18,8 @@ _COMMON = (
 
 
 @cache
-def _registry() -> pint.UnitRegistry:
-    registry = pint.UnitRegistry(cache_folder=None)
+def _registry() -> "pint.UnitRegistry[float]":
+    registry: pint.UnitRegistry[float] = pint.UnitRegistry(cache_folder=None)
     registry.define("LSB = count")
     registry.define("dps = degree / second")
     return registry

@@ -1,5 +1,6 @@
 """Wire form of a sample batch: Protobuf, its arrays as little-endian bytes (``samples.proto``)."""
 
+from typing import Any
 from uuid import UUID
 
 import numpy as np
@@ -44,7 +45,7 @@ def encode_batch(batch: SampleBatch) -> bytes:
         values=_bytes(batch.values, "<f8"),
         flags=_bytes(batch.flags, "u1"),
     )
-    return message.SerializeToString()
+    return bytes(message.SerializeToString())
 
 
 def decode_batch(payload: bytes) -> SampleBatch:
@@ -92,21 +93,21 @@ def decode_batch(payload: bytes) -> SampleBatch:
 
 def encode_preview(value: float, unit_of_measure: str) -> bytes:
     """One sample in the form that plotting tools read."""
-    return samples_pb2.Preview(value=value, unit_of_measure=unit_of_measure).SerializeToString()
+    return bytes(samples_pb2.Preview(value=value, unit_of_measure=unit_of_measure).SerializeToString())
 
 
 def sample_descriptors() -> bytes:
     """The serialised FileDescriptorSet that makes a recording readable for other tools."""
     file = descriptor_pb2.FileDescriptorProto()
     samples_pb2.DESCRIPTOR.CopyToProto(file)
-    return descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
+    return bytes(descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString())
 
 
 def _bytes(array: npt.NDArray[np.generic] | None, dtype: str) -> bytes:
     return b"" if array is None else array.astype(dtype, copy=False).tobytes()
 
 
-def _array(data: bytes, dtype: str, n: int, name: str) -> npt.NDArray[np.generic] | None:
+def _array(data: bytes, dtype: str, n: int, name: str) -> Any:
     if not data:
         return None
     if len(data) != n * np.dtype(dtype).itemsize:

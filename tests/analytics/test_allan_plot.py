@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from matplotlib.text import Text
 
 from analytics import allan_plot, plot_fonts
+from analytics.allan_curve import AllanCurve
 from analytics.allan_marks import limit_marks, spread
-from analytics.allan_plot import AllanCurve, plot_allan
+from analytics.allan_plot import plot_allan
 from analytics.limits import demo_limits
 from stream.errors import BadInput
 from stream.events import Limit

@@ -58,7 +58,8 @@ def test_every_sample_is_in_the_lake_once_with_its_value(
     counted = gyrofleet(
         "sql",
         "select run, signal, count(*) as n, count(distinct t_ns) as moments, "
-        "sum(value) as total, sum(value * t_ns) as mixed from samples where signal like 'rate_%' group by all order by all",
+        "sum(value) as total, sum(value * t_ns) as mixed from samples where signal like 'rate_%' "
+        "group by all order by all",
         "--store", adis_store, "--json",
     ).json  # fmt: skip
     assert len(counted) == 6

@@ -1,0 +1,76 @@
+"""The embedded path: a slow estimator holds up its own source, and nothing else."""
+
+import time
+from pathlib import Path
+from uuid import UUID
+
+import numpy as np
+import pytest
+
+from ingest import pipeline as pipeline_module
+from ingest.pipeline import EmbeddedPipeline
+from storage.catalog import Catalog
+from stream import worker as worker_module
+from stream.batch import SampleBatch
+from stream.delivery import DurablePublisher
+from stream.estimators.bias_stability import BiasStability
+from stream.events import RunEnded
+from stream.identity import Place, event_key, sample_key
+from stream.worker import EstimationWorker
+from stream.zenoh_bus import ZenohBus
+
+PLACE = Place("plant", "bench")
+KEY = sample_key(PLACE, "U1", "rate")
+
+
+class SlowEstimator(BiasStability):
+    """Takes its time over every batch."""
+
+    def update(self, batch: SampleBatch) -> None:
+        time.sleep(0.002)
+        super().update(batch)
+
+
+def batch(i: int) -> SampleBatch:
+    return SampleBatch(
+        "U1", "rate", "r1", UUID(int=1), i * 1000, i * 10**10, 10**7, "deg/s", values=np.full(1000, float(i))
+    )
+
+
+def test_a_slow_estimator_throttles_its_source_and_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker_module, "_ROOM_BYTES", 100_000)
+    monkeypatch.setattr(
+        pipeline_module,
+        "EstimationWorker",
+        lambda *args, **kwargs: EstimationWorker(*args, **{**kwargs, "estimators": [lambda: SlowEstimator(1.0)]}),
+    )
+    with EmbeddedPipeline(tmp_path / "store", "test", estimate_every_s=10.0) as pipeline:
+        for i in range(500):
+            pipeline.send_batch(KEY, batch(i))
+        pipeline.send_event(event_key(PLACE), RunEnded(run="r1", t_ns=500 * 10**10))
+        pipeline.finish()
+    assert pipeline.worker.counts.lost == 0
+    assert pipeline.worker.counts.samples == 500_000
+    with Catalog(pipeline.store) as catalog:
+        assert catalog.rows("select count(*), count(distinct t_ns) from samples") == [(500_000, 500_000)]
+        assert catalog.rows("select count(*) from estimates where final") == [(1,)]
+        assert catalog.rows("select count(*) from estimates where not final")[0][0] >= 499
+
+
+def test_a_worker_that_cannot_follow_leaves_out_counts_and_keeps_living(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worker_module, "_MOST_BYTES", 100_000)
+    with ZenohBus() as bus, DurablePublisher(bus) as publisher:
+        worker = EstimationWorker(bus, publisher, estimators=[lambda: SlowEstimator(1.0)])
+        for i in range(300):
+            publisher.send_batch(KEY, batch(i))
+        time.sleep(0.2)
+        publisher.send_batch(KEY, batch(300))
+        deadline = time.monotonic() + 20
+        while worker.counts.samples + worker.counts.lost < 301_000 and time.monotonic() < deadline:
+            time.sleep(0.01)
+            publisher.send_batch(KEY, batch(300))  # a duplicate, but for the first that finds room
+        assert worker.counts.lost > 0
+        assert worker.counts.samples + worker.counts.lost == 301_000
+        worker.close()
