@@ -112,7 +112,9 @@ def demo(folder: Path, hours: float, seed: int, *, as_json: bool) -> None:
     compile_kernels(quiet=as_json)
     if console.is_terminal and not as_json:
         with Live(console=console, refresh_per_second=5, transient=True) as live:
-            state = run_demo(folder, hours=hours, seed=seed, on_progress=lambda state: live.update(live_view(state)))
+            state = run_demo(
+                folder, hours=hours, seed=seed, on_progress=lambda state: live.update(live_view(state, console.width))
+            )
     else:
         state = run_demo(folder, hours=hours, seed=seed)
     with Catalog(Store.open(folder)) as catalog:
@@ -126,7 +128,7 @@ def demo(folder: Path, hours: float, seed: int, *, as_json: bool) -> None:
     if as_json:
         print_json(_summary(state, folder, plot))
         return
-    results().print(fleet_table(state))
+    results().print(fleet_table(state, results().width))
     _tell_next(state, folder, plot)
 
 

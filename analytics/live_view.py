@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 
+from rich import box
 from rich.console import Group, RenderableType
 from rich.progress_bar import ProgressBar
 from rich.table import Table
@@ -12,6 +13,7 @@ from analytics.demo import DemoState, UnitView
 from analytics.limits import judge
 from stream.events import Check, EstimatePublished, Limit, Verdict, VerdictGiven
 
+_WIDE = 140
 _COLOURS = {
     Verdict.PASS: "green",
     Verdict.FAIL: "bold red",
@@ -33,8 +35,8 @@ _NAMES = {
 }
 
 
-def live_view(state: DemoState) -> RenderableType:
-    """Everything at a glance: the table of units, how fast, how far."""
+def live_view(state: DemoState, width: int) -> RenderableType:
+    """Everything at a glance: the table of units, how fast, how far, in `width` characters."""
     elapsed_s = state.seconds or time.monotonic() - state.began
     times = state.simulated_s / max(elapsed_s, 1e-9)
     line = Text.assemble(
@@ -43,22 +45,31 @@ def live_view(state: DemoState) -> RenderableType:
         f"{state.samples:,} samples   {state.samples / max(elapsed_s, 1e-9) / 1e6:.2f} M samples/s   ",
         f"{times:,.0f} x real time   {state.phase}",
     )
-    bar = ProgressBar(total=state.duration_s, completed=state.simulated_s, width=110)
-    return Group(line, bar, fleet_table(state))
+    bar = ProgressBar(total=state.duration_s, completed=state.simulated_s)
+    return Group(line, bar, Text(), fleet_table(state, width))
 
 
-def fleet_table(state: DemoState) -> Table:
+def fleet_table(state: DemoState, width: int) -> Table:
     """A row for each unit: where it is, each limit's estimate with its confidence interval, the verdict."""
-    table = Table(header_style="bold", caption=_caption(state), caption_justify="left")
-    table.add_column("Unit\n产品")
-    table.add_column("Samples\n采样数", justify="right")
-    table.add_column("Rate\n角速率\ndeg/h", justify="right")
-    table.add_column("Temp.\n温度\ndegC", justify="right")
+    is_wide = width >= _WIDE
+    table = Table(
+        header_style="bold",
+        caption=f"values with their 95 % confidence limits; limits {state.limits.revision}",
+        caption_justify="left",
+        box=box.HEAVY_HEAD if is_wide else box.SIMPLE_HEAD,
+        padding=(0, 1) if is_wide else (0, 1, 0, 0),
+    )
+    table.add_column("Unit\n产品", no_wrap=True)
+    if is_wide:
+        table.add_column("Samples\n采样数", justify="right")
+        table.add_column("Rate\n角速率\ndeg/h", justify="right")
+        table.add_column("Temp.\n温度\ndegC", justify="right")
     for limit in state.limits.limits:
-        table.add_column(limit_title(limit), justify="right")
-    table.add_column("Verdict\n判定")
+        table.add_column(limit_title(limit), justify="right", overflow="fold")
+    table.add_column("Verdict\n判定", no_wrap=True)
     for view in state.units.values():
-        table.add_row(*_row(view, state.limits.limits))
+        cells = _row(view, state.limits.limits)
+        table.add_row(*(cells if is_wide else [cells[0], *cells[4:]]))
     return table
 
 
@@ -69,11 +80,11 @@ def limit_title(limit: Limit) -> str:
     --------
     >>> limit_title(Limit(characteristic="bias_stability", signal="rate", tau_s=10.0, upper=0.8,
     ...     unit_of_measure="deg/h")).splitlines()
-    ['Bias stability 10 s', '零偏稳定性', '<= 0.8 deg/h']
+    ['Bias stability', '零偏稳定性 10 s', '<= 0.8 deg/h']
     """
     english, chinese = _NAMES[limit.characteristic]
     tau = "" if limit.tau_s is None else f" {limit.tau_s:g} s"
-    return f"{english}{tau}\n{chinese}\n<= {limit.upper:g} {limit.unit_of_measure}"
+    return f"{english}\n{chinese}{tau}\n<= {limit.upper:g} {limit.unit_of_measure}"
 
 
 def _row(view: UnitView, limits: Sequence[Limit]) -> list[RenderableType]:
@@ -95,8 +106,12 @@ def _estimates(view: UnitView) -> list[EstimatePublished]:
 def _cell(check: Check, *, final: bool) -> Text:
     if check.value is None:
         return Text("...", style="dim")
-    text = f"{check.value:.4f}\n{check.lo:.4f} to {check.hi:.4f}"
+    text = f"{check.value:.4f}\n{_short(check.lo)}-{_short(check.hi)}"
     return Text(text, style=_COLOURS[check.verdict] if final else "")
+
+
+def _short(value: float | None) -> str:
+    return "" if value is None else f"{value:.3f}" if value >= 0.1 else f"{value:.4f}"
 
 
 def _verdict(given: VerdictGiven | None) -> Text:
@@ -104,7 +119,3 @@ def _verdict(given: VerdictGiven | None) -> Text:
         # a look at an interval in mid-run decides wrongly too often: the verdict is given once, at the end
         return Text("at the end\n结束时", style="dim")
     return Text(f"{given.verdict}\n{_CHINESE[given.verdict]}", style=_COLOURS[given.verdict])
-
-
-def _caption(state: DemoState) -> str:
-    return f"values with their 95 % confidence limits; limits {state.limits.revision}"
