@@ -1,0 +1,156 @@
+"""The demonstration, and asking its store: SQL, Allan curves, plots; and what is refused."""
+
+import csv
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mcap.reader
+import polars as pl
+import pytest
+
+UNITS = [f"FOG-02{n}" for n in range(31, 39)]
+
+
+@pytest.fixture(scope="module")
+def demo(
+    tmp_path_factory: pytest.TempPathFactory, command_line: Callable[..., list[str]]
+) -> tuple[Path, dict[str, Any]]:
+    """A short demonstration: its store and its result."""
+    import json
+    import subprocess
+
+    folder = tmp_path_factory.mktemp("demo")
+    command = command_line("demo", "--hours", "0.5", "--store", folder / "store", "--json")
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return folder / "store", json.loads(done.stdout)
+
+
+def test_every_simulated_sample_is_in_the_lake_and_judged(
+    gyrofleet: Callable[..., Any], demo: tuple[Path, Any]
+) -> None:
+    store, result = demo
+    assert result["simulated"]
+    assert [unit["unit"] for unit in result["units"]] == UNITS
+    # white noise twice the limit shows in minutes; the others need hours
+    assert next(unit["verdict"] for unit in result["units"] if unit["unit"] == "FOG-0234") == "FAIL"
+    rows = gyrofleet(
+        "sql", "select unit, signal, count(*) as n, count(distinct t_ns) as moments from samples "
+        "group by all order by all",
+        "--store", store, "--json",
+    ).json  # fmt: skip
+    assert [(row["unit"], row["signal"], row["n"], row["moments"]) for row in rows] == [
+        (unit, signal, n, n) for unit in UNITS for signal, n in (("rate", 360_000), ("temperature", 1800))
+    ]
+    assert sum(row["n"] for row in rows) == result["samples"]
+    stored = gyrofleet(
+        "sql", "select unit, document->>'$.verdict' as verdict from events where kind = 'VerdictGiven' order by unit",
+        "--store", store, "--json",
+    ).json  # fmt: skip
+    assert stored == [{"unit": unit["unit"], "verdict": unit["verdict"]} for unit in result["units"]]
+    (run,) = gyrofleet("sql", "select * from runs", "--store", store, "--json").json
+    assert (run["simulated"], run["date_known"], run["outcome"]) == (True, True, "completed")
+    assert Path(result["plot"]).read_bytes().startswith(b"\x89PNG")
+
+
+def test_counts_are_kept_and_values_made_from_them(gyrofleet: Callable[..., Any], demo: tuple[Path, Any]) -> None:
+    (row,) = gyrofleet(
+        "sql",
+        "select max(abs(value - counts * scale)) as worst, any_value(scale) as scale from samples "
+        "join signals using (unit, signal, run) where signal = 'rate'", "--store", demo[0], "--json",
+    ).json  # fmt: skip
+    assert row == {"worst": 0.0, "scale": 5e-5}
+
+
+def test_any_mcap_tool_reads_the_log(demo: tuple[Path, Any]) -> None:
+    segment = next(iter(sorted((demo[0] / "log").glob("*.mcap"))))
+    with segment.open("rb") as file:
+        summary = mcap.reader.make_reader(file).get_summary()
+    assert summary is not None
+    topics = {channel.topic for channel in summary.channels.values()}
+    assert "gyrofleet/simulated/demo-station/FOG-0231/rate" in topics
+    assert "gyrofleet/simulated/demo-station/FOG-0231/rate/preview" in topics
+    assert {schema.encoding for schema in summary.schemas.values()} == {"protobuf", "jsonschema"}
+
+
+def test_csv_and_parquet_carry_the_same_result(
+    gyrofleet: Callable[..., Any], demo: tuple[Path, Any], tmp_path: Path
+) -> None:
+    question = (
+        "select unit, time, value, counts from samples where signal = 'temperature' order by unit, time limit 300"
+    )
+    as_csv = gyrofleet("sql", question, "--store", demo[0], "--csv").out
+    rows = list(csv.DictReader(io.StringIO(as_csv)))
+    written = gyrofleet("sql", question, "--store", demo[0], "--parquet", "out.parquet")
+    assert written.code == 0
+    frame = pl.read_parquet(tmp_path / "out.parquet")
+    assert [float(row["value"]) for row in rows] == frame["value"].to_list()
+    assert len(frame) == 300
+    assert rows[1]["time"].endswith("000000")  # nanoseconds are there
+
+
+@pytest.mark.parametrize(
+    ("statement", "word"),
+    [
+        ("insert into samples values (1)", "INSERT is refused"),
+        ("create table mine as select 1", "CREATE is refused"),
+        ("drop view samples", "DROP is refused"),
+        ("copy (select 1) to 'x.csv'", "COPY is refused"),
+        ("attach 'x.db'", "ATTACH is refused"),
+        ("install httpfs", "LOAD is refused"),
+        ("set threads = 1", "SET is refused"),
+        ("select 1; select 2", "2 statements"),
+        ("", "0 statements"),
+        ("select * from nothing", "nothing"),
+        ("select * from '/etc/passwd'", "/etc/passwd"),
+        ("select", "views: samples"),
+    ],
+)
+def test_what_would_write_or_fails_is_refused_in_one_line(
+    gyrofleet: Callable[..., Any], demo: tuple[Path, Any], tmp_path: Path, statement: str, word: str
+) -> None:
+    refused = gyrofleet("sql", statement, "--store", demo[0])
+    assert refused.code == 1
+    assert word in refused.err
+    assert refused.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--unit", "FOG-9999", "--signal", "rate"], ["unit 'FOG-9999'", "it holds FOG-0231, FOG-0232"]),
+        (["--unit", "FOG-0231", "--signal", "yaw"], ["signal 'yaw' of unit FOG-0231", "rate, temperature"]),
+        (["--unit", "FOG-0231", "--signal", "rate", "--run", "x"], ["run 'x'", "demo-"]),
+        (["--unit", "FOG-0231", "--signal", "rate", "--plot", "x.gif"], [".png", ".svg"]),
+        (["--unit", "FOG-0231", "--signal", "rate", "--resample", "0"], ["positive"]),
+        (["--unit", "FOG-0231", "--signal", "rate", "--resample", "0.001"], ["shorter than the sample interval"]),
+        (["--unit", "FOG-0231", "--signal", "temperature", "--resample", "1500"], ["no Allan deviation"]),
+    ],
+)
+def test_allan_says_what_is_missing(
+    gyrofleet: Callable[..., Any], demo: tuple[Path, Any], arguments: list[str], words: list[str]
+) -> None:
+    refused = gyrofleet("allan", *arguments, "--store", demo[0])
+    assert refused.code == 1
+    assert all(word in refused.err for word in words), refused.err
+
+
+def test_allan_draws_and_tells(gyrofleet: Callable[..., Any], demo: tuple[Path, Any], tmp_path: Path) -> None:
+    for name, magic in (("a.png", b"\x89PNG"), ("a.svg", b"<?xml")):
+        done = gyrofleet("allan", "--unit", "FOG-0231", "--signal", "rate", "--store", demo[0], "--plot", name)
+        assert done.code == 0, done.err
+        assert (tmp_path / name).read_bytes().startswith(magic)
+        assert "deg/h" in done.out
+    fine = gyrofleet(
+        "allan", "--unit", "FOG-0231", "--signal", "rate", "--store", demo[0], "--points-per-octave", "4", "--json"
+    ).json
+    coarse = gyrofleet("allan", "--unit", "FOG-0231", "--signal", "rate", "--store", demo[0], "--json").json
+    common = dict(zip(fine["tau_s"], fine["adev"], strict=True))
+    assert [common[tau] for tau in coarse["tau_s"]] == pytest.approx(coarse["adev"], rel=1e-12)
+    assert list(coarse) == [
+        "unit", "signal", "run", "unit_of_measure", "sample_interval_s", "samples", "missing",
+        "tau_s", "adev", "lo", "hi", "edf",
+    ]  # fmt: skip
