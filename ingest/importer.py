@@ -11,13 +11,13 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 import numpy as np
 
 from ingest.instruments.table_file import TableFile
-from ingest.instruments.table_rows import BadRow, BoolArray
+from ingest.instruments.table_rows import BadRow
 from ingest.instruments.table_summary import SignalSummary, TableSummary
 from ingest.pipeline import EmbeddedPipeline
 from ingest.stored import StoredSamples
 from storage.catalog import Catalog
 from storage.store import Store, writer_endpoint
-from stream.batch import IntArray, SampleBatch
+from stream.batch import BoolArray, IntArray, SampleBatch
 from stream.delivery import DurablePublisher, Sender
 from stream.errors import StoreError
 from stream.events import NoteAdded, RunEnded, RunStarted, StreamTotal

@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from ingest.instruments.table_file import TableFile
-from ingest.instruments.table_rows import BoolArray
 from ingest.instruments.table_summary import SignalChunk, SignalSummary, TableSummary
 from storage.catalog import Catalog
 from storage.reading import stored_between
-from stream.batch import IntArray
+from stream.batch import BoolArray, IntArray
 from stream.errors import BadInput
 
 _Name = tuple[str, str, str]

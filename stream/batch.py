@@ -13,6 +13,7 @@ IntArray = npt.NDArray[np.int64]
 FloatArray = npt.NDArray[np.float64]
 CountArray = npt.NDArray[np.int32]
 FlagArray = npt.NDArray[np.uint8]
+BoolArray = npt.NDArray[np.bool_]
 
 INT64_MAX = np.iinfo(np.int64).max
 

@@ -10,9 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ingest.instruments.table_columns import Columns
-from ingest.instruments.table_rows import BadRow, BoolArray, CellBlock, NumberCells, Sieve, TextCells
+from ingest.instruments.table_rows import BadRow, CellBlock, NumberCells, Sieve, TextCells
 from ingest.instruments.table_times import decimal_places, ns_from_decimals, ns_from_floats, ns_from_integers
-from stream.batch import IntArray
+from stream.batch import BoolArray, IntArray
 from stream.errors import BadInput
 
 BLOCK_ROWS = 131_072

@@ -16,10 +16,10 @@ from ingest.instruments.table_batches import Batcher, BatchHead
 from ingest.instruments.table_checks import GoodRows, Owner, RowFilter
 from ingest.instruments.table_columns import SignalColumn, TableOptions, read_header
 from ingest.instruments.table_grid import SamplingGrid
-from ingest.instruments.table_rows import BadRows, BoolArray, NumberCells, TableReader
+from ingest.instruments.table_rows import BadRows, NumberCells, TableReader
 from ingest.instruments.table_summary import SignalChunk, SignalSummary, TableSummary
 from ingest.steps import StepTracker
-from stream.batch import FloatArray, IntArray, SampleBatch
+from stream.batch import BoolArray, FloatArray, IntArray, SampleBatch
 from stream.errors import BadInput
 from stream.events import StepEnded, StepStarted
 

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from stream.batch import FloatArray, IntArray
+from stream.batch import BoolArray, FloatArray, IntArray
 from stream.errors import BadInput
 
 if TYPE_CHECKING:
     from ingest.instruments.table_columns import Columns
 
-BoolArray = npt.NDArray[np.bool_]
 
 BAD_ROWS_KEPT = 1000
 BAD_ROWS_SHOWN = 20

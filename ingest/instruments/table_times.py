@@ -7,8 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from ingest.instruments.table_rows import BoolArray
-from stream.batch import FloatArray, IntArray
+from stream.batch import BoolArray, FloatArray, IntArray
 from stream.errors import BadInput
 from stream.quantities import conversion
 
