@@ -4,8 +4,7 @@ import click
 
 from analytics.cli import allan, demo
 from ingest.cli import import_files
-from storage.cli import record, sql
-from stream.cli import estimate
+from storage.cli import estimate, record, sql
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

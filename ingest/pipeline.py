@@ -10,6 +10,7 @@ from storage.recorder import Recorder
 from storage.store import Store, WriterLock
 from stream.batch import SampleBatch
 from stream.delivery import DurablePublisher
+from stream.errors import GyrofleetError
 from stream.events import AnyDocument, EstimatePublished
 from stream.worker import EstimationWorker
 from stream.zenoh_bus import ZenohBus
@@ -58,10 +59,15 @@ class EmbeddedPipeline:
             log = EventLog(self.store, rotate_bytes=rotate_bytes)
             self.recovered: list[Recovery] = log.recovered
             bus = stack.enter_context(ZenohBus(listen=listen))
-            self.recorder = stack.enter_context(Recorder(self.store, bus, log))
-            self._estimates = stack.enter_context(DurablePublisher(bus))
+            publishers = [stack.enter_context(DurablePublisher(bus)) for _ in range(2)]
+
+            def give_up(failure: GyrofleetError) -> None:
+                for publisher in publishers:
+                    publisher.fail(str(failure))
+
+            self.recorder = stack.enter_context(Recorder(self.store, bus, log, on_failure=give_up))
+            self._publisher, self._estimates = publishers
             self.worker = EstimationWorker(bus, self._estimates, every_s=estimate_every_s, on_estimate=on_estimate)
-            self._publisher = stack.enter_context(DurablePublisher(bus))
             self._stack = stack.pop_all()
 
     def send_batch(self, key: str, batch: SampleBatch) -> None:

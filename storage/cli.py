@@ -1,7 +1,8 @@
-"""Commands of the store: `gyrofleet record` and `gyrofleet sql`."""
+"""Commands of the store: `gyrofleet record`, `gyrofleet estimate` and `gyrofleet sql`."""
 
 import csv
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.table import Table
 
-from stream.console import notes, print_json, reporting, results, store_option, until_stopped
+from stream.console import compile_kernels, notes, print_json, reporting, results, store_option, until_stopped
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -97,6 +98,75 @@ def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
     )
     for rejection in counts.rejections:
         console.print(f"  kept aside: {rejection}")
+
+
+@click.command("estimate")
+@store_option
+@click.option("--connect", help="Where the recorder listens; by default, where the one listens that writes the store.")
+@click.option(
+    "--every",
+    "every_s",
+    type=click.FloatRange(min=0.001),
+    default=60.0,
+    show_default=True,
+    help="Seconds of a signal's time between estimates.",
+)
+@reporting
+def estimate(folder: Path, connect: str | None, every_s: float, *, as_json: bool) -> None:
+    """Estimate bias stability and Allan deviation of every signal on the bus, until stopped."""
+    from storage.store import writer_endpoint
+    from stream.delivery import DurablePublisher
+    from stream.errors import BusError
+    from stream.events import EstimatePublished
+    from stream.worker import EstimationWorker
+    from stream.zenoh_bus import ZenohBus
+
+    connect = connect or writer_endpoint(folder)
+    if connect is None:
+        raise BusError(f"no `gyrofleet record` writes {folder} now; start one, or give --connect with its address")
+    console = notes()
+    printing = threading.Lock()
+
+    def show(document: EstimatePublished) -> None:
+        with printing:
+            if as_json:
+                print_json(document)
+            else:
+                console.print(told(document))
+
+    compile_kernels(quiet=as_json)
+    with ZenohBus(connect=[connect]) as bus, DurablePublisher(bus) as publisher, until_stopped() as stopped:
+        with EstimationWorker(bus, publisher, every_s=every_s, on_estimate=show) as worker:
+            console.print(f"estimating what arrives on {connect}; Ctrl-C ends")
+            while not stopped.wait(0.2) and worker.failure is None:
+                pass
+        publisher.drain()
+    if not as_json:
+        counts = worker.counts
+        console.print(f"{counts.samples:,} samples, {counts.estimates:,} estimates, {counts.lost:,} samples missed")
+
+
+def told(document: object) -> str:
+    """One line on an estimate, for people.
+
+    Examples
+    --------
+    >>> from stream.events import EstimatePublished
+    >>> told(EstimatePublished(run="r1", t_ns=0, unit="FOG-1", signal="rate", estimator="allan_deviation",
+    ...     unit_of_measure="deg/h", confidence=0.95, samples=1, missing=0, sample_interval_s=1.0, reason="too few"))
+    'FOG-1 rate allan_deviation: no estimate (too few)'
+    """
+    from stream.events import EstimatePublished
+
+    assert isinstance(document, EstimatePublished)
+    head = f"{document.unit} {document.signal} {document.estimator}"
+    if not document.points:
+        return f"{head}: no estimate ({document.reason})"
+    least = min(document.points, key=lambda point: point.value)
+    return (
+        f"{head}: {least.value:.4g} {document.unit_of_measure} ({least.lo:.4g} to {least.hi:.4g}) "
+        f"at {least.tau_s:g} s, {document.samples:,} samples"
+    )
 
 
 @click.command("sql")

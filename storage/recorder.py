@@ -58,6 +58,8 @@ class Recorder:
         How often data are brought to the disk and acknowledged.
     on_lake : callable, optional
         Called with the name of each segment that has reached the lake.
+    on_failure : callable, optional
+        Called once, when nothing can be recorded any more.
     """
 
     def __init__(
@@ -68,12 +70,14 @@ class Recorder:
         *,
         sync_interval_s: float = 0.2,
         on_lake: Callable[[str], None] | None = None,
+        on_failure: Callable[[GyrofleetError], None] | None = None,
     ) -> None:
         self._store = store
         self._bus = bus
         self._log = log
         self._sync_interval_s = sync_interval_s
         self._on_lake = on_lake
+        self._on_failure = on_failure
         self.counts = RecorderCounts()
         self.failure: GyrofleetError | None = None
         self._incoming: deque[tuple[str, bytes, int]] = deque()
@@ -258,6 +262,8 @@ class Recorder:
 
     def _fail(self, failure: StoreError) -> None:
         with self._state:
-            self.failure = self.failure or failure
+            is_first, self.failure = self.failure is None, self.failure or failure
             self._state.notify_all()
         self._caught_up.set()
+        if is_first and self._on_failure is not None:
+            self._on_failure(failure)

@@ -163,6 +163,12 @@ class DurablePublisher:
                 self._wait()
             self._check()
 
+    def fail(self, reason: str) -> None:
+        """Let whoever sends or drains have `reason` as a DeliveryError at once: there is nothing to wait for."""
+        with self._state:
+            self._broken = self._broken or reason
+            self._state.notify_all()
+
     def close(self) -> None:
         """Stop sending again; whatever `drain` has not seen acknowledged is given up."""
         with self._state:

@@ -91,7 +91,7 @@ def test_recorder_estimator_and_source_as_processes(
 ) -> None:
     record = recorder(spawn, endpoint)
     assert listening_addresses(record.pid) == {"0100007F"}  # 127.0.0.1, and nothing else
-    estimate = spawn("estimate", "--connect", endpoint, "--every", "100", "--json")
+    estimate = spawn("estimate", "--every", "100", "--json")  # finds the recorder by its store
     assert estimate.stderr is not None
     assert "estimating" in estimate.stderr.readline()
     source = gyrofleet("import", table(tmp_path / "a.parquet", 50_000), "--unit", "U1", "--connect", endpoint, "--json")
@@ -169,6 +169,9 @@ def test_nobody_to_connect_to_and_an_address_in_use_are_said_so(
     refused = gyrofleet("import", path, "--unit", "U1", "--connect", endpoint)
     assert refused.code == 1
     assert f"cannot connect to {endpoint}" in refused.err
+    nobody = gyrofleet("estimate")
+    assert nobody.code == 1
+    assert "no `gyrofleet record` writes gyrofleet-data" in nobody.err
     recorder(spawn, endpoint)
     taken = gyrofleet("record", "--listen", endpoint, "--store", "other")
     assert taken.code == 1
