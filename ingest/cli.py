@@ -1,5 +1,6 @@
 """Commands of what comes in: `gyrofleet import`."""
 
+import time
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -70,13 +71,14 @@ def import_files(
         checked = []
         for path in files:
             task = progress.add_task(f"checking {path.name}", total=1.0)
+            began = time.monotonic()
             table = TableFile(path, options)
             summary = table.check(lambda done, task=task: progress.update(task, completed=done))  # type: ignore[misc]
             progress.update(task, completed=1.0, visible=len(files) <= 10)
-            checked.append((path, table, summary))
+            checked.append((path, table, summary, time.monotonic() - began))
         if connect is None:
             compile_kernels(quiet=True)
-        for path, table, summary in checked:
+        for path, table, summary, checking_s in checked:
             task = progress.add_task(f"importing {path.name}", total=1.0)
             imported.append(
                 import_table(
@@ -87,6 +89,7 @@ def import_files(
                     place,
                     connect=connect,
                     listen=[listen] if listen else (),
+                    checking_s=checking_s,
                     progress=lambda done, task=task: progress.update(task, completed=done),  # type: ignore[misc]
                 )
             )
