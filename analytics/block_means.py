@@ -74,8 +74,7 @@ class BlockMeans:
             sums = np.concatenate([[self._sum], sums])
             counts = np.concatenate([[self._count], counts])
         self._index, self._sum, self._count = int(blocks[-1]), float(sums[-1]), int(counts[-1])
-        needed = LEAST_SHARE * self._block_ns / batch.dt_ns
-        whole = np.flatnonzero(counts[:-1] >= needed)
+        whole = np.flatnonzero(counts[:-1] * batch.dt_ns >= LEAST_SHARE * self._block_ns)
         if len(whole) == 0:
             return None
         times_ns = self._t0_ns + blocks[whole] * self._block_ns

@@ -76,8 +76,9 @@ def import_files(
             summary = table.check(lambda done, task=task: progress.update(task, completed=done))  # type: ignore[misc]
             progress.update(task, completed=1.0, visible=len(files) <= 10)
             checked.append((path, table, summary, time.monotonic() - began))
-        if connect is None:
-            compile_kernels(quiet=True)
+    if connect is None:
+        compile_kernels(quiet=as_json)
+    with progress_bar(hidden=as_json) as progress:
         for path, table, summary, checking_s in checked:
             task = progress.add_task(f"importing {path.name}", total=1.0)
             imported.append(

@@ -87,7 +87,11 @@ class _Sending:
         self._stored = StoredSamples(catalog, self._path, self._summary)
         self._common = self._stored.check(self._table)
         self._held = _held(catalog)
-        self._known_uids = frozenset(str(uid) for (uid,) in catalog.rows("select uid from events"))
+        runs = sorted({signal.run for signal in self._summary.signals})
+        known = catalog.rows(
+            "select uid from events where kind like 'Step%' and run in (select unnest($runs))", {"runs": runs}
+        )
+        self._known_uids = frozenset(str(uid) for (uid,) in known)
 
     def send(self, sender: Sender, progress: Progress | None) -> None:
         """Publish what the store does not have: samples, steps, and the documents of the runs they belong to."""

@@ -135,7 +135,11 @@ def estimate(folder: Path, connect: str | None, every_s: float, *, as_json: bool
                 console.print(told(document))
 
     compile_kernels(quiet=as_json)
-    with ZenohBus(connect=[connect]) as bus, DurablePublisher(bus) as publisher, until_stopped() as stopped:
+    with (
+        ZenohBus(connect=[connect]) as bus,
+        DurablePublisher(bus, timeout_s=10.0) as publisher,
+        until_stopped() as stopped,
+    ):
         with EstimationWorker(bus, publisher, every_s=every_s, on_estimate=show) as worker:
             console.print(f"estimating what arrives on {connect}; Ctrl-C ends")
             while not stopped.wait(0.2) and worker.failure is None:

@@ -33,22 +33,10 @@ def find_signal(catalog: Catalog, unit: str, signal: str, run: str | None = None
     NotFound
         If the store does not hold it; the message lists what it does hold.
     """
-    for column, wanted in (("unit", unit), ("signal", signal), ("run", run)):
-        if wanted is None:
-            continue
-        where = {
-            "unit": "",
-            "signal": "where unit = $unit",
-            "run": "where unit = $unit and signal = $signal",
-        }[column]
-        given = {"unit": {}, "signal": {"unit": unit}, "run": {"unit": unit, "signal": signal}}[column]
-        held = [str(row[0]) for row in catalog.rows(f"select distinct {column} from signals {where} order by 1", given)]  # noqa: S608
-        if wanted not in held:
-            of = {"unit": "", "signal": f" of unit {unit}", "run": f" of unit {unit}, signal {signal}"}[column]
-            listed = ", ".join(held[:12]) + (f" and {len(held) - 12} more" if len(held) > 12 else "")
-            raise NotFound(
-                f"{column} {wanted!r}{of} is not in {catalog.store.folder}; it holds {listed or 'nothing yet'}"
-            )
+    _check_held(catalog, "unit", unit, "", {})
+    _check_held(catalog, "signal", signal, f" of unit {unit}", {"unit": unit})
+    if run is not None:
+        _check_held(catalog, "run", run, f" of unit {unit}, signal {signal}", {"unit": unit, "signal": signal})
     row = catalog.rows(
         "select run, unit_of_measure, samples, irregular from signals "
         "where unit = $unit and signal = $signal and (run = $run or $run is null) "
@@ -56,6 +44,15 @@ def find_signal(catalog: Catalog, unit: str, signal: str, run: str | None = None
         {"unit": unit, "signal": signal, "run": run},
     )[0]
     return SignalRecord(unit, signal, str(row[0]), str(row[1]), int(str(row[2])), bool(row[3]))
+
+
+def _check_held(catalog: Catalog, column: str, wanted: str, of: str, given: dict[str, str]) -> None:
+    where = " and ".join(["true", *(f"{name} = ${name}" for name in given)])
+    sql = f"select distinct {column} from signals where {where} order by 1"  # noqa: S608
+    held = [str(row[0]) for row in catalog.rows(sql, given)]
+    if wanted not in held:
+        listed = ", ".join(held[:12]) + (f" and {len(held) - 12} more" if len(held) > 12 else "")
+        raise NotFound(f"{column} {wanted!r}{of} is not in {catalog.store.folder}; it holds {listed or 'nothing yet'}")
 
 
 def read_signal(catalog: Catalog, record: SignalRecord) -> Iterator[SampleBatch]:

@@ -1,0 +1,54 @@
+"""Block means do not depend on how the stream is cut, and are those of NumPy."""
+
+import itertools
+from uuid import UUID
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from analytics.block_means import BlockMeans
+from stream.batch import SampleBatch
+from stream.errors import BadInput
+
+RNG = np.random.default_rng(3)
+N = 2000
+DT_NS = 10**7
+TIMES_NS = np.arange(N) * DT_NS + np.where(np.arange(N) >= 1200, 37 * DT_NS + 3, 0) + RNG.integers(0, DT_NS // 2, N)
+VALUES = RNG.standard_normal(N)
+
+
+def cut(cuts: list[int]) -> list[SampleBatch]:
+    edges = [0, *sorted(set(cuts)), N]
+    return [
+        SampleBatch(
+            "U", "rate", "r", UUID(int=1), a, int(TIMES_NS[a]), DT_NS, "deg/s",
+            values=VALUES[a:b], times_ns=TIMES_NS[a:b], irregular=True,
+        )
+        for a, b in itertools.pairwise(edges) if a < b
+    ]  # fmt: skip
+
+
+def means(block_s: float, batches: list[SampleBatch]) -> tuple[list[int], list[float]]:
+    stage = BlockMeans(block_s)
+    given_out = [out for out in map(stage.push, batches) if out is not None]
+    return (
+        [int(t) for out in given_out for t in out.time_array],
+        [float(v) for out in given_out for v in out.value_array],
+    )
+
+
+@given(st.lists(st.integers(1, N - 1), max_size=8), st.sampled_from([0.05, 0.1, 0.5, 1.0]))
+def test_the_cut_does_not_matter_and_the_means_are_right(cuts: list[int], block_s: float) -> None:
+    times_ns, values = means(block_s, cut(cuts))
+    block = (TIMES_NS - TIMES_NS[0]) // round(block_s * 1e9)
+    whole = [b for b in range(int(block[-1])) if 10 * DT_NS * (block == b).sum() >= 9 * round(block_s * 1e9)]
+    assert times_ns == [int(TIMES_NS[0]) + b * round(block_s * 1e9) for b in whole]
+    assert values == pytest.approx([VALUES[block == b].mean() for b in whole], rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("block_s", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_length_that_is_none_is_refused(block_s: float) -> None:
+    with pytest.raises(BadInput, match="positive"):
+        BlockMeans(block_s)
