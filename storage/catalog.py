@@ -7,9 +7,9 @@ from typing import Any
 import duckdb
 import pyarrow as pa
 
-from storage.lake import TABLES
+from storage.lake import REMAKE, TABLES, parts
 from storage.store import Store
-from stream.errors import QueryError
+from stream.errors import QueryError, StoreError
 
 VIEWS = ("samples", "signals", "runs", "steps", "estimates", "events")
 
@@ -39,19 +39,20 @@ class Catalog:
     ----------
     store : Store
         Which store.
+
+    Raises
+    ------
+    StoreError
+        If the lake is damaged.
     """
 
     def __init__(self, store: Store) -> None:
         self.store = store
         self._connection = duckdb.connect()
         self._connection.execute("set timezone = 'UTC'")
+        folders = parts(store)
         for table, source in _SOURCES.items():
-            paths = sorted(str(path) for path in store.lake.glob(f"*/{table}.parquet"))
-            if paths:
-                self._connection.execute(f"create view {source} as select * from read_parquet({paths!r})")  # noqa: S608
-            else:
-                columns = ", ".join(f'"{column.name}" {_SQL_TYPES[column.type]}' for column in TABLES[table])
-                self._connection.execute(f"create table {source} ({columns})")
+            self._attach(source, table, [str(folder / f"{table}.parquet") for folder in folders])
         for script in sorted(files("storage").joinpath("schema").iterdir(), key=lambda each: each.name):
             if script.name.endswith(".sql"):
                 self._connection.execute(script.read_text())
@@ -59,6 +60,17 @@ class Catalog:
         self._connection.execute(f"set allowed_directories = ['{lake}']")
         self._connection.execute("set enable_external_access = false")
         self._connection.execute("set lock_configuration = true")
+
+    def _attach(self, source: str, table: str, paths: list[str]) -> None:
+        if not paths:
+            columns = ", ".join(f'"{column.name}" {_SQL_TYPES[column.type]}' for column in TABLES[table])
+            self._connection.execute(f"create table {source} ({columns})")
+            return
+        listed = ", ".join("'" + path.replace("'", "''") + "'" for path in paths)
+        try:
+            self._connection.execute(f"create view {source} as select * from read_parquet([{listed}])")  # noqa: S608
+        except duckdb.Error as error:
+            raise StoreError(f"the lake of {self.store.folder} cannot be read ({_told(error)}); {REMAKE}") from error
 
     def reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
         """The result of one statement that reads, to be taken piece by piece through `guarded`.

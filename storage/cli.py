@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.table import Table
 
-from stream.console import compile_kernels, notes, print_json, reporting, results, store_option, until_stopped
+from stream.console import (
+    compile_kernels,
+    json_text,
+    notes,
+    print_json,
+    reporting,
+    results,
+    store_option,
+    until_stopped,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,6 +29,7 @@ if TYPE_CHECKING:
     from storage.recorder import Recorder
 
 _SHOWN_ROWS = 200
+_SHOWN_REJECTIONS = 5
 
 
 @click.command("record")
@@ -96,8 +106,8 @@ def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
         f"{counts.samples:,} samples in {counts.segments} segments; {counts.duplicates} messages came twice, "
         f"{counts.rejected} could not be read"
     )
-    for rejection in counts.rejections:
-        console.print(f"  kept aside: {rejection}")
+    for rejection in list(counts.rejections)[-_SHOWN_REJECTIONS:]:
+        console.print(f"  kept aside, among the last: {rejection}", markup=False, soft_wrap=True)
 
 
 @click.command("estimate")
@@ -200,7 +210,7 @@ def sql(statement: str, folder: Path, parquet_path: Path | None, *, as_csv: bool
             writer = csv.writer(sys.stdout)
             writer.writerow(reader.schema.names)
             for rows in _plain(catalog.guarded(reader)):
-                writer.writerows(row.values() for row in rows)
+                writer.writerows([_csv_cell(value) for value in row.values()] for row in rows)
         elif as_json:
             print_json([row for rows in _plain(catalog.guarded(reader)) for row in rows])
         else:
@@ -208,14 +218,44 @@ def sql(statement: str, folder: Path, parquet_path: Path | None, *, as_csv: bool
 
 
 def _plain(batches: "Iterator[pa.RecordBatch]") -> "Iterator[list[dict[str, Any]]]":
-    """Rows as dictionaries; moments as text with all their digits, which Python's datetime has no room for."""
+    """Rows as dictionaries of what JSON and people can read."""
     import pyarrow as pa
 
     for batch in batches:
-        columns = [
-            column.cast(pa.string()) if pa.types.is_temporal(column.type) else column for column in batch.columns
-        ]
+        columns = [_printable(name, column) for name, column in zip(batch.schema.names, batch.columns, strict=True)]
         yield pa.RecordBatch.from_arrays(columns, names=_distinct(batch.schema.names)).to_pylist()
+
+
+def _printable(name: str, column: "pa.Array") -> "pa.Array":
+    import pyarrow as pa
+
+    from stream.errors import QueryError
+
+    try:
+        if pa.types.is_interval(column.type):
+            return pa.array([None if each is None else _interval(each) for each in column.to_pylist()], pa.string())
+        return column.cast(_printable_type(column.type))
+    except pa.ArrowException as error:
+        raise QueryError(
+            f"column {name} of type {column.type} cannot be printed; say {name}::varchar in the statement"
+        ) from error
+
+
+def _printable_type(kind: "pa.DataType") -> "pa.DataType":
+    """Moments become text with all their digits, which Python's datetime has no room for."""
+    import pyarrow as pa
+
+    if pa.types.is_date(kind) or pa.types.is_time(kind) or pa.types.is_timestamp(kind) or pa.types.is_dictionary(kind):
+        return pa.string()
+    if pa.types.is_list(kind):
+        return pa.list_(_printable_type(kind.value_type))
+    if pa.types.is_struct(kind):
+        return pa.struct([pa.field(field.name, _printable_type(field.type)) for field in kind])
+    return kind
+
+
+def _interval(value: "pa.MonthDayNano") -> str:
+    return f"{value.months} months {value.days} days {value.nanoseconds / 1e9:.9g} s"
 
 
 def _distinct(names: list[str]) -> list[str]:
@@ -240,20 +280,29 @@ def _print_table(names: list[str], pages: "Iterator[list[dict[str, Any]]]") -> N
         console.print(f"{count} row{'' if count == 1 else 's'}")
 
 
+def _csv_cell(value: object) -> object:
+    if isinstance(value, list | dict):
+        return json_text(value)
+    return value.hex() if isinstance(value, bytes) else value
+
+
 def _cell(value: object) -> str:
     if value is None:
         return ""
     if isinstance(value, float):
         return f"{value:.9g}"
+    if isinstance(value, bytes):
+        return value.hex()
     if isinstance(value, list):
         return ", ".join(_cell(each) for each in value)
     return str(value)
 
 
 def _write_parquet(schema: "pa.Schema", batches: "Iterator[pa.RecordBatch]", path: Path) -> None:
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from stream.errors import BadInput
+    from stream.errors import BadInput, QueryError
 
     fresh = path.with_name(path.name + ".part")
     count = 0
@@ -262,7 +311,11 @@ def _write_parquet(schema: "pa.Schema", batches: "Iterator[pa.RecordBatch]", pat
             for batch in batches:
                 writer.write_batch(batch)
                 count += batch.num_rows
-        fresh.rename(path)
+        fresh.replace(path)
+    except pa.ArrowNotImplementedError as error:
+        raise QueryError(f"{error}; say COLUMN::varchar in the statement for such a column") from error
     except OSError as error:
         raise BadInput(f"cannot write {path}: {error}; give --parquet a file in a folder you can write") from error
+    finally:
+        fresh.unlink(missing_ok=True)
     notes().print(f"{count:,} rows written to {path}")

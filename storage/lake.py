@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 from storage.mcap_segments import EVENTS, SAMPLES, LogRecord, read_segment
 from storage.store import Store, sync_folder
 from stream.batch import SampleBatch
+from stream.errors import StoreError
 from stream.events import EstimatePublished, EventMessage, decode_event
 from stream.identity import EstimateKey, EventKey, parse_key
 from stream.wire import decode_batch
@@ -101,6 +102,8 @@ TABLES = {
     "events": EVENT_COLUMNS,
     "estimates": ESTIMATE_COLUMNS,
 }
+REMAKE = "remove that folder: it is made anew from the log by the next import or record"
+
 _ROW_GROUP = 1_000_000
 _ESTIMATE_FIELDS = (
     *("run", "unit", "signal", "estimator", "t_ns", "final", "confidence", "unit_of_measure"),
@@ -127,12 +130,36 @@ def build_missing(store: Store) -> Iterator[str]:
     Raises
     ------
     StoreError
-        If a segment is damaged.
+        If a segment is damaged; the others are brought there first.
     """
+    damaged: StoreError | None = None
     for segment in sorted(store.log.glob("*.mcap")):
-        if not (store.lake / segment.stem).exists():
+        if (store.lake / segment.stem).exists():
+            continue
+        try:
             build_part(store, segment)
-            yield segment.stem
+        except StoreError as error:
+            damaged = damaged or error
+            continue
+        yield segment.stem
+    if damaged is not None:
+        raise damaged
+
+
+def parts(store: Store) -> list[Path]:
+    """Folders of the lake in the order of their segments; whatever else lies there is left alone.
+
+    Raises
+    ------
+    StoreError
+        If a folder is not whole.
+    """
+    found = sorted(path for path in store.lake.iterdir() if path.name.isdecimal() and path.is_dir())
+    for part in found:
+        missing = [table for table in TABLES if not (part / f"{table}.parquet").is_file()]
+        if missing:
+            raise StoreError(f"{part} lacks {', '.join(f'{table}.parquet' for table in missing)}; {REMAKE}")
+    return found
 
 
 def build_part(store: Store, segment: Path) -> None:

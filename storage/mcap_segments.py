@@ -136,7 +136,8 @@ def read_segment(path: Path) -> Iterator[LogRecord]:
                     channels[record.id] = (record.topic, schemas[record.schema_id])
     except _DAMAGE as error:
         raise StoreError(
-            f"segment {path} is damaged ({type(error).__name__}: {error}); keep the file and restore it from a copy"
+            f"segment {path} is damaged ({type(error).__name__}: {error}); restore it from a copy, or move it out of "
+            f"{path.parent} to go on without what it holds"
         ) from error
 
 

@@ -252,7 +252,9 @@ class Recorder:
                     if self._on_lake is not None:
                         self._on_lake(name)
                 self._caught_up.set()
-        except (OSError, GyrofleetError) as error:
+        except GyrofleetError as error:
+            self._fail(StoreError(str(error)))
+        except OSError as error:
             self._fail(
                 StoreError(
                     f"the lake of {self._store.folder} cannot be written: {error}; the log is complete, "

@@ -20,6 +20,8 @@ from stream.errors import GyrofleetError
 P = ParamSpec("P")
 R = TypeVar("R")
 
+_json = msgspec.json.Encoder(decimal_format="number")
+
 DEFAULT_STORE = "gyrofleet-data"
 
 store_option = click.option(
@@ -44,9 +46,14 @@ def results() -> Console:
     return console if console.is_terminal else Console(highlight=False, width=200)
 
 
+def json_text(value: Any) -> str:
+    """A value as JSON; what JSON has no number for (NaN, infinity) is null."""
+    return _json.encode(value).decode()
+
+
 def print_json(value: Any) -> None:
     """Print one JSON document on a line of its own."""
-    click.echo(msgspec.json.encode(value).decode())
+    click.echo(json_text(value))
 
 
 def reporting(command: Callable[P, R]) -> Callable[..., R]:

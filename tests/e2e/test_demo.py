@@ -154,3 +154,26 @@ def test_allan_draws_and_tells(gyrofleet: Callable[..., Any], demo: tuple[Path, 
         "unit", "signal", "run", "unit_of_measure", "sample_interval_s", "samples", "missing",
         "tau_s", "adev", "lo", "hi", "edf",
     ]  # fmt: skip
+
+
+def test_results_of_every_type_can_be_printed(
+    gyrofleet: Callable[..., Any], demo: tuple[Path, Any], tmp_path: Path
+) -> None:
+    question = (
+        "select 1 as a, 2 as a, 'nan'::double as x, interval 1 day as i, 'ab'::blob as b, {'k': [1, 2]} as s, "
+        "1.5::decimal(10,2) as d, [make_timestamp_ns(7)] as l, 'p'::enum('p', 'q') as e, null as n, uuid() as u"
+    )
+    (row,) = gyrofleet("sql", question, "--store", demo[0], "--json").json
+    del row["u"]
+    assert row == {
+        "a": 1, "a_2": 2, "x": None, "i": "0 months 1 days 0 s", "b": "YWI=", "s": {"k": [1, 2]}, "d": 1.5,
+        "l": ["1970-01-01 00:00:00.000000007"], "e": "p", "n": None,
+    }  # fmt: skip
+    as_csv = gyrofleet("sql", question, "--store", demo[0], "--csv")
+    assert as_csv.code == 0
+    assert '"{""k"":[1,2]}"' in as_csv.out
+    assert gyrofleet("sql", question, "--store", demo[0]).code == 0
+    refused = gyrofleet("sql", question, "--store", demo[0], "--parquet", "out.parquet")
+    assert refused.code == 1
+    assert "::varchar" in refused.err
+    assert list(tmp_path.iterdir()) == []

@@ -1,5 +1,6 @@
 """The views over the lake: there from the first moment, of one row for each sample, and read back in order."""
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from uuid import UUID
@@ -9,17 +10,20 @@ import pytest
 
 from storage.catalog import VIEWS, Catalog
 from storage.event_log import EventLog
+from storage.lake import parts
 from storage.reading import find_signal, read_signal, stored_between
 from storage.recorder import Recorder
 from storage.store import Store
 from stream.batch import SampleBatch
 from stream.bus import LocalBus
 from stream.delivery import DurablePublisher
-from stream.errors import NotFound, QueryError
+from stream.errors import NotFound, QueryError, StoreError
 from stream.events import PowerOn, RunEnded, RunStarted, StepEnded, StepStarted, StepWords
 from stream.identity import Place, event_key, sample_key
 
 PLACE = Place("plant", "bench")
+_VALUES = np.arange(2000) * 0.5 + 1
+SUM = [(2100, float(_VALUES.sum() + _VALUES[:100].sum()))]
 T0_NS = 1_763_683_200_000_000_000
 
 
@@ -106,3 +110,40 @@ def test_a_statement_that_fails_on_its_way_is_told(catalog: Catalog) -> None:
     with pytest.raises(QueryError, match="Could not convert"):
         catalog.rows("select cast(unit as integer) from samples")
     assert catalog.rows("select 1") == [(1,)]
+
+
+def test_a_damaged_lake_is_told_and_made_anew_from_the_log(catalog: Catalog) -> None:
+    store = catalog.store
+    part = parts(store)[0]
+    (part / "samples.parquet").write_bytes((part / "samples.parquet").read_bytes()[:-50])
+    with pytest.raises(StoreError, match=r"cannot be read .*remove that folder"):
+        Catalog(store)
+    (part / "samples.parquet").unlink()
+    with pytest.raises(StoreError, match=r"00000001 lacks samples.parquet; remove that folder"):
+        Catalog(store)
+    shutil.rmtree(part)
+    (store.lake / "notes.txt").write_text("not ours")
+    (store.lake / "more").mkdir()
+    with Recorder(store, LocalBus(), EventLog(store)) as recorder:
+        recorder.wait_for_lake()
+    with Catalog(store) as again:
+        assert again.rows("select count(*), sum(value) from samples") == SUM
+
+
+def catalog_sum(catalog: Catalog) -> list[tuple[int, float]]:
+    values = np.arange(2000) * 0.5 + 1
+    return [(2100, float(values.sum() + values[:100].sum()))]
+
+
+def test_a_damaged_segment_is_told_and_harms_no_other(catalog: Catalog) -> None:
+    store = catalog.store
+    shutil.rmtree(store.lake)
+    store.lake.mkdir()
+    segments = sorted(store.log.glob("*.mcap"))
+    content = bytearray(segments[0].read_bytes())
+    content[500] ^= 0xFF  # in the first chunk; the summary, most of so small a segment, carries no samples
+    segments[0].write_bytes(content)
+    recorder = Recorder(store, LocalBus(), EventLog(store))
+    with pytest.raises(StoreError, match=r"segment .*00000001.mcap is damaged.*restore it from a copy, or move it out"):
+        recorder.close()
+    assert [part.name for part in parts(store)] == [segment.stem for segment in segments[1:]]
