@@ -1,5 +1,7 @@
 """Commands of what the samples mean: `gyrofleet allan` and `gyrofleet demo`."""
 
+import shutil
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -160,7 +162,9 @@ def _tell_next(state: "DemoState", folder: Path, plot: Path) -> None:
     console.print(f"log   {folder / 'log'}   {size_mb['log']:.0f} MB of MCAP: the record")
     console.print(f"lake  {folder / 'lake'}  {size_mb['lake']:.0f} MB of Parquet: for any tool that reads it")
     console.print(f"plot  {plot}")
+    # what the user typed, where the command is not on the path
+    program = "gyrofleet" if shutil.which("gyrofleet") else sys.argv[0]
     console.print("\nAsk it:")
     for statement in _QUESTIONS:
-        console.print(f'  gyrofleet sql "{statement}"{option}', soft_wrap=True, markup=False)
-    console.print(f"  gyrofleet allan --unit {worst} --signal rate --plot allan.png{option}", soft_wrap=True)
+        console.print(f'  {program} sql "{statement}"{option}', soft_wrap=True, markup=False)
+    console.print(f"  {program} allan --unit {worst} --signal rate --plot allan.png{option}", soft_wrap=True)
