@@ -89,21 +89,33 @@ class _Sending:
         self._held = _held(catalog)
         runs = sorted({signal.run for signal in self._summary.signals})
         known = catalog.rows(
-            "select uid from events where kind like 'Step%' and run in (select unnest($runs))", {"runs": runs}
+            "select uid from events where (kind like 'Step%' or kind = 'RunStarted') and run in (select unnest($runs))",
+            {"runs": runs},
         )
         self._known_uids = frozenset(str(uid) for (uid,) in known)
 
     def send(self, sender: Sender, progress: Progress | None) -> None:
         """Publish what the store does not have: samples, steps, and the documents of the runs they belong to."""
-        if self._common == sum(s.sampling.samples for s in self._summary.signals) and not self._summary.steps:
+        runs = dict.fromkeys(signal.run for signal in self._summary.signals)
+        open_runs = set() if self._stored is None else self._stored.open_runs & set(runs)
+        is_all_there = self._common == sum(s.sampling.samples for s in self._summary.signals)
+        if is_all_there and not self._summary.steps and not open_runs:
             return
         content = _sha256(self._path)
         owners = dict.fromkeys((s.unit, s.run) for s in self._summary.signals)
         epochs = {owner: uuid5(_NAMESPACE, "\0".join([content, *owner, str(self._common)])) for owner in owners}
-        runs = dict.fromkeys(run for _, run in owners)
         for run in runs:
             if self._stored is None or run not in self._stored.runs:
                 sender.send_event(event_key(self._place), self._started(run, content))
+        news = self._send_table(sender, epochs, progress)
+        for run in runs:
+            is_ours = self._started(run, content).uid in self._known_uids  # killed before it could end the run
+            if is_ours if run in open_runs else news:
+                sender.send_event(event_key(self._place), self._noted(run, content))
+                sender.send_event(event_key(self._place), self._ended(run, epochs))
+
+    def _send_table(self, sender: Sender, epochs: dict[tuple[str, str], UUID], progress: Progress | None) -> int:
+        """Send samples and steps that the store does not have; returns how many messages that were."""
         news = 0
         for item in self._table.batches(lambda unit, run: epochs[unit, run], self._keep, progress):
             if isinstance(item, SampleBatch):
@@ -113,9 +125,7 @@ class _Sending:
             elif item.uid not in self._known_uids:
                 sender.send_event(event_key(self._place), item)
                 news += 1
-        for run in runs if news else ():
-            sender.send_event(event_key(self._place), self._noted(run, content))
-            sender.send_event(event_key(self._place), self._ended(run, epochs))
+        return news
 
     def await_lake(self, store: Store, *, patience_s: float) -> Counter[_Name]:
         """Samples of each signal in the lake, once all that was sent is there."""

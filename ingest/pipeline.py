@@ -65,9 +65,10 @@ class EmbeddedPipeline:
                 for publisher in publishers:
                     publisher.fail(str(failure))
 
-            self.recorder = stack.enter_context(Recorder(self.store, bus, log, on_failure=give_up))
             self._publisher, self._estimates = publishers
+            # the worker listens first: what the recorder acknowledges, the worker has
             self.worker = EstimationWorker(bus, self._estimates, every_s=estimate_every_s, on_estimate=on_estimate)
+            self.recorder = stack.enter_context(Recorder(self.store, bus, log, on_failure=give_up))
             self._stack = stack.pop_all()
 
     def send_batch(self, key: str, batch: SampleBatch) -> None:

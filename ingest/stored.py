@@ -39,7 +39,9 @@ class StoredSamples:
         ):
             if (unit, run, signal) in self._signals:
                 self._stored[unit, run, signal] = (unit_of_measure, first_ns, last_ns)
-        self.runs = {str(run): bool(known) for run, known in catalog.rows("select run, date_known from runs")}
+        rows = catalog.rows("select run, date_known, outcome = 'open' from runs")
+        self.runs = {str(run): bool(known) for run, known, _ in rows}
+        self.open_runs = {str(run) for run, _, is_open in rows if is_open}
 
     def check(self, table: TableFile) -> int:
         """Compare the file with the store sample by sample; returns how many the store has already.

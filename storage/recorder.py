@@ -145,18 +145,18 @@ class Recorder:
         try:
             synced_at = time.monotonic()
             while True:
-                taken, closing = self._next_messages()
+                taken, is_last = self._next_messages()
                 for key, payload, arrival_ns in taken:
                     self._take(key, payload, arrival_ns)
                 now = time.monotonic()
-                if closing or now - synced_at >= self._sync_interval_s:
+                if is_last or now - synced_at >= self._sync_interval_s:
                     self._sync()
                     synced_at = now
-                if closing or self._log.due or (self._seal_at is not None and now >= self._seal_at):
+                if is_last or self._log.due or (self._seal_at is not None and now >= self._seal_at):
                     self._seal()
-                if closing and not taken:
+                if is_last:
                     return
-        except (OSError, GyrofleetError) as error:
+        except Exception as error:  # noqa: BLE001  whatever it is, a recorder that stopped must say so
             self._log.abandon()
             self._fail(
                 StoreError(
@@ -173,7 +173,7 @@ class Recorder:
             taken = [self._incoming.popleft() for _ in range(min(len(self._incoming), 1000))]
             self._incoming_bytes -= sum(len(payload) for _, payload, _ in taken)
             self._state.notify_all()
-            return taken, self._closing
+            return taken, self._closing and not self._incoming
 
     def _take(self, key: str, payload: bytes, arrival_ns: int) -> None:
         self.counts.messages += 1
@@ -254,7 +254,7 @@ class Recorder:
                 self._caught_up.set()
         except GyrofleetError as error:
             self._fail(StoreError(str(error)))
-        except OSError as error:
+        except Exception as error:  # noqa: BLE001  as above
             self._fail(
                 StoreError(
                     f"the lake of {self._store.folder} cannot be written: {error}; the log is complete, "

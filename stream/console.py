@@ -23,6 +23,7 @@ R = TypeVar("R")
 _json = msgspec.json.Encoder(decimal_format="number")
 
 DEFAULT_STORE = "gyrofleet-data"
+_INTERRUPTED = "interrupted; what was recorded is kept, and an import is completed by giving the same command again"
 
 store_option = click.option(
     "--store",
@@ -68,7 +69,7 @@ def reporting(command: Callable[P, R]) -> Callable[..., R]:
             _tell(type(error).__name__, str(error), as_json=kwargs.get("as_json", False))
             sys.exit(1)
         except KeyboardInterrupt:
-            _tell("Interrupted", "interrupted; what was recorded is kept", as_json=kwargs.get("as_json", False))
+            _tell("Interrupted", _INTERRUPTED, as_json=kwargs.get("as_json", False))
             sys.exit(130)
         except BrokenPipeError:
             # the reader of our output has gone, as `head` does

@@ -9,7 +9,7 @@ from typing import Self
 from stream.batch import SampleBatch
 from stream.bus import Bus
 from stream.delivery import DurablePublisher, StreamId
-from stream.errors import GyrofleetError
+from stream.errors import EstimatorError, GyrofleetError
 from stream.estimators.base import Estimator, NoEstimate, default_estimators
 from stream.events import EstimatePublished, RunEnded, decode_event
 from stream.identity import EVERYTHING, EventKey, Place, SampleKey, estimate_key, parse_key
@@ -140,9 +140,13 @@ class EstimationWorker:
                     break
             for run, unit, name in list(self._signals):
                 self._publish(run, unit, name, final=False)
-        except GyrofleetError as error:
+        except Exception as error:  # noqa: BLE001  whatever it is, a worker that stopped must say so
             with self._state:
-                self.failure = error
+                self.failure = (
+                    error
+                    if isinstance(error, GyrofleetError)
+                    else EstimatorError(f"the estimators stopped ({type(error).__name__}: {error}); recording goes on")
+                )
                 self._state.notify_all()
 
     def _take(self, key: str, payload: bytes) -> None:
