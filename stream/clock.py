@@ -71,6 +71,15 @@ class GridTracker:
         """Nominal interval of the samples in seconds, 0 before the first batch."""
         return self.dt_ns / 1e9
 
+    def export_state(self) -> dict[str, int]:
+        """Everything that is kept, by name."""
+        return {name: int(value) for name, value in vars(self).items()}
+
+    def import_state(self, state: dict[str, int]) -> None:
+        """Take over what another tracker has exported."""
+        for name, value in state.items():
+            setattr(self, name, bool(value) if name == "irregular" else value)
+
     def place(self, batch: SampleBatch) -> list[Piece]:
         """Slots of the samples of `batch`, as pieces without holes; samples that are late are in none of them.
 

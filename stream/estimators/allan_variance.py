@@ -10,7 +10,7 @@ from stream.clock import Piece
 from stream.errors import EstimatorError
 from stream.estimators.base import Estimator, NoEstimate, contiguous_runs, first_finite
 from stream.estimators.confidence import deviation_limits, least_edf
-from stream.estimators.pyramid_kernel import empty_state, push
+from stream.estimators.pyramid_kernel import PyramidState, empty_state, push
 from stream.events import EstimatePoint
 
 LEVELS = 27
@@ -67,13 +67,13 @@ class AllanDeviation(Estimator):
             raise EstimatorError(f"{points_per_octave} points per octave: the pyramid offers 1, 2, 4 or 8")
         self._lags = _lag_table(points_per_octave)
         history = 2 * int(self._lags.max())
-        self._reference = math.nan
-        self._state = empty_state(LEVELS, history, self._lags.shape[1])
+        self._points_per_octave = points_per_octave
+        self._state: PyramidState = empty_state(LEVELS, history, self._lags.shape[1])
 
     @property
-    def state_bytes(self) -> int:
-        """Size of what is kept of the signal, bytes."""
-        return sum(array.nbytes for array in self._state)
+    def arguments(self) -> dict[str, int | float]:
+        """Points per octave."""
+        return {"points_per_octave": self._points_per_octave}
 
     def _take(self, batch: SampleBatch, pieces: list[Piece]) -> None:
         if self._tracker.irregular:

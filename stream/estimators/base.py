@@ -7,7 +7,7 @@ import math
 import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 from uuid import UUID
 
 import msgspec
@@ -30,6 +30,15 @@ class NoEstimate(msgspec.Struct, frozen=True):
     """There is no estimate; `reason` says what is lacking, for people."""
 
     reason: str
+
+
+class EstimatorState(NamedTuple):
+    """Everything that an estimator keeps of its signal, in plain numbers and arrays."""
+
+    signal: tuple[str, str, str]
+    tracker: dict[str, int]
+    reference: float
+    arrays: tuple[npt.NDArray[Any], ...]
 
 
 class Estimator(ABC):
@@ -57,11 +66,19 @@ class Estimator(ABC):
     confidence: float = 0.95
     variants: ClassVar[tuple[dict[str, Any], ...]] = ({},)
 
+    _state: tuple[npt.NDArray[Any], ...]
+
     def __init__(self) -> None:
         self._tracker = GridTracker()
         self._signal = ("", "", "")
         self._report_unit = ""
         self._factor = 1.0
+        self._reference = math.nan
+
+    @property
+    @abstractmethod
+    def arguments(self) -> Mapping[str, int | float]:
+        """What the constructor was given, by name."""
 
     @property
     def unit_of_measure(self) -> str:
@@ -87,6 +104,38 @@ class Estimator(ABC):
     def sample_interval_s(self) -> float:
         """Nominal sample interval in seconds, 0 before the first batch."""
         return self._tracker.sample_interval_s
+
+    @property
+    def state_bytes(self) -> int:
+        """Size of the arrays that are kept of the signal, bytes."""
+        return sum(array.nbytes for array in self._state)
+
+    def export_state(self) -> EstimatorState:
+        """Copy everything that is kept of the signal."""
+        arrays = tuple(array.copy() for array in self._state)
+        return EstimatorState(self._signal, self._tracker.export_state(), self._reference, arrays)
+
+    def import_state(self, state: EstimatorState) -> None:
+        """Take over what another instance with the same arguments has exported.
+
+        Raises
+        ------
+        EstimatorError
+            If the arrays have other shapes or types than this estimator's.
+        """
+        for mine, theirs in zip(self._state, state.arrays, strict=True):
+            if mine.shape != theirs.shape or mine.dtype != theirs.dtype:
+                raise EstimatorError(
+                    f"the {self.names['en']} keeps {mine.dtype} {mine.shape}, the state to be taken over has "
+                    f"{theirs.dtype} {theirs.shape}: it is of another estimator"
+                )
+        for mine, theirs in zip(self._state, state.arrays, strict=True):
+            mine[...] = theirs
+        self._tracker.import_state(state.tracker)
+        self._reference = state.reference
+        self._signal = state.signal
+        if state.signal[2]:
+            self._report_unit, self._factor = report_unit(state.signal[2])
 
     def update(self, batch: SampleBatch) -> None:
         """Take in the next batch of the signal.

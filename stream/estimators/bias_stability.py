@@ -14,6 +14,7 @@ from stream.estimators.averages_kernel import (
     EARLY_SQUARES,
     LATE_SQUARES,
     SQUARES,
+    AveragesState,
     average_grid,
     average_times,
     empty_averages,
@@ -76,8 +77,12 @@ class BiasStability(Estimator):
         self.key = f"bias_stability_{average_s:g}s"
         self.names = {"en": f"Bias stability ({average_s:g} s averages)", "zh": f"零偏稳定性({average_s:g} s 平均)"}
         self._average_ns = round(average_s * 1e9)
-        self._reference = math.nan
-        self._state = empty_averages()
+        self._state: AveragesState = empty_averages()
+
+    @property
+    def arguments(self) -> dict[str, int | float]:
+        """Averaging time in seconds."""
+        return {"average_s": self.average_s}
 
     def _take(self, batch: SampleBatch, pieces: list[Piece]) -> None:
         tracker = self._tracker

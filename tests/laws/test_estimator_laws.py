@@ -14,7 +14,10 @@ from hypothesis import strategies as st
 
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import EstimatorError
+from stream.estimators import snapshot as snapshot_module
+from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import Estimator, NoEstimate, default_estimators, estimator_classes, warm_up
+from stream.estimators.snapshot import restore, take_snapshot
 from stream.events import EstimatePoint
 
 DT_NS = 100_000_000
@@ -286,3 +289,61 @@ def test_instances_may_live_in_different_threads(key: str) -> None:
     for which, values in enumerate(streams):
         alone = fed(key, [make(values[i : i + 250], i) for i in range(0, len(values), 250)])
         assert done[which].estimate() == alone.estimate()
+
+
+@EVERY
+@given(cut=st.integers(0, 40), seed=st.integers(0, 3))
+@settings(max_examples=25, deadline=None)
+def test_a_snapshot_in_mid_stream_goes_on_as_if_nothing_had_happened(key: str, cut: int, seed: int) -> None:
+    values = signal(4000, seed)
+    values[1000:1010] = np.nan
+    batches = [make(values[i : i + 100], i + (500 if i >= 2000 else 0)) for i in range(0, 4000, 100)]
+    interrupted = fed(key, batches[:cut])
+    restored = restore(take_snapshot(interrupted))
+    assert type(restored) is type(interrupted)
+    assert restored.key == key
+    for batch in batches[cut:]:
+        restored.update(batch)
+    whole = fed(key, batches)
+    assert restored.estimate() == whole.estimate()  # to the last bit
+    assert (restored.samples, restored.missing, restored.late) == (whole.samples, whole.missing, whole.late)
+    assert restored.unit_of_measure == whole.unit_of_measure
+
+
+@EVERY
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_a_damaged_snapshot_is_a_named_error(key: str, data: st.DataObject) -> None:
+    snapshot = bytearray(take_snapshot(fed(key, [make(signal(500))])))
+    at = data.draw(st.integers(0, len(snapshot) - 1))
+    snapshot[at] ^= data.draw(st.integers(1, 255))
+    cut = data.draw(st.integers(0, len(snapshot) - 1))
+    for damaged in (bytes(snapshot), bytes(snapshot[:cut])):
+        with pytest.raises(EstimatorError, match=r"damaged|no snapshot"):
+            restore(damaged)
+
+
+@EVERY
+def test_a_snapshot_is_compact_and_independent(key: str) -> None:
+    estimator = fed(key, [make(signal(6000))])
+    snapshot = take_snapshot(estimator)
+    assert len(snapshot) < estimator.state_bytes + 400
+    before = estimator.estimate()
+    restore(snapshot).update(make(signal(100, seed=9), 6000))
+    assert estimator.estimate() == before
+    assert b"stream." not in snapshot  # no name of a Python module, as pickle would have
+
+
+@EVERY
+def test_a_snapshot_of_a_newer_version_is_refused(key: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(snapshot_module, "SNAPSHOT_VERSION", 99)
+    newer = take_snapshot(fed(key, [make(signal(500))]))
+    monkeypatch.undo()
+    with pytest.raises(EstimatorError, match=r"version 99, this gyrofleet reads up to 1: upgrade"):
+        restore(newer)
+
+
+def test_a_state_of_other_settings_is_refused() -> None:
+    state = AllanDeviation(points_per_octave=1).export_state()
+    with pytest.raises(EstimatorError, match="of another estimator"):
+        AllanDeviation(points_per_octave=4).import_state(state)
