@@ -9,11 +9,12 @@ import click
 from rich.table import Table
 
 from stream.console import compile_kernels, notes, print_json, reporting, results, store_option
-from stream.errors import NotFound
+from stream.errors import BadInput, NotFound
 
 if TYPE_CHECKING:
     from analytics.allan_curve import AllanCurve
     from analytics.demo import DemoState
+    from storage.catalog import Catalog
 
 _QUESTIONS = (
     "select unit, document->>'$.verdict' as verdict from events where kind = 'VerdictGiven' order by unit",
@@ -35,6 +36,10 @@ _QUESTIONS = (
 )
 @click.option("--resample", "resample_s", type=float, help="Take means of blocks of so many seconds first.")
 @click.option("--plot", "plot_path", type=click.Path(path_type=Path), help="Draw the curve: FILE.png or FILE.svg.")
+@click.option(
+    "--compare", multiple=True, metavar="UNIT", help="Draw this unit beside it, lightly; 'all' for every one."
+)
+@click.option("--limits", "limits_path", type=click.Path(path_type=Path), help="Draw the limits of this TOML file in.")
 @reporting
 def allan(
     unit: str,
@@ -44,26 +49,50 @@ def allan(
     points_per_octave: str,
     resample_s: float | None,
     plot_path: Path | None,
+    compare: tuple[str, ...],
+    limits_path: Path | None,
     *,
     as_json: bool,
 ) -> None:
-    """Overlapping Allan deviation of a recorded signal, with 95 % confidence limits."""
+    """Overlapping Allan deviation of a recorded signal, with 95 % confidence limits.
+
+    Limits are those of a screening: [[limit]] tables with characteristic, signal, tau_s, upper, unit_of_measure.
+    """
     from analytics.allan_curve import allan_curve
+    from analytics.limits import read_limits
     from storage.catalog import Catalog
     from storage.store import Store
 
+    if plot_path is None and (compare or limits_path):
+        raise BadInput("--compare and --limits are drawn: give --plot FILE.png or FILE.svg as well")
+    limits = () if limits_path is None else read_limits(limits_path).limits
     with Catalog(Store.open(folder)) as catalog:
-        curve = allan_curve(catalog, unit, signal, run, points_per_octave=int(points_per_octave), resample_s=resample_s)
+        octave = int(points_per_octave)
+        curve = allan_curve(catalog, unit, signal, run, points_per_octave=octave, resample_s=resample_s)
+        others = [
+            allan_curve(catalog, each, signal, curve.run, points_per_octave=octave, resample_s=resample_s)
+            for each in _fleet(catalog, curve, compare)
+        ]
     if plot_path is not None:
         from analytics.allan_plot import plot_allan
 
-        plot_allan([curve], plot_path)
+        plot_allan([*others, curve], plot_path, limits=limits, chosen=unit if others else None)
     if as_json:
         print_json(curve)
         return
     results().print(_curve_table(curve))
     if plot_path is not None:
         notes().print(f"plot: {plot_path}")
+
+
+def _fleet(catalog: "Catalog", curve: "AllanCurve", compare: tuple[str, ...]) -> list[str]:
+    """Units to draw beside a curve: those named, or all that have the signal in its run."""
+    if "all" in compare:
+        sql = "select unit from signals where run = $run and signal = $signal order by unit"
+        units = [str(unit) for (unit,) in catalog.rows(sql, {"run": curve.run, "signal": curve.signal})]
+    else:
+        units = list(dict.fromkeys(compare))
+    return [unit for unit in units if unit != curve.unit]
 
 
 def _curve_table(curve: "AllanCurve") -> Table:

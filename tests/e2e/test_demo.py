@@ -177,3 +177,27 @@ def test_results_of_every_type_can_be_printed(
     assert refused.code == 1
     assert "::varchar" in refused.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_fleet_and_its_limits_are_drawn_behind_a_unit(
+    gyrofleet: Callable[..., Any], demo: tuple[Path, Any], tmp_path: Path
+) -> None:
+    ask = ("allan", "--unit", "FOG-0234", "--signal", "rate", "--store", demo[0])
+    (tmp_path / "limits.toml").write_text(
+        'revision = "A"\n[[limit]]\ncharacteristic = "allan_deviation"\nsignal = "rate"\ntau_s = 10.0\n'
+        'upper = 0.5\nunit_of_measure = "deg/h"\n'
+    )
+    done = gyrofleet(*ask, "--compare", "all", "--limits", "limits.toml", "--plot", "fleet.svg")
+    assert done.code == 0, done.err
+    alone = gyrofleet(*ask, "--plot", "alone.svg")
+    assert alone.code == 0
+    lines = {name: (tmp_path / name).read_text().count('id="line2d_') for name in ("fleet.svg", "alone.svg")}
+    assert lines["fleet.svg"] >= lines["alone.svg"] + 7
+    for wrong, words in (
+        (["--compare", "FOG-9", "--plot", "x.svg"], ["unit 'FOG-9'", "FOG-0231"]),
+        (["--compare", "all"], ["--plot"]),
+        (["--limits", "none.toml", "--plot", "x.svg"], ["none.toml", "cannot be read"]),
+    ):
+        refused = gyrofleet(*ask, *wrong)
+        assert refused.code == 1
+        assert all(word in refused.err for word in words), refused.err
