@@ -112,7 +112,8 @@ def allan_curve(
             estimator.update(block_means)
     points = estimator.estimate()
     if isinstance(points, NoEstimate):
-        raise NotFound(f"unit {unit}, signal {signal}, run {record.run}: no Allan deviation: {points.reason}")
+        reason = points.reason.removeprefix(f"unit {unit}, signal {signal}: ")
+        raise NotFound(f"unit {unit}, signal {signal}, run {record.run}: no Allan deviation: {reason}")
     return AllanCurve(
         unit=unit,
         signal=signal,

@@ -62,8 +62,8 @@ def fleet_table(state: DemoState, width: int) -> Table:
     table.add_column("Unit\n产品", no_wrap=True)
     if is_wide:
         table.add_column("Samples\n采样数", justify="right")
-        table.add_column("Rate\n角速率\ndeg/h", justify="right")
-        table.add_column("Temp.\n温度\ndegC", justify="right")
+        table.add_column("Rate, last 5 s\n角速率\ndeg/h", justify="right")
+        table.add_column("Last temp.\n温度\ndegC", justify="right")
     for limit in state.limits.limits:
         table.add_column(limit_title(limit), justify="right", overflow="fold")
     table.add_column("Verdict\n判定", no_wrap=True)

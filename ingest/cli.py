@@ -141,9 +141,9 @@ def _conclusion(imported: "FileImport", folder: Path) -> str:
     if imported.added == 0:
         return f"Nothing to add: all {in_file:,} samples are stored already."
     rate = imported.added / imported.seconds
-    speed = f"{imported.seconds:.2f} s, {rate / 1e6:.2f} M samples/s"
+    speed = f"{imported.seconds:.2f} s" + (f", {rate / 1e6:.2f} M samples/s" if rate >= 1e5 else "")
     steps = f", {imported.steps} steps" if imported.steps else ""
-    date = "" if imported.date_known else " Their date is unknown; --start gives it."
+    date = "" if imported.date_known else " Their date is unknown, as no --start was given."
     if any(signal.in_lake is None for signal in imported.signals):
         return f"{imported.added:,} samples{steps} sent and acknowledged as recorded ({speed}).{date}"
     counted = f"{imported.added:,} samples in, {imported.added:,} more in the lake of {folder}, each once"

@@ -103,7 +103,7 @@ class _Sending:
             return
         content = _sha256(self._path)
         owners = dict.fromkeys((s.unit, s.run) for s in self._summary.signals)
-        epochs = {owner: uuid5(_NAMESPACE, "\0".join([content, *owner, str(self._common)])) for owner in owners}
+        epochs = {owner: self._epoch(content, *owner) for owner in owners}
         for run in runs:
             if self._stored is None or run not in self._stored.runs:
                 sender.send_event(event_key(self._place), self._started(run, content))
@@ -164,6 +164,15 @@ class _Sending:
             return np.ones(len(times_ns), np.bool_)
         return self._stored.new(unit, run, signal, times_ns)
 
+    def _epoch(self, content: str, unit: str, run: str) -> UUID:
+        """The same samples at the same times carry the same name, so that a recorder knows them again."""
+        sampled = [
+            f"{s.signal} {s.sampling.samples} {s.sampling.t_first_ns} {s.sampling.t_last_ns}"
+            for s in self._summary.signals
+            if (s.unit, s.run) == (unit, run)
+        ]
+        return uuid5(_NAMESPACE, "\0".join([content, unit, run, str(self._common), *sampled]))
+
     def _of(self, run: str) -> list[SignalSummary]:
         return [signal for signal in self._summary.signals if signal.run == run]
 
@@ -185,7 +194,7 @@ class _Sending:
         return NoteAdded(
             run=run,
             t_ns=self._last_ns(run),
-            uid=_uid("noted", run, content, str(self._common)),
+            uid=_uid("noted", run, content, str(self._common), str(self._last_ns(run))),
             text=text,
             author="import",
         )

@@ -72,10 +72,10 @@ class StoredSamples:
     def _check_alike(self, name: _Name, summary: SignalSummary) -> None:
         unit, run, signal = name
         if self.runs.get(run, self._summary.date_known) != self._summary.date_known:
-            has, wants = ("a known", "an unknown") if self.runs[run] else ("an unknown", "a known")
+            has, remedy = ("a", "give --start") if self.runs[run] else ("no", "leave --start out")
             raise BadInput(
-                f"{self._path}: run {run} is stored with {has} date, this file comes with {wants} one; "
-                f"give --start with the run's start, or another --run"
+                f"{self._path}: run {run} is stored with {has} date, and this file comes the other way; {remedy}, or "
+                f"import it as another run with --run"
             )
         stored = self._stored.get(name)
         if stored is not None and stored[0] != summary.unit_of_measure:

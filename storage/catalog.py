@@ -92,7 +92,10 @@ class Catalog:
                 )
             return self._connection.cursor().sql(sql, params=parameters).to_arrow_reader(rows)
         except duckdb.Error as error:
-            raise QueryError(f"{_told(error)} (views: {', '.join(VIEWS)})") from error
+            reason = _told(error)
+            if "disabled by configuration" in reason:
+                reason += "; only the store is read here, import other data first"
+            raise QueryError(f"{reason} (views: {', '.join(VIEWS)})") from error
 
     def guarded(self, reader: pa.RecordBatchReader) -> Iterator[pa.RecordBatch]:
         """The pieces of a result.

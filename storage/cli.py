@@ -1,6 +1,7 @@
 """Commands of the store: `gyrofleet record`, `gyrofleet estimate` and `gyrofleet sql`."""
 
 import csv
+import itertools
 import sys
 import threading
 import time
@@ -82,6 +83,8 @@ def record(folder: Path, listen: str, rotate_mb: int, rotate_s: float, *, as_jso
                     rate = (recorder.counts.samples - told_samples) / (time.monotonic() - told_at)
                     told_at, told_samples = time.monotonic(), recorder.counts.samples
                     console.print(f"{told_samples:,} samples, {rate:,.0f}/s")
+            if not as_json:
+                console.print("stopping: writing what has arrived, sources keep the rest")
     _tell_counts(recorder, as_json=as_json)
 
 
@@ -123,7 +126,10 @@ def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
 )
 @reporting
 def estimate(folder: Path, connect: str | None, every_s: float, *, as_json: bool) -> None:
-    """Estimate bias stability and Allan deviation of every signal on the bus, until stopped."""
+    """Estimate bias stability and Allan deviation of every signal on the bus, until stopped.
+
+    Estimates go to the recorder; shown are the final ones of each run (of a curve its lowest point), with --json all.
+    """
     from storage.store import writer_endpoint
     from stream.delivery import DurablePublisher
     from stream.errors import BusError
@@ -141,8 +147,8 @@ def estimate(folder: Path, connect: str | None, every_s: float, *, as_json: bool
         with printing:
             if as_json:
                 print_json(document)
-            else:
-                console.print(told(document))
+            elif document.final:
+                console.print(told(document), soft_wrap=True, markup=False)
 
     compile_kernels(quiet=as_json)
     with (
@@ -152,8 +158,11 @@ def estimate(folder: Path, connect: str | None, every_s: float, *, as_json: bool
     ):
         with EstimationWorker(bus, publisher, every_s=every_s, on_estimate=show) as worker:
             console.print(f"estimating what arrives on {connect}; Ctrl-C ends")
+            told_at, told_samples = time.monotonic(), 0
             while not stopped.wait(0.2) and worker.failure is None:
-                pass
+                if time.monotonic() - told_at >= 5.0 and worker.counts.samples != told_samples and not as_json:
+                    told_at, told_samples = time.monotonic(), worker.counts.samples
+                    console.print(f"{told_samples:,} samples, {worker.counts.estimates:,} estimates published")
         publisher.drain()
     if not as_json:
         counts = worker.counts
@@ -190,12 +199,13 @@ def told(document: object) -> str:
 @click.option("--parquet", "parquet_path", type=click.Path(path_type=Path), help="Write the result to this file.")
 @reporting
 def sql(statement: str, folder: Path, parquet_path: Path | None, *, as_csv: bool, as_json: bool) -> None:
-    r"""Ask the store in SQL: views samples, signals, runs, steps, estimates, events.
+    """Ask the store in SQL: views samples, signals, runs, steps, estimates, events.
 
     \b
+    gyrofleet sql "describe samples"
     gyrofleet sql "select unit, signal, run, samples from signals"
     gyrofleet sql "select unit, avg(value), stddev(value) from samples group by unit"
-    """
+    """  # noqa: D301  click's mark for lines that are not to be joined
     from storage.catalog import Catalog
     from storage.store import Store
     from stream.errors import BadInput
@@ -266,18 +276,15 @@ def _print_table(names: list[str], pages: "Iterator[list[dict[str, Any]]]") -> N
     table = Table(header_style="bold")
     for name in names:
         table.add_column(name, overflow="fold")
-    count = 0
-    for rows in pages:
-        for row in rows:
-            if count < _SHOWN_ROWS:
-                table.add_row(*(_cell(value) for value in row.values()))
-            count += 1
+    rows = list(itertools.islice(itertools.chain.from_iterable(pages), _SHOWN_ROWS + 1))
+    for row in rows[:_SHOWN_ROWS]:
+        table.add_row(*(_cell(value) for value in row.values()))
     console = results()
     console.print(table)
-    if count > _SHOWN_ROWS:
-        console.print(f"{_SHOWN_ROWS} of {count:,} rows; --csv, --json or --parquet FILE give all")
+    if len(rows) > _SHOWN_ROWS:
+        console.print(f"the first {_SHOWN_ROWS} rows; --csv, --json or --parquet FILE give all")
     else:
-        console.print(f"{count} row{'' if count == 1 else 's'}")
+        console.print(f"{len(rows)} row{'' if len(rows) == 1 else 's'}")
 
 
 def _csv_cell(value: object) -> object:

@@ -136,6 +136,8 @@ class Recorder:
         with self._state:
             while self._incoming_bytes > _QUEUE_BYTES and not self._closing and self.failure is None:
                 self._state.wait(0.1)
+            if self._closing:
+                return  # not acknowledged: its source keeps it
             self._incoming.append((key, payload, time.time_ns()))
             self._incoming_bytes += len(payload)
             if len(self._incoming) == 1:

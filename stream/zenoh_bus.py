@@ -17,6 +17,8 @@ from stream.errors import BusError
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 
+_ENDPOINT = re.compile(r"[a-z]+/\S+:\d{1,5}(\?\S*)?")
+
 # Zenoh closes a transport that a consumer has stalled for 5 s, and what waits there is lost without an error.
 _WAIT_BEFORE_CLOSE_US = 60_000_000
 
@@ -60,9 +62,12 @@ class ZenohBus:
             "scouting/gossip/enabled": False,
             "transport/link/tx/queue/congestion_control/block/wait_before_close": _WAIT_BEFORE_CLOSE_US,
         }
-        for key, value in settings.items():
-            config.insert_json5(key, json.dumps(value))
+        for endpoint in (*listen, *connect):
+            if _ENDPOINT.fullmatch(endpoint) is None:
+                raise BusError(f"{endpoint!r} is no address; write it as tcp/HOST:PORT, for example {DEFAULT_ENDPOINT}")
         try:
+            for key, value in settings.items():
+                config.insert_json5(key, json.dumps(value))
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
             wanted = ", ".join([*(f"listen on {e}" for e in listen), *(f"connect to {e}" for e in connect)])

@@ -26,7 +26,9 @@ class Sampling:
     t_first_ns, t_last_ns : int
         First and last time, nanoseconds.
     dt_ns : int
-        Nominal interval, nanoseconds: the median of the first 10,000 intervals.
+        Nominal interval, nanoseconds: the mean of the first 10,000 intervals, gaps counted by how many nominal ones
+        they last. (Their median is wrong by up to a rounding step where times are rounded: 102.4 Hz in whole
+        milliseconds has a median of 10 ms.)
     off_grid : int
         Intervals further than a tenth of the nominal one from every multiple of it. Gaps of more than ten intervals
         are not counted: a source that begins anew after one has a grid of its own.
@@ -105,7 +107,7 @@ class SamplingGrid:
         times_ns = np.concatenate(self._early)
         intervals_ns = times_ns[1:] - times_ns[:-1]
         self._early.clear()
-        self._dt_ns = _median(intervals_ns[:MEDIAN_INTERVALS]) if len(intervals_ns) else _LONE_SAMPLE_DT_NS
+        self._dt_ns = _nominal(intervals_ns[:MEDIAN_INTERVALS]) if len(intervals_ns) else _LONE_SAMPLE_DT_NS
         self._judge(intervals_ns)
 
     def _judge(self, intervals_ns: IntArray) -> None:
@@ -124,6 +126,17 @@ class SamplingGrid:
 def is_gap(intervals_ns: IntArray, dt_ns: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Which intervals, in nanoseconds, are gaps in a signal of nominal interval `dt_ns`."""
     return intervals_ns > _GAP * dt_ns
+
+
+def _nominal(intervals_ns: IntArray) -> int:
+    """Mean interval, of those that lie near a multiple of the median; rounded times make the median a rough guess."""
+    dt_ns = _median(intervals_ns)
+    for _ in range(2):
+        multiples = np.maximum(np.rint(intervals_ns / dt_ns).astype(np.int64), 1)
+        near = (np.abs(intervals_ns - multiples * dt_ns) <= 0.25 * dt_ns) & (multiples <= _RESTART)
+        if near.any():
+            dt_ns = max(1, round(int(intervals_ns[near].sum()) / int(multiples[near].sum())))
+    return dt_ns
 
 
 def _median(intervals_ns: IntArray) -> int:

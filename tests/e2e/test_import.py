@@ -194,3 +194,29 @@ def test_several_units_in_one_file(gyrofleet: Callable[..., Any], tmp_path: Path
     gyrofleet("import", "two.csv")
     rows = gyrofleet("sql", "select unit, signal, samples from signals order by all", "--json").json
     assert [tuple(row.values()) for row in rows] == [("A", "rate", 500), ("A", "temperature", 50), ("B", "rate", 500)]
+
+
+def test_the_same_file_at_another_start_is_another_stretch_of_the_run(
+    gyrofleet: Callable[..., Any], tmp_path: Path
+) -> None:
+    path = table(tmp_path / "a.csv")
+    for i, start in enumerate(("2026-03-01T20:00:00Z", "2026-03-01T20:30:00Z", "2026-03-01T19:30:00Z"), start=1):
+        done = gyrofleet("import", path, "--unit", "U1", "--run", "r", "--start", start, "--json")
+        assert [(s["added"], s["in_lake"]) for s in done.json["files"][0]["signals"]] == [(2000, 2000 * i)] * 2
+    assert "Nothing to add" in gyrofleet("import", path, "--unit", "U1", "--run", "r", "--start", start).out
+    (row,) = gyrofleet("sql", "select count(*) as n, count(distinct (signal, t_ns)) as m from samples", "--json").json
+    assert row == {"n": 12_000, "m": 12_000}
+
+
+def test_the_interval_of_rounded_times_is_not_that_of_the_rounding(
+    gyrofleet: Callable[..., Any], tmp_path: Path
+) -> None:
+    i = np.arange(20_000)
+    times_s = np.round(i / 102.4, 3)
+    pl.DataFrame({"time[s]": times_s, "rate[deg/s]": np.sin(i * 0.7)}).write_csv(tmp_path / "rounded.csv")
+    (signal,) = gyrofleet("import", "rounded.csv", "--unit", "U1", "--json").json["files"][0]["signals"]
+    assert not signal["irregular"]
+    assert signal["sample_interval_s"] == pytest.approx(1 / 102.4, rel=1e-5)
+    curve = gyrofleet("allan", "--unit", "U1", "--signal", "rate", "--json").json
+    assert (curve["samples"], curve["missing"]) == (20_000, 0)
+    assert curve["tau_s"][0] == pytest.approx(1 / 102.4, rel=1e-5)

@@ -169,6 +169,15 @@ def test_nobody_to_connect_to_and_an_address_in_use_are_said_so(
     refused = gyrofleet("import", path, "--unit", "U1", "--connect", endpoint)
     assert refused.code == 1
     assert f"cannot connect to {endpoint}" in refused.err
+    for wrong in ("foo", "127.0.0.1:7447", "tcp/127.0.0.1"):
+        for command in (
+            ["record", "--listen"],
+            ["import", path, "--unit", "U1", "--connect"],
+            ["estimate", "--connect"],
+        ):
+            refused = gyrofleet(*command, wrong)
+            assert refused.code == 1
+            assert "write it as tcp/HOST:PORT" in refused.err
     nobody = gyrofleet("estimate")
     assert nobody.code == 1
     assert "no `gyrofleet record` writes gyrofleet-data" in nobody.err
@@ -189,3 +198,26 @@ def test_the_embedded_path_opens_no_port(spawn: Spawn, tmp_path: Path) -> None:
         time.sleep(0.005)
     assert listening_addresses(source.pid) == set()
     assert source.wait(timeout=60) == 0
+
+
+def test_a_recorder_that_is_stopped_while_samples_come_ends_at_once_and_goes_on_where_it_was(
+    gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, tmp_path: Path
+) -> None:
+    first = recorder(spawn, endpoint)
+    source = spawn("import", table(tmp_path / "a.parquet", 4_000_000), "--unit", "U1", "--connect", endpoint, "--json")
+    log = tmp_path / "gyrofleet-data" / "log"
+    deadline = time.monotonic() + 30
+    while not any(path.stat().st_size > 1_000_000 for path in log.glob("*.open")) and time.monotonic() < deadline:
+        time.sleep(0.005)
+    began = time.monotonic()
+    stopped(first)
+    assert time.monotonic() - began < 10
+    assert source.poll() is None, "the source was to be caught in the middle"
+    second = recorder(spawn, endpoint)
+    _, err = source.communicate(timeout=120)
+    assert source.returncode == 0, err
+    stopped(second)
+    (row,) = gyrofleet(
+        "sql", "select count(*) as n, count(distinct (signal, t_ns)) as moments from samples", "--json"
+    ).json
+    assert row == {"n": 12_000_000, "moments": 12_000_000}
