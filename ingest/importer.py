@@ -19,7 +19,7 @@ from storage.catalog import Catalog
 from storage.store import Store, writer_endpoint
 from stream.batch import BoolArray, IntArray, SampleBatch
 from stream.delivery import DurablePublisher, Sender
-from stream.errors import StoreError
+from stream.errors import BadInput, StoreError
 from stream.events import NoteAdded, RunEnded, RunStarted, StreamTotal
 from stream.identity import Place, event_key, sample_key
 from stream.zenoh_bus import ZenohBus
@@ -76,7 +76,8 @@ class _Sending:
         self._summary = summary
         self._place = place
         self._stored: StoredSamples | None = None
-        self._common = 0
+        self._common: Counter[_Name] = Counter()
+        self._sends_all = False
         self._held: Counter[_Name] = Counter()
         self._known_uids: frozenset[str] = frozenset()
         self._sent: Counter[_Name] = Counter()
@@ -94,11 +95,32 @@ class _Sending:
         )
         self._known_uids = frozenset(str(uid) for (uid,) in known)
 
+    def send_all(self) -> None:
+        """Send everything under the file's own name, and leave it to the recorder to know again what it has.
+
+        What a recorder that is running has in its open segment is not in the lake, so that the lake cannot tell
+        what is missing; its numbers can.
+
+        Raises
+        ------
+        BadInput
+            If the store has a part of the file under another name.
+        """
+        self._sends_all = True
+        for name, count in self._common.items():
+            unit, run, signal = name
+            mine = str(self._epoch(_sha256(self._path), unit, run))
+            if count and self._stored is not None and self._stored.epochs(name) != {mine}:
+                raise BadInput(
+                    f"{self._path}: a part of unit {unit}, signal {signal}, run {run} came to the store by another "
+                    f"import; complete it without --connect, once the recorder has ended"
+                )
+
     def send(self, sender: Sender, progress: Progress | None) -> None:
         """Publish what the store does not have: samples, steps, and the documents of the runs they belong to."""
         runs = dict.fromkeys(signal.run for signal in self._summary.signals)
         open_runs = set() if self._stored is None else self._stored.open_runs & set(runs)
-        is_all_there = self._common == sum(s.sampling.samples for s in self._summary.signals)
+        is_all_there = self._common.total() == sum(s.sampling.samples for s in self._summary.signals)
         if is_all_there and not self._summary.steps and not open_runs:
             return
         content = _sha256(self._path)
@@ -133,14 +155,15 @@ class _Sending:
         while True:
             with Catalog(store) as catalog:
                 in_lake = _held(catalog)
-            wrong = [name for name in self._sent if in_lake[name] != self._held[name] + self._sent[name]]
+            expected = {name: self._held[name] - self._common[name] + count for name, count in self._in_file().items()}
+            wrong = [name for name in self._sent if in_lake[name] != expected[name]]
             if not wrong:
                 return in_lake
             if time.monotonic() >= deadline:
                 unit, run, signal = name = wrong[0]
                 raise StoreError(
-                    f"{self._path}: unit {unit}, run {run}, signal {signal}: {self._sent[name]} samples were sent to "
-                    f"{self._held[name]} that were there, but the lake holds {in_lake[name]}; the log has what was "
+                    f"{self._path}: unit {unit}, run {run}, signal {signal}: {self._sent[name]} samples were sent and "
+                    f"{expected[name]} are expected, but the lake holds {in_lake[name]}; the log has what was "
                     f"acknowledged, look at {store.log}"
                 )
             time.sleep(0.2)
@@ -152,17 +175,20 @@ class _Sending:
             *name,
             unit_of_measure=signal.unit_of_measure,
             in_file=signal.sampling.samples,
-            added=self._sent[name],
-            already_stored=signal.sampling.samples - self._sent[name],
+            added=signal.sampling.samples - self._common[name],
+            already_stored=self._common[name],
             in_lake=None if in_lake is None else in_lake[name],
             sample_interval_s=signal.sampling.dt_ns / 1e9,
             irregular=signal.sampling.irregular,
         )
 
     def _keep(self, unit: str, run: str, signal: str, times_ns: IntArray) -> BoolArray:
-        if self._stored is None:
+        if self._stored is None or self._sends_all:
             return np.ones(len(times_ns), np.bool_)
         return self._stored.new(unit, run, signal, times_ns)
+
+    def _in_file(self) -> dict[_Name, int]:
+        return {(s.unit, s.run, s.signal): s.sampling.samples for s in self._summary.signals}
 
     def _epoch(self, content: str, unit: str, run: str) -> UUID:
         """The same samples at the same times carry the same name, so that a recorder knows them again."""
@@ -171,7 +197,8 @@ class _Sending:
             for s in self._summary.signals
             if (s.unit, s.run) == (unit, run)
         ]
-        return uuid5(_NAMESPACE, "\0".join([content, unit, run, str(self._common), *sampled]))
+        common = 0 if self._sends_all else self._common.total()
+        return uuid5(_NAMESPACE, "\0".join([content, unit, run, str(common), *sampled]))
 
     def _of(self, run: str) -> list[SignalSummary]:
         return [signal for signal in self._summary.signals if signal.run == run]
@@ -194,7 +221,7 @@ class _Sending:
         return NoteAdded(
             run=run,
             t_ns=self._last_ns(run),
-            uid=_uid("noted", run, content, str(self._common), str(self._last_ns(run))),
+            uid=_uid("noted", run, content, str(self._common.total()), str(self._last_ns(run))),
             text=text,
             author="import",
         )
@@ -271,6 +298,7 @@ def import_table(
         store = Store.open(folder) if writer_endpoint(folder) == connect else None
         if store is not None:
             sending.compare(store)
+            sending.send_all()
         with ZenohBus(connect=[connect]) as bus, DurablePublisher(bus) as publisher:
             sending.send(publisher, progress)
             publisher.drain()

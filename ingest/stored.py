@@ -1,5 +1,6 @@
 """What a store already has of a file: the same samples are left out, others at the same time are refused."""
 
+from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -43,8 +44,8 @@ class StoredSamples:
         self.runs = {str(run): bool(known) for run, known, _ in rows}
         self.open_runs = {str(run) for run, _, is_open in rows if is_open}
 
-    def check(self, table: TableFile) -> int:
-        """Compare the file with the store sample by sample; returns how many the store has already.
+    def check(self, table: TableFile) -> Counter[_Name]:
+        """Compare the file with the store sample by sample; returns how many of each signal the store has already.
 
         Raises
         ------
@@ -55,11 +56,12 @@ class StoredSamples:
         for name, summary in self._signals.items():
             self._check_alike(name, summary)
         if not any(self._overlaps(name) for name in self._signals):
-            return 0
-        common = 0
+            return Counter()
+        common: Counter[_Name] = Counter()
         for chunk in table.chunks():
-            if self._overlaps((chunk.unit, chunk.run, chunk.signal)):
-                common += self._check_chunk(chunk)
+            name = (chunk.unit, chunk.run, chunk.signal)
+            if self._overlaps(name):
+                common[name] += self._check_chunk(chunk)
         return common
 
     def new(self, unit: str, run: str, signal: str, times_ns: IntArray) -> BoolArray:
@@ -68,6 +70,17 @@ class StoredSamples:
             return np.ones(len(times_ns), np.bool_)
         stored_ns, _ = stored_between(self._catalog, unit, signal, run, int(times_ns[0]), int(times_ns[-1]))
         return ~np.isin(times_ns, stored_ns, assume_unique=True)
+
+    def epochs(self, name: _Name) -> set[str]:
+        """Epochs of the stored samples that lie within the file's time of a signal."""
+        unit, run, signal = name
+        sampling = self._signals[name].sampling
+        rows = self._catalog.rows(
+            "select distinct epoch from samples where unit = $unit and run = $run and signal = $signal "
+            "and t_ns between $first and $last",
+            {"unit": unit, "run": run, "signal": signal, "first": sampling.t_first_ns, "last": sampling.t_last_ns},
+        )
+        return {str(epoch) for (epoch,) in rows}
 
     def _check_alike(self, name: _Name, summary: SignalSummary) -> None:
         unit, run, signal = name

@@ -221,3 +221,27 @@ def test_a_recorder_that_is_stopped_while_samples_come_ends_at_once_and_goes_on_
         "sql", "select count(*) as n, count(distinct (signal, t_ns)) as moments from samples", "--json"
     ).json
     assert row == {"n": 12_000_000, "moments": 12_000_000}
+
+
+def test_a_source_killed_beside_a_running_recorder_is_completed_by_giving_it_again(
+    gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, tmp_path: Path
+) -> None:
+    record = spawn("record", "--listen", endpoint, "--json", "--rotate-mb", "4")
+    assert record.stdout is not None
+    record.stdout.readline()
+    path = table(tmp_path / "a.parquet", 2_000_000)
+    source = spawn("import", path, "--unit", "U1", "--connect", endpoint)
+    log = tmp_path / "gyrofleet-data" / "log"
+    deadline = time.monotonic() + 30
+    while len(list(log.glob("*.mcap"))) < 3 and time.monotonic() < deadline:
+        time.sleep(0.005)
+    source.kill()
+    source.wait()
+    again = gyrofleet("import", path, "--unit", "U1", "--connect", endpoint, "--json")
+    assert again.code == 0, again.err
+    assert [each["in_lake"] for each in again.json["files"][0]["signals"]] == [2_000_000] * 3
+    stopped(record)
+    (row,) = gyrofleet(
+        "sql", "select count(*) as n, count(distinct (signal, t_ns)) as moments from samples", "--json"
+    ).json
+    assert row == {"n": 6_000_000, "moments": 6_000_000}
