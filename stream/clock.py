@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import EstimatorError
@@ -34,6 +35,8 @@ class GridTracker:
         Slots up to the last one without a finite value: never sent, or NaN.
     late : int
         Samples left out because their time was not after that of the last one placed.
+    start_slot, start_ns : int
+        Where it began: the next slot and the last time of the tracker that it is the successor of, else 0.
     irregular : bool
         True once a batch has come that lies on no grid. From then on every sample takes one slot and slots say
         nothing of time; a slot that no sample was sent for cannot be told.
@@ -65,6 +68,8 @@ class GridTracker:
         self.first_ns = 0
         self.last_ns = 0
         self.next_slot = 0
+        self.start_ns = 0
+        self.start_slot = 0
 
     @property
     def sample_interval_s(self) -> float:
@@ -80,6 +85,30 @@ class GridTracker:
         for name, value in state.items():
             setattr(self, name, bool(value) if name == "irregular" else value)
 
+    def successor(self) -> "GridTracker":
+        """A tracker that goes on where this one stands, and counts anew."""
+        later = GridTracker()
+        later.import_state(self.export_state() | {"samples": 0, "missing": 0, "late": 0})
+        later.start_ns, later.start_slot = self.last_ns, self.next_slot
+        return later
+
+    def merge(self, later: "GridTracker") -> None:
+        """Become the tracker of both parts, `later` having gone on from here.
+
+        Raises
+        ------
+        EstimatorError
+            If `later` was not begun as the successor of what this one is now.
+        """
+        if self.next_slot and (later.start_slot, later.start_ns) != (self.next_slot, self.last_ns):
+            raise EstimatorError(
+                f"the later part begins at slot {later.start_slot}, the earlier one ends at slot {self.next_slot}: "
+                "only neighbours can be merged; begin the later part with successor() of the earlier one"
+            )
+        counts = {name: getattr(self, name) + getattr(later, name) for name in ("samples", "missing", "late")}
+        start = {"start_ns": self.start_ns, "start_slot": self.start_slot}
+        self.import_state(later.export_state() | counts | start)
+
     def place(self, batch: SampleBatch) -> list[Piece]:
         """Slots of the samples of `batch`, as pieces without holes; samples that are late are in none of them.
 
@@ -89,13 +118,22 @@ class GridTracker:
             If the nominal interval differs from that of the first batch by more than 0.1 %, or the times lie too
             far apart to be numbered.
         """
-        if batch.dt_ns != self.dt_ns:
+        n, t0_ns, dt_ns = len(batch), batch.t0_ns, batch.dt_ns
+        if dt_ns != self.dt_ns:
             self._check_interval(batch)
         if batch.irregular:
             self.irregular = True
         if batch.times_ns is not None:
             return self._place_timed(batch, batch.times_ns)
-        n, t0_ns = len(batch), batch.t0_ns
+        if t0_ns == self.last_ns + dt_ns and self.next_slot:
+            # what nearly every batch is: it goes on where the last one ended
+            first_slot = self.next_slot
+            self.last_ns += n * dt_ns
+            self.next_slot += n
+            if self.last_ns - self.first_ns > MAX_SPAN_NS:
+                self._check_span(batch, self.last_ns)
+            self._count(n, batch.values)
+            return [Piece(first_slot, 0, n)]
         late = 0
         if t0_ns <= self.last_ns and self.next_slot:
             late = min(n, (self.last_ns - t0_ns) // batch.dt_ns + 1)
@@ -158,8 +196,16 @@ class GridTracker:
             )
 
     def _count(self, n: int, values: FloatArray | None) -> None:
-        self.samples += n if values is None else int(np.count_nonzero(np.isfinite(values)))
-        self.missing = self.next_slot - self.samples
+        self.samples += n if values is None else _count_finite(values)
+        self.missing = self.next_slot - self.start_slot - self.samples
+
+
+@njit(cache=True, nogil=True)
+def _count_finite(values: FloatArray) -> int:
+    count = 0
+    for i in range(values.shape[0]):
+        count += values[i] - values[i] == 0.0
+    return count
 
 
 def _who(batch: SampleBatch) -> str:

@@ -1,7 +1,7 @@
 """Overlapping Allan deviation while the samples flow (IEEE 952-2020, NIST SP 1065 5.2.4, JJF 2014-2022 7.2.20)."""
 
-import math
 from types import MappingProxyType
+from typing import Self
 
 import numpy as np
 
@@ -10,7 +10,8 @@ from stream.clock import Piece
 from stream.errors import EstimatorError
 from stream.estimators.base import Estimator, NoEstimate, contiguous_runs, first_finite
 from stream.estimators.confidence import deviation_limits, least_edf
-from stream.estimators.pyramid_kernel import PyramidState, empty_state, push
+from stream.estimators.pyramid_kernel import PyramidState, begin_at, empty_state, push
+from stream.estimators.pyramid_merge import merge
 from stream.events import EstimatePoint
 
 LEVELS = 27
@@ -79,9 +80,15 @@ class AllanDeviation(Estimator):
         if self._tracker.irregular:
             return
         for first_slot, values in contiguous_runs(batch, pieces):
-            if math.isnan(self._reference):
+            if self._reference != self._reference:  # NaN: no finite value yet
                 self._reference = first_finite(values)
             push(*self._state, self._lags, LEAST_SHARE, self._reference, first_slot, values)
+
+    def _go_on_from(self, earlier: Self) -> None:
+        begin_at(self._state, earlier._tracker.next_slot)
+
+    def _append(self, later: Self) -> None:
+        merge(*self._state, self._lags, LEAST_SHARE, *later._state)
 
     def estimate(self) -> tuple[EstimatePoint, ...] | NoEstimate:
         """Deviation at every averaging time that has at least one pair of windows, shortest first."""

@@ -1,6 +1,7 @@
 """Machine code for consecutive averages and their spread (``bias_stability``).
 
-Means and sums of squares are updated by Welford's recurrence, so that a large mean costs no digits.
+Means and sums of squares are updated by Welford's recurrence and merged by Chan's (DOI 10.1080/00031305.1983.10483115),
+so that a large mean costs no digits.
 """
 
 from typing import NamedTuple
@@ -10,8 +11,21 @@ from numba import njit
 
 from stream.batch import FloatArray, IntArray
 
-BLOCK, COUNT, LAST, AVERAGES, PAIRS = 0, 1, 2, 3, 4
-SUM, MEAN, SQUARES, LAST_MEAN, EARLY_MEAN, LATE_MEAN, EARLY_SQUARES, LATE_SQUARES, COVARIANCE = range(9)
+BLOCK, COUNT, LAST, AVERAGES, PAIRS, BEGAN, HEAD_COUNT, FIRST_AVERAGE = range(8)
+(
+    SUM,
+    MEAN,
+    SQUARES,
+    LAST_MEAN,
+    EARLY_MEAN,
+    LATE_MEAN,
+    EARLY_SQUARES,
+    LATE_SQUARES,
+    COVARIANCE,
+    HEAD_SUM,
+    FIRST_MEAN,
+) = range(11)
+NEVER = -2
 
 
 class AveragesState(NamedTuple):
@@ -19,12 +33,14 @@ class AveragesState(NamedTuple):
 
     Attributes
     ----------
-    places : ndarray of int64, shape (5,)
+    places : ndarray of int64, shape (8,)
         Block being filled and the samples in it; the last block that became an average; averages; pairs of
-        neighbouring averages.
-    numbers : ndarray, shape (9,)
+        neighbouring averages; the block that a part began within, and the samples it has of it; the first block that
+        became an average.
+    numbers : ndarray, shape (11,)
         Sum of the block being filled; mean and sum of squares of the averages, and the last of them; over the pairs
-        mean and sum of squares of the earlier and of the later average, and the sum of their products.
+        mean and sum of squares of the earlier and of the later average, and the sum of their products; sum of the
+        block that a part began within; the first average.
     """
 
     places: IntArray
@@ -33,16 +49,37 @@ class AveragesState(NamedTuple):
 
 def empty_averages() -> AveragesState:
     """State before the first sample."""
-    places = np.zeros(5, np.int64)
-    places[LAST] = -2
-    return AveragesState(places, np.zeros(9))
+    places = np.zeros(8, np.int64)
+    places[LAST] = places[BEGAN] = places[FIRST_AVERAGE] = NEVER
+    return AveragesState(places, np.zeros(11))
+
+
+@njit(cache=True, nogil=True)
+def begin_within(places: IntArray, block: int) -> None:
+    """Let an empty state begin within `block`, of which an earlier part may have the beginning."""
+    places[BLOCK] = places[BEGAN] = block
+
+
+@njit(cache=True, nogil=True)
+def _pair(numbers: FloatArray, pairs: int, first: float, second: float) -> None:
+    """Add the last of `pairs` pairs of neighbours to their means and products."""
+    early = first - numbers[EARLY_MEAN]
+    late = second - numbers[LATE_MEAN]
+    numbers[EARLY_MEAN] += early / pairs
+    numbers[LATE_MEAN] += late / pairs
+    numbers[EARLY_SQUARES] += early * (first - numbers[EARLY_MEAN])
+    numbers[LATE_SQUARES] += late * (second - numbers[LATE_MEAN])
+    numbers[COVARIANCE] += early * (second - numbers[LATE_MEAN])
 
 
 @njit(cache=True, nogil=True)
 def _close(places: IntArray, numbers: FloatArray, expected: float, share: float) -> None:
     """End the block being filled; it becomes an average if it holds the `share` of its samples."""
     count = places[COUNT]
-    if count > 0 and count >= share * expected:
+    if places[BLOCK] == places[BEGAN]:
+        places[HEAD_COUNT] = count
+        numbers[HEAD_SUM] = numbers[SUM]
+    elif count > 0 and count >= share * expected:
         mean = numbers[SUM] / count
         places[AVERAGES] += 1
         step = mean - numbers[MEAN]
@@ -50,13 +87,10 @@ def _close(places: IntArray, numbers: FloatArray, expected: float, share: float)
         numbers[SQUARES] += step * (mean - numbers[MEAN])
         if places[LAST] == places[BLOCK] - 1:
             places[PAIRS] += 1
-            early = numbers[LAST_MEAN] - numbers[EARLY_MEAN]
-            late = mean - numbers[LATE_MEAN]
-            numbers[EARLY_MEAN] += early / places[PAIRS]
-            numbers[LATE_MEAN] += late / places[PAIRS]
-            numbers[EARLY_SQUARES] += early * (numbers[LAST_MEAN] - numbers[EARLY_MEAN])
-            numbers[LATE_SQUARES] += late * (mean - numbers[LATE_MEAN])
-            numbers[COVARIANCE] += early * (mean - numbers[LATE_MEAN])
+            _pair(numbers, places[PAIRS], numbers[LAST_MEAN], mean)
+        if places[AVERAGES] == 1:
+            places[FIRST_AVERAGE] = places[BLOCK]
+            numbers[FIRST_MEAN] = mean
         numbers[LAST_MEAN] = mean
         places[LAST] = places[BLOCK]
     places[COUNT] = 0
@@ -64,7 +98,8 @@ def _close(places: IntArray, numbers: FloatArray, expected: float, share: float)
 
 
 @njit(cache=True, nogil=True)
-def _first_slot(block: int, average_ns: int, dt_ns: int) -> int:
+def first_slot_of(block: int, average_ns: int, dt_ns: int) -> int:
+    """First slot of a block."""
     return (block * average_ns + dt_ns - 1) // dt_ns
 
 
@@ -86,10 +121,10 @@ def average_grid(
         block = slot * dt_ns // average_ns
         if block > places[BLOCK]:
             previous = places[BLOCK]
-            slots = _first_slot(previous + 1, average_ns, dt_ns) - _first_slot(previous, average_ns, dt_ns)
+            slots = first_slot_of(previous + 1, average_ns, dt_ns) - first_slot_of(previous, average_ns, dt_ns)
             _close(places, numbers, slots, share)
             places[BLOCK] = block
-        end = _first_slot(block + 1, average_ns, dt_ns)
+        end = first_slot_of(block + 1, average_ns, dt_ns)
         until = min(end, stop)
         total = numbers[SUM]
         count = 0
@@ -101,7 +136,7 @@ def average_grid(
         numbers[SUM] = total
         places[COUNT] += count
         if until == end:
-            _close(places, numbers, end - _first_slot(block, average_ns, dt_ns), share)
+            _close(places, numbers, end - first_slot_of(block, average_ns, dt_ns), share)
             places[BLOCK] = block + 1
         slot = until
 
@@ -129,3 +164,50 @@ def average_times(
         if difference - difference == 0.0:
             numbers[SUM] += difference
             places[COUNT] += 1
+
+
+@njit(cache=True, nogil=True)
+def merge_averages(
+    places: IntArray, numbers: FloatArray, later: IntArray, later_numbers: FloatArray, expected: float, share: float
+) -> None:
+    """Put the later averages behind the earlier; `expected` samples make up the block across the seam."""
+    if later[BEGAN] == NEVER or later[BLOCK] == later[BEGAN]:
+        # all of the later part lies within the block being filled, or there was nothing before it
+        if later[BEGAN] == NEVER:
+            places[:] = later
+            numbers[:] = later_numbers
+        else:
+            places[COUNT] += later[COUNT]
+            numbers[SUM] += later_numbers[SUM]
+        return
+    places[COUNT] += later[HEAD_COUNT]
+    numbers[SUM] += later_numbers[HEAD_SUM]
+    _close(places, numbers, expected, share)
+    n, m = places[AVERAGES], later[AVERAGES]
+    if m > 0:
+        step = later_numbers[MEAN] - numbers[MEAN]
+        numbers[MEAN] += step * m / (n + m)
+        numbers[SQUARES] += later_numbers[SQUARES] + step * step * n * m / (n + m)
+        places[AVERAGES] = n + m
+        if places[LAST] == later[FIRST_AVERAGE] - 1 and n > 0:
+            places[PAIRS] += 1
+            _pair(numbers, places[PAIRS], numbers[LAST_MEAN], later_numbers[FIRST_MEAN])
+        if n == 0:
+            places[FIRST_AVERAGE] = later[FIRST_AVERAGE]
+            numbers[FIRST_MEAN] = later_numbers[FIRST_MEAN]
+        places[LAST] = later[LAST]
+        numbers[LAST_MEAN] = later_numbers[LAST_MEAN]
+    n, m = places[PAIRS], later[PAIRS]
+    if m > 0:
+        early = later_numbers[EARLY_MEAN] - numbers[EARLY_MEAN]
+        late = later_numbers[LATE_MEAN] - numbers[LATE_MEAN]
+        weight = n * m / (n + m)
+        numbers[EARLY_MEAN] += early * m / (n + m)
+        numbers[LATE_MEAN] += late * m / (n + m)
+        numbers[EARLY_SQUARES] += later_numbers[EARLY_SQUARES] + early * early * weight
+        numbers[LATE_SQUARES] += later_numbers[LATE_SQUARES] + late * late * weight
+        numbers[COVARIANCE] += later_numbers[COVARIANCE] + early * late * weight
+        places[PAIRS] = n + m
+    places[BLOCK] = later[BLOCK]
+    places[COUNT] = later[COUNT]
+    numbers[SUM] = later_numbers[SUM]

@@ -7,7 +7,7 @@ import math
 import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 from uuid import UUID
 
 import msgspec
@@ -47,6 +47,7 @@ class Estimator(ABC):
     A concrete estimator in this package is found by itself (`default_estimators`) and held against the laws that
     all estimators keep: the result does not depend on how the stream is cut into batches, the input is not
     modified, gaps and NaN take their true place in time, memory is bounded, and too little data is a `NoEstimate`.
+    Neighbouring parts of a signal can be estimated apart and merged (`successor`, `merge`).
     One instance is used by one thread at a time; different instances share nothing.
 
     Attributes
@@ -137,6 +138,52 @@ class Estimator(ABC):
         if state.signal[2]:
             self._report_unit, self._factor = report_unit(state.signal[2])
 
+    def successor(self) -> Self:
+        """An estimator of the same kind that goes on where this one stands, for the part that follows.
+
+        The two can be merged, in any order among neighbours. A part can be worked on elsewhere, or be kept to
+        be merged with others, as a rolling window does.
+        """
+        later = type(self)(**self.arguments)
+        later._signal, later._report_unit, later._factor = self._signal, self._report_unit, self._factor
+        later._reference = self._reference
+        later._tracker = self._tracker.successor()
+        later._go_on_from(self)
+        return later
+
+    def merge(self, later: Self) -> None:
+        """Become the estimator of both parts; `later` goes on where this one ends, and is left as it is.
+
+        Raises
+        ------
+        EstimatorError
+            If `later` is of another kind, signal or setting, or was not begun by `successor` of what this one is now.
+        """
+        if type(later) is not type(self) or later.arguments != self.arguments:
+            raise EstimatorError(
+                f"the {self.names['en']} {dict(self.arguments)} cannot be merged with the {later.names['en']} "
+                f"{dict(later.arguments)}: kind and settings must agree"
+            )
+        if self._report_unit and later._signal != self._signal:
+            raise EstimatorError(
+                f"the {self.names['en']} of unit {self._signal[0]}, signal {self._signal[1]} in {self._signal[2]} "
+                f"cannot be merged with that of unit {later._signal[0]}, signal {later._signal[1]} in "
+                f"{later._signal[2]}"
+            )
+        self._tracker.merge(later._tracker)
+        self._signal, self._report_unit, self._factor = later._signal, later._report_unit, later._factor
+        if math.isnan(self._reference):
+            self._reference = later._reference
+        self._append(later)
+
+    @abstractmethod
+    def _go_on_from(self, earlier: Self) -> None:
+        """Let the empty state begin where that of the earlier part stands."""
+
+    @abstractmethod
+    def _append(self, later: Self) -> None:
+        """Put the state of the part that follows behind this one's."""
+
     def update(self, batch: SampleBatch) -> None:
         """Take in the next batch of the signal.
 
@@ -179,7 +226,7 @@ def contiguous_runs(batch: SampleBatch, pieces: list[Piece]) -> list[tuple[int, 
     values = for_kernel(batch.value_array)
     if len(pieces) == 1:
         first_slot, start, stop = pieces[0]
-        return [(first_slot, values[start:stop])]
+        return [(first_slot, values if stop - start == len(values) else values[start:stop])]
     origin, last = pieces[0].first_slot, pieces[-1]
     span = last.first_slot + last.stop - last.start - origin
     if span > _JOINED_SPAN * len(values):
@@ -248,4 +295,5 @@ def warm_up() -> None:
         for batch in (regular, irregular):
             estimator = factory()
             estimator.update(batch)
+            estimator.merge(estimator.successor())
             estimator.estimate()

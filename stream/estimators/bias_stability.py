@@ -4,12 +4,14 @@ Not bias instability, which is the floor of the Allan deviation (IEEE 952).
 """
 
 import math
+from typing import Self
 
 from stream.batch import FloatArray, SampleBatch
 from stream.clock import Piece
 from stream.errors import EstimatorError
 from stream.estimators.averages_kernel import (
     AVERAGES,
+    BLOCK,
     COVARIANCE,
     EARLY_SQUARES,
     LATE_SQUARES,
@@ -17,7 +19,10 @@ from stream.estimators.averages_kernel import (
     AveragesState,
     average_grid,
     average_times,
+    begin_within,
     empty_averages,
+    first_slot_of,
+    merge_averages,
 )
 from stream.estimators.base import Estimator, NoEstimate, contiguous_runs, first_finite, for_kernel
 from stream.estimators.confidence import deviation_limits
@@ -50,7 +55,7 @@ class BiasStability(Estimator):
     The limits are by chi-square with (n - 1)(1 - r**2)/(1 + r**2) degrees of freedom, r the correlation of neighbouring
     averages (Bartlett 1946, for a first-order process): those of a gyro are not white. Where the averages wander
     over the whole record, the limits are for this record; a longer one will have a larger deviation.
-    Memory: 14 numbers.
+    Memory: 19 numbers.
 
     Examples
     --------
@@ -120,6 +125,18 @@ class BiasStability(Estimator):
     def _refer_to(self, values: FloatArray) -> None:
         if math.isnan(self._reference):
             self._reference = first_finite(values)
+
+    def _go_on_from(self, earlier: Self) -> None:
+        begin_within(self._state.places, int(earlier._state.places[BLOCK]))
+
+    def _append(self, later: Self) -> None:
+        block, dt_ns = int(self._state.places[BLOCK]), later._tracker.dt_ns
+        if later._tracker.irregular or dt_ns == 0:
+            expected = self._average_ns / max(dt_ns, 1)
+        else:
+            first, end = (first_slot_of(each, self._average_ns, dt_ns) for each in (block, block + 1))
+            expected = float(end - first)
+        merge_averages(*self._state, *later._state, expected, LEAST_SHARE)
 
     def estimate(self) -> tuple[EstimatePoint, ...] | NoEstimate:
         """One point at tau = P, from two averages on."""

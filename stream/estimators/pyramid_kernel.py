@@ -12,9 +12,10 @@ from numba import njit
 
 from stream.batch import FloatArray, IntArray
 
-NEXT, FILLED, FULL, PENDING = 0, 1, 2, 3
+FIRST, NEXT, FILLED, HEADED, FULL = 0, 1, 2, 3, 4
 SUM, COUNT = 0, 1
 _CHUNK = 2048
+_FEW = 64
 
 
 class PyramidState(NamedTuple):
@@ -22,19 +23,18 @@ class PyramidState(NamedTuple):
 
     Attributes
     ----------
-    tails : ndarray, shape (K, 2, H)
-        Sums and counts of the last blocks, oldest first; counts that were never written say "full".
-    pending : ndarray, shape (K, 2)
-        An even block that waits for its odd neighbour.
+    tails, heads : ndarray, shape (K, 2, H)
+        Sums and counts of the last and of the first blocks, oldest first; counts that were never written say "full".
+        An even block at the end of a tail waits for its odd neighbour; an odd one that heads a level has none.
     squares, windows : ndarray, shape (K, L)
         Sum of D**2, and how many, for each lag n: D is the difference of two adjacent means of n blocks, times their
         slots.
-    places : ndarray of int64, shape (K, 4)
-        Index of the next block; blocks in the tail; whether they are all full; whether a block is pending.
+    places : ndarray of int64, shape (K, 5)
+        Index of the first block and of the next; blocks in the tail and in the head; whether the tail's are all full.
     """
 
     tails: FloatArray
-    pending: FloatArray
+    heads: FloatArray
     squares: FloatArray
     windows: IntArray
     places: IntArray
@@ -44,11 +44,15 @@ def empty_state(levels: int, history: int, lags: int) -> PyramidState:
     """State before the first sample."""
     tails = np.zeros((levels, 2, history))
     tails[:, COUNT] = 2.0 ** np.arange(levels)[:, np.newaxis]
-    places = np.zeros((levels, 4), np.int64)
+    places = np.zeros((levels, 5), np.int64)
     places[:, FULL] = 1
-    return PyramidState(
-        tails, np.zeros((levels, 2)), np.zeros((levels, lags)), np.zeros((levels, lags), np.int64), places
-    )
+    return PyramidState(tails, tails.copy(), np.zeros((levels, lags)), np.zeros((levels, lags), np.int64), places)
+
+
+def begin_at(state: PyramidState, slot: int) -> None:
+    """Let an empty state begin at `slot`."""
+    levels = np.arange(len(state.places))
+    state.places[:, FIRST] = state.places[:, NEXT] = -(-slot >> levels)
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc"})
@@ -124,20 +128,21 @@ def _accumulate(
     windows: IntArray,
     lags: IntArray,
     prefix: FloatArray,
-    filled: int,
+    after: int,
     length: int,
+    until: int,
     full: bool,
     share: float,
     width: float,
 ) -> None:
-    """Add the windows of one level that end in a new block, those after the first `filled`."""
+    """Add the windows of a level that end after the first `after` of `length` blocks and begin before `until`."""
+    sums = prefix[SUM]
     for j in range(lags.shape[0]):
         lag = lags[j]
-        first = max(filled + 1, 2 * lag)
-        stop = length + 1
+        first = max(after + 1, 2 * lag)
+        stop = min(length + 1, until + 2 * lag)
         if lag == 0 or first >= stop:
             continue
-        sums = prefix[SUM]
         if full:
             squares[j] += _sum_of_squares(
                 sums[first:stop], sums[first - lag : stop - lag], sums[first - 2 * lag : stop - 2 * lag]
@@ -151,68 +156,113 @@ def _accumulate(
 
 
 @njit(cache=True, nogil=True)
-def _keep_tail(tail: FloatArray, place: IntArray, line: FloatArray, length: int, full: bool, width: float) -> None:
-    """Keep the last blocks of a level."""
-    kept = min(tail.shape[1], length)
-    tail[SUM, :kept] = line[SUM, length - kept : length]
+def _are_full(counts: FloatArray, number: int, width: float) -> bool:
+    for i in range(number):
+        if counts[i] != width:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _keep_ends(
+    tail: FloatArray, head: FloatArray, place: IntArray, line: FloatArray, length: int, full: bool, width: float
+) -> None:
+    """Keep the last blocks of a level, and the first until there are enough; the line begins with the tail."""
+    history = tail.shape[1]
+    first = place[FILLED]
+    kept = min(history, length)
+    headed = place[HEADED]
+    more = min(history - headed, length - first)
+    for which in range(1 if full else 2):
+        for i in range(kept):
+            tail[which, i] = line[which, length - kept + i]
+        for i in range(more):
+            head[which, headed + i] = line[which, first + i]
+    place[HEADED] = headed + more
     place[FILLED] = kept
     if not full:
-        tail[COUNT, :kept] = line[COUNT, length - kept : length]
-        place[FULL] = 1
-        for i in range(kept):
-            if tail[COUNT, i] != width:
-                place[FULL] = 0
+        place[FULL] = _are_full(tail[COUNT], kept, width)
 
 
 @njit(cache=True, nogil=True)
 def _pair(
-    line: FloatArray,
-    parents: FloatArray,
-    pending: FloatArray,
-    place: IntArray,
-    given: int,
-    total: int,
-    full: bool,
-    width: float,
-    enough: int,
-) -> tuple[int, int, bool]:
-    """Sum pairs of blocks into parents; blocks `given` to `total` are empty and not written out."""
-    if full and place[PENDING] == 1 and pending[COUNT] != width:
-        line[COUNT, :given] = width
-        full = False
-    ends = place[PENDING] + total
-    start = made = 0
-    if place[PENDING] == 1:
-        parents[SUM, 0] = pending[SUM] + line[SUM, 0]
-        parents[COUNT, 0] = pending[COUNT] + (width if full else line[COUNT, 0])
-        start = made = 1
-    pairs = (given - start) // 2
+    line: FloatArray, parents: FloatArray, place: IntArray, filled: int, given: int, total: int, full: bool, enough: int
+) -> tuple[int, int]:
+    """Sum pairs of blocks into parents: how many are written, and how many there are.
+
+    The `given` new blocks stand in the line behind those of the tail, of which the last may wait for its neighbour;
+    `total - given` empty ones follow that are not written out, nor more than `enough` of their parents.
+    """
+    start = filled
+    if place[NEXT] % 2 == 1:
+        # an odd block that heads the level has no neighbour and gets no parent
+        start += -1 if place[NEXT] > place[FIRST] else 1
+    pairs = max(0, (filled + given - start) // 2)
     for which in range(1 if full else 2):
         below = line[which, start:]
-        above = parents[which, made:]
+        above = parents[which]
         for i in range(pairs):
             above[i] = below[2 * i] + below[2 * i + 1]
-    made += pairs
-    single = start + 2 * pairs < given
+    made = pairs
+    all_parents = max(0, (filled + total - start) // 2)
     if total > given:
-        if single:
-            parents[:, made] = line[:, given - 1]
+        if start + 2 * pairs < filled + given:
+            parents[:, made] = line[:, filled + given - 1]
             made += 1
-        wanted = min(ends // 2, enough)
+        wanted = min(all_parents, enough)
         if made < wanted:
             parents[:, made:wanted] = 0.0
             made = wanted
-    place[PENDING] = ends % 2
-    is_empty = place[PENDING] == 0 or total > given
-    pending[SUM] = 0.0 if is_empty else line[SUM, given - 1]
-    pending[COUNT] = 0.0 if is_empty else (width if full else line[COUNT, given - 1])
-    return made, ends // 2, full
+    return made, all_parents
+
+
+@njit(cache=True, nogil=True)
+def _climb_a_level(
+    tails: FloatArray,
+    squares: FloatArray,
+    windows: IntArray,
+    places: IntArray,
+    lags: IntArray,
+    scratch: FloatArray,
+    level: int,
+    now: int,
+    given: int,
+) -> int:
+    """Push a few full blocks from scratch[now] into a level that is full, their parents into the other; how many.
+
+    As the general way, but without a view of an array: views cost more than the few numbers in them, and nine levels
+    in ten of a batch of 1000 get but a few blocks.
+    """
+    history = tails.shape[2]
+    for i in range(history):
+        scratch[now, SUM, i] = tails[level, SUM, i]
+    length = history + given
+    _prefix(scratch[now, SUM, :length], scratch[2, SUM])
+    row = min(level, 1)
+    for j in range(lags.shape[1]):
+        lag = lags[row, j]
+        if lag == 0:
+            break
+        total = 0.0
+        for i in range(history + 1, length + 1):
+            difference = scratch[2, SUM, i] - 2.0 * scratch[2, SUM, i - lag] + scratch[2, SUM, i - 2 * lag]
+            total += difference * difference
+        squares[level, j] += total
+        windows[level, j] += given
+    for i in range(history):
+        tails[level, SUM, i] = scratch[now, SUM, given + i]
+    start = history - places[level, NEXT] % 2
+    places[level, NEXT] += given
+    parents = (length - start) // 2
+    for i in range(parents):
+        scratch[1 - now, SUM, history + i] = scratch[now, SUM, start + 2 * i] + scratch[now, SUM, start + 2 * i + 1]
+    return parents
 
 
 @njit(cache=True, nogil=True)
 def _climb(
     tails: FloatArray,
-    pending: FloatArray,
+    heads: FloatArray,
     squares: FloatArray,
     windows: IntArray,
     places: IntArray,
@@ -229,35 +279,53 @@ def _climb(
     blocks changes nothing further in a level, so that a gap costs the same however long it is.
     """
     history = tails.shape[2]
-    here, above, prefix = scratch[0], scratch[1], scratch[2]
+    prefix = scratch[2]
+    now = 0
     for level in range(tails.shape[0]):
         if total == 0:
             break
         width = 2.0**level
+        if full and total == given and given < _FEW and places[level, FULL] == 1 and places[level, HEADED] == history:
+            given = _climb_a_level(tails, squares, windows, places, lags, scratch, level, now, given)
+            total = given
+            now = 1 - now
+            continue
+        here = scratch[now]
+        above = scratch[1 - now]
+        now = 1 - now
         place = places[level]
         filled = place[FILLED]
         length = filled + given
-        if full and place[FULL] == 0:
-            here[COUNT, history : history + given] = width
-        all_full = full and place[FULL] == 1
         line = here[:, history - filled :]
-        line[SUM, :filled] = tails[level, SUM, :filled]
-        _prefix(line[SUM, :length], prefix[SUM])
-        if not all_full:
-            line[COUNT, :filled] = tails[level, COUNT, :filled]
-            _prefix(line[COUNT, :length], prefix[COUNT])
-        _accumulate(squares[level], windows[level], lags[min(level, 1)], prefix, filled, length, all_full, share, width)
-        _keep_tail(tails[level], place, line, length, all_full, width)
+        all_full = full and place[FULL] == 1
+        if full and not all_full:
+            line[COUNT, filled:length] = width
+        for which in range(1 if all_full else 2):
+            for i in range(filled):
+                line[which, i] = tails[level, which, i]
+            _prefix(line[which, :length], prefix[which])
+        _accumulate(
+            squares[level],
+            windows[level],
+            lags[min(level, 1)],
+            prefix,
+            filled,
+            length,
+            length,
+            all_full,
+            share,
+            width,
+        )
+        _keep_ends(tails[level], heads[level], place, line, length, all_full, width)
+        made, parents = _pair(line, above[:, history:], place, filled, given, total, all_full, history + 1)
         place[NEXT] += total
-        new, parents = here[:, history:], above[:, history:]
-        given, total, full = _pair(new, parents, pending[level], place, given, total, full, width, history + 1)
-        here, above = above, here
+        given, total, full = made, parents, all_full
 
 
 @njit(cache=True, nogil=True)
 def push(
     tails: FloatArray,
-    pending: FloatArray,
+    heads: FloatArray,
     squares: FloatArray,
     windows: IntArray,
     places: IntArray,
@@ -279,11 +347,11 @@ def push(
     if gap > 0:
         given = min(gap, history + 1)
         scratch[0, :, history : history + given] = 0.0
-        _climb(tails, pending, squares, windows, places, lags, share, scratch, given, gap, False)
+        _climb(tails, heads, squares, windows, places, lags, share, scratch, given, gap, False)
     for start in range(0, values.shape[0], _CHUNK):
         given = min(_CHUNK, values.shape[0] - start)
         sums = scratch[0, SUM, history : history + given]
         full = _subtract(values[start : start + given], reference, sums)
         if not full:
             _mask(sums, scratch[0, COUNT, history : history + given])
-        _climb(tails, pending, squares, windows, places, lags, share, scratch, given, given, full)
+        _climb(tails, heads, squares, windows, places, lags, share, scratch, given, given, full)

@@ -12,7 +12,7 @@ from stream.errors import EstimatorError
 if TYPE_CHECKING:
     from stream.estimators.base import Estimator
 
-SNAPSHOT_VERSION = 1
+SNAPSHOT_VERSION = 2
 
 _HEAD = struct.Struct("<4sII")  # mark, version, CRC-32 of version and content
 _MARK = b"GFES"
@@ -77,6 +77,11 @@ def restore(snapshot: bytes) -> "Estimator":
     if version > SNAPSHOT_VERSION:
         raise EstimatorError(
             f"snapshot of version {version}, this gyrofleet reads up to {SNAPSHOT_VERSION}: upgrade this side"
+        )
+    if version < SNAPSHOT_VERSION:
+        raise EstimatorError(
+            f"snapshot of version {version}, of an older gyrofleet; this one keeps version {SNAPSHOT_VERSION}: "
+            "estimate anew from the record"
         )
     content = _decoder.decode(zlib.decompress(packed))
     classes = {cls.__name__: cls for cls in estimator_classes()}

@@ -291,6 +291,87 @@ def test_instances_may_live_in_different_threads(key: str) -> None:
         assert done[which].estimate() == alone.estimate()
 
 
+def parts(key: str, batches: list[SampleBatch], cuts: list[int]) -> list[Estimator]:
+    """Estimators of neighbouring parts of a stream, cut before the batches of those numbers."""
+    edges = [0, *sorted(cuts), len(batches)]
+    found = [FACTORIES[key]()]
+    for first, stop in itertools.pairwise(edges):
+        for batch in batches[first:stop]:
+            found[-1].update(batch)
+        found.append(found[-1].successor())
+    return found
+
+
+@EVERY
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(data=st.data())
+def test_parts_merge_in_any_order_to_one_pass(key: str, data: st.DataObject) -> None:
+    values = signal(3000, 4)
+    values[1400:1410] = np.nan
+    if data.draw(st.booleans()):
+        values[:200] = np.nan
+    size = data.draw(st.sampled_from([7, 64, 100]))
+    hole = data.draw(st.sampled_from([0, 1, 33, 5000]))
+    batches = [make(values[i : i + size], i + (hole if i >= 2000 else 0)) for i in range(0, len(values), size)]
+    cuts = data.draw(st.lists(st.integers(0, len(batches)), min_size=1, max_size=6))
+    waiting = parts(key, batches, cuts)
+    whole = fed(key, batches)
+    while len(waiting) > 1:
+        at = data.draw(st.integers(0, len(waiting) - 2))
+        if data.draw(st.booleans()):
+            waiting[at] = restore(take_snapshot(waiting[at]))
+        waiting[at].merge(waiting.pop(at + 1))
+    assert_same(waiting[0], whole)
+    more = make(signal(3000, 5), 10_000)
+    waiting[0].update(more)
+    whole.update(more)
+    assert_same(waiting[0], whole)
+
+
+@EVERY
+def test_irregular_parts_merge_to_one_pass(key: str) -> None:
+    rng = np.random.default_rng(6)
+    times_ns = np.cumsum(rng.integers(1, 2 * DT_NS, 4000)).astype(np.int64)
+    values = signal(4000)
+    batches = [make(values[i : i + 50], times_ns=times_ns[i : i + 50], irregular=True) for i in range(0, 4000, 50)]
+    merged, *others = parts(key, batches, [1, 20, 21, 79])
+    for other in others:
+        merged.merge(other)
+    assert_same(merged, fed(key, batches))
+
+
+@EVERY
+def test_merging_leaves_the_later_part_as_it_is(key: str) -> None:
+    earlier, later, _ = parts(key, [make(signal(3000)), make(signal(3000, 2), 3000)], [1])
+    before = take_snapshot(later)
+    earlier.merge(later)
+    later_again = restore(before)
+    assert later.estimate() == later_again.estimate()
+    assert take_snapshot(later) == before
+
+
+@EVERY
+def test_what_does_not_go_together_is_not_merged(key: str) -> None:
+    batches = [make(signal(500, i), 500 * i) for i in range(4)]
+    first, second, third, _ = parts(key, batches, [1, 2])
+    before = first.estimate()
+    with pytest.raises(EstimatorError, match=r"only neighbours can be merged; begin the later part with successor"):
+        first.merge(third)
+    with pytest.raises(EstimatorError, match="only neighbours can be merged"):
+        first.merge(fed(key, batches[1:2]))
+    stranger = FACTORIES[key]()
+    stranger.update(replace(batches[1], unit="FOG-2"))
+    with pytest.raises(EstimatorError, match="of unit FOG-1, signal rate in deg/s cannot be merged with that of unit"):
+        first.merge(stranger)
+    other = next(make() for name, make in FACTORIES.items() if name != key)
+    with pytest.raises(EstimatorError, match="kind and settings must agree"):
+        first.merge(other)
+    assert first.estimate() == before
+    first.merge(second)
+    with pytest.raises(EstimatorError, match="only neighbours"):
+        first.merge(second)
+
+
 @EVERY
 @given(cut=st.integers(0, 40), seed=st.integers(0, 3))
 @settings(max_examples=25, deadline=None)
@@ -339,7 +420,7 @@ def test_a_snapshot_of_a_newer_version_is_refused(key: str, monkeypatch: pytest.
     monkeypatch.setattr(snapshot_module, "SNAPSHOT_VERSION", 99)
     newer = take_snapshot(fed(key, [make(signal(500))]))
     monkeypatch.undo()
-    with pytest.raises(EstimatorError, match=r"version 99, this gyrofleet reads up to 1: upgrade"):
+    with pytest.raises(EstimatorError, match=r"version 99, this gyrofleet reads up to 2: upgrade"):
         restore(newer)
 
 

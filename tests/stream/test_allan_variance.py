@@ -109,7 +109,7 @@ def test_skipping_a_gap_equals_pushing_it_slot_by_slot(gap: int, before: int) ->
     assert_same(skipped, filled)
     np.testing.assert_array_equal(skipped._state.places, filled._state.places)
     np.testing.assert_array_equal(skipped._state.windows, filled._state.windows)
-    np.testing.assert_allclose(skipped._state.pending, filled._state.pending, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(skipped._state.heads, filled._state.heads, rtol=1e-12, atol=1e-12)
     assert (skipped.samples, skipped.missing) == (filled.samples, filled.missing)
 
 
