@@ -1,6 +1,6 @@
 """A batch of consecutive samples of one signal: what travels, is kept and is estimated from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from uuid import UUID
 
@@ -122,6 +122,26 @@ class SampleBatch:
         if self.times_ns is not None:
             return int(self.times_ns[-1])
         return self.t0_ns + (len(self) - 1) * self.dt_ns
+
+    def part(self, start: int, stop: int) -> "SampleBatch":
+        """Samples `start` to `stop` of the batch, as a batch; the arrays are views.
+
+        Examples
+        --------
+        >>> from uuid import UUID
+        >>> batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 0, 0, 10, "deg/s", values=np.array([1.0, 2.0, 3.0]))
+        >>> batch.part(1, 3).seq, batch.part(1, 3).t0_ns, batch.part(1, 3).values.tolist()
+        (1, 10, [2.0, 3.0])
+        """
+        return replace(
+            self,
+            seq=self.seq + start,
+            t0_ns=self.t0_ns + start * self.dt_ns if self.times_ns is None else int(self.times_ns[start]),
+            counts=None if self.counts is None else self.counts[start:stop],
+            values=None if self.values is None else self.values[start:stop],
+            times_ns=None if self.times_ns is None else self.times_ns[start:stop],
+            flags=None if self.flags is None else self.flags[start:stop],
+        )
 
     @cached_property
     def time_array(self) -> IntArray:

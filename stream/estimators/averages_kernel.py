@@ -41,23 +41,27 @@ class AveragesState(NamedTuple):
         Sum of the block being filled; mean and sum of squares of the averages, and the last of them; over the pairs
         mean and sum of squares of the earlier and of the later average, and the sum of their products; sum of the
         block that a part began within; the first average.
+    ring, ring_blocks : ndarray of float64 and int64, shape (W,)
+        The averages of the last W blocks and their blocks, block b at place b modulo W; for a rolling window.
     """
 
     places: IntArray
     numbers: FloatArray
+    ring: FloatArray
+    ring_blocks: IntArray
 
 
-def empty_averages() -> AveragesState:
-    """State before the first sample."""
+def empty_averages(window: int) -> AveragesState:
+    """State before the first sample, with a ring for `window` averages."""
     places = np.zeros(8, np.int64)
     places[LAST] = places[BEGAN] = places[FIRST_AVERAGE] = NEVER
-    return AveragesState(places, np.zeros(11))
+    return AveragesState(places, np.zeros(11), np.zeros(window), np.full(window, NEVER))
 
 
-@njit(cache=True, nogil=True)
-def begin_within(places: IntArray, block: int) -> None:
-    """Let an empty state begin within `block`, of which an earlier part may have the beginning."""
-    places[BLOCK] = places[BEGAN] = block
+def begin_at(places: IntArray, block: int, *, is_within: bool) -> None:
+    """Let an empty state begin at `block`, or within it: then an earlier part may have the beginning of the block."""
+    places[BLOCK] = block
+    places[BEGAN] = block if is_within else block - 1
 
 
 @njit(cache=True, nogil=True)
@@ -73,7 +77,9 @@ def _pair(numbers: FloatArray, pairs: int, first: float, second: float) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _close(places: IntArray, numbers: FloatArray, expected: float, share: float) -> None:
+def _close(
+    places: IntArray, numbers: FloatArray, ring: FloatArray, ring_blocks: IntArray, expected: float, share: float
+) -> None:
     """End the block being filled; it becomes an average if it holds the `share` of its samples."""
     count = places[COUNT]
     if places[BLOCK] == places[BEGAN]:
@@ -93,6 +99,10 @@ def _close(places: IntArray, numbers: FloatArray, expected: float, share: float)
             numbers[FIRST_MEAN] = mean
         numbers[LAST_MEAN] = mean
         places[LAST] = places[BLOCK]
+        if ring.shape[0] > 0:
+            at = places[BLOCK] % ring.shape[0]
+            ring[at] = mean
+            ring_blocks[at] = places[BLOCK]
     places[COUNT] = 0
     numbers[SUM] = 0.0
 
@@ -107,6 +117,8 @@ def first_slot_of(block: int, average_ns: int, dt_ns: int) -> int:
 def average_grid(
     places: IntArray,
     numbers: FloatArray,
+    ring: FloatArray,
+    ring_blocks: IntArray,
     reference: float,
     average_ns: int,
     share: float,
@@ -122,7 +134,7 @@ def average_grid(
         if block > places[BLOCK]:
             previous = places[BLOCK]
             slots = first_slot_of(previous + 1, average_ns, dt_ns) - first_slot_of(previous, average_ns, dt_ns)
-            _close(places, numbers, slots, share)
+            _close(places, numbers, ring, ring_blocks, slots, share)
             places[BLOCK] = block
         end = first_slot_of(block + 1, average_ns, dt_ns)
         until = min(end, stop)
@@ -136,7 +148,7 @@ def average_grid(
         numbers[SUM] = total
         places[COUNT] += count
         if until == end:
-            _close(places, numbers, end - first_slot_of(block, average_ns, dt_ns), share)
+            _close(places, numbers, ring, ring_blocks, end - first_slot_of(block, average_ns, dt_ns), share)
             places[BLOCK] = block + 1
         slot = until
 
@@ -145,6 +157,8 @@ def average_grid(
 def average_times(
     places: IntArray,
     numbers: FloatArray,
+    ring: FloatArray,
+    ring_blocks: IntArray,
     reference: float,
     average_ns: int,
     share: float,
@@ -158,7 +172,7 @@ def average_times(
     for i in range(values.shape[0]):
         since = times_ns[i] - origin_ns
         if since >= (places[BLOCK] + 1) * average_ns:
-            _close(places, numbers, expected, share)
+            _close(places, numbers, ring, ring_blocks, expected, share)
             places[BLOCK] = since // average_ns
         difference = values[i] - reference
         if difference - difference == 0.0:
@@ -168,7 +182,16 @@ def average_times(
 
 @njit(cache=True, nogil=True)
 def merge_averages(
-    places: IntArray, numbers: FloatArray, later: IntArray, later_numbers: FloatArray, expected: float, share: float
+    places: IntArray,
+    numbers: FloatArray,
+    ring: FloatArray,
+    ring_blocks: IntArray,
+    later: IntArray,
+    later_numbers: FloatArray,
+    later_ring: FloatArray,
+    later_blocks: IntArray,
+    expected: float,
+    share: float,
 ) -> None:
     """Put the later averages behind the earlier; `expected` samples make up the block across the seam."""
     if later[BEGAN] == NEVER or later[BLOCK] == later[BEGAN]:
@@ -176,13 +199,15 @@ def merge_averages(
         if later[BEGAN] == NEVER:
             places[:] = later
             numbers[:] = later_numbers
+            ring[:] = later_ring
+            ring_blocks[:] = later_blocks
         else:
             places[COUNT] += later[COUNT]
             numbers[SUM] += later_numbers[SUM]
         return
     places[COUNT] += later[HEAD_COUNT]
     numbers[SUM] += later_numbers[HEAD_SUM]
-    _close(places, numbers, expected, share)
+    _close(places, numbers, ring, ring_blocks, expected, share)
     n, m = places[AVERAGES], later[AVERAGES]
     if m > 0:
         step = later_numbers[MEAN] - numbers[MEAN]
@@ -208,6 +233,10 @@ def merge_averages(
         numbers[LATE_SQUARES] += later_numbers[LATE_SQUARES] + late * late * weight
         numbers[COVARIANCE] += later_numbers[COVARIANCE] + early * late * weight
         places[PAIRS] = n + m
+    for i in range(ring.shape[0]):
+        if later_blocks[i] != NEVER:
+            ring[i] = later_ring[i]
+            ring_blocks[i] = later_blocks[i]
     places[BLOCK] = later[BLOCK]
     places[COUNT] = later[COUNT]
     numbers[SUM] = later_numbers[SUM]

@@ -138,13 +138,19 @@ class Estimator(ABC):
         if state.signal[2]:
             self._report_unit, self._factor = report_unit(state.signal[2])
 
+    def copy(self) -> Self:
+        """An estimator that stands where this one stands, and goes its own way from here."""
+        other: Self = type(self)(**self.arguments)
+        other.import_state(self.export_state())
+        return other
+
     def successor(self) -> Self:
         """An estimator of the same kind that goes on where this one stands, for the part that follows.
 
         The two can be merged, in any order among neighbours. A part can be worked on elsewhere, or be kept to
         be merged with others, as a rolling window does.
         """
-        later = type(self)(**self.arguments)
+        later: Self = type(self)(**self.arguments)
         later._signal, later._report_unit, later._factor = self._signal, self._report_unit, self._factor
         later._reference = self._reference
         later._tracker = self._tracker.successor()
@@ -272,8 +278,9 @@ def default_estimators() -> dict[str, Callable[[], Estimator]]:
 
     Examples
     --------
-    >>> sorted(default_estimators())
-    ['allan_deviation', 'bias_stability_100s', 'bias_stability_10s', 'bias_stability_1s']
+    >>> sorted(default_estimators())  # doctest: +NORMALIZE_WHITESPACE
+    ['allan_deviation', 'bias_stability_100s', 'bias_stability_10s', 'bias_stability_10s_over_3600s',
+     'bias_stability_1s', 'bias_stability_raw']
     """
     factories = [functools.partial(cls, **variant) for cls in estimator_classes() for variant in cls.variants]
     return {factory().key: factory for factory in factories}

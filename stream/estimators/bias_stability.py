@@ -6,6 +6,8 @@ Not bias instability, which is the floor of the Allan deviation (IEEE 952).
 import math
 from typing import Self
 
+import numpy as np
+
 from stream.batch import FloatArray, SampleBatch
 from stream.clock import Piece
 from stream.errors import EstimatorError
@@ -19,48 +21,56 @@ from stream.estimators.averages_kernel import (
     AveragesState,
     average_grid,
     average_times,
-    begin_within,
+    begin_at,
     empty_averages,
     first_slot_of,
     merge_averages,
 )
 from stream.estimators.base import Estimator, NoEstimate, contiguous_runs, first_finite, for_kernel
 from stream.estimators.confidence import deviation_limits
+from stream.estimators.raw_averages_kernel import take_samples
 from stream.events import EstimatePoint
 
 LEAST_SHARE = 0.9
 _MOST_SECONDS = 1e9
+_MOST_AVERAGES = 1_000_000
 
 
 class BiasStability(Estimator):
-    """Standard deviation of consecutive means of `average_s` seconds.
+    """Standard deviation of consecutive means of `average_s` seconds, of the whole record or a rolling window.
 
     Parameters
     ----------
     average_s : float
-        Averaging time P in seconds, at least one sample interval; read to the nanosecond.
+        Averaging time P in seconds, at least one sample interval; read to the nanosecond. 0 for the raw samples.
+    window_s : float
+        Length of the window that rolls with the last sample, seconds, a multiple of `average_s`; 0 for the whole
+        record.
 
     Raises
     ------
     EstimatorError
-        If `average_s` is not between 1 ns and 1e9 s.
+        If `average_s` is neither 0 nor between 1 ns and 1e9 s, or the window is not of 2 to 1,000,000 averages.
 
     Notes
     -----
     B_s = sqrt(sum (F_i - mean(F))**2 / (n - 1)), JJF 2014-2022 equation (29), of the means F_i that hold at
-    least 90 % of their samples. Average i holds the samples whose time since the first, slot times nominal interval,
-    lies in [i P, (i + 1) P): P need not be a whole number of intervals. Samples on no grid are taken by
-    their true times. The average that is still being filled is not used.
+    least 90 % of their samples; GJB 2426A-2004 equation (20) is the same of the raw samples. Average i holds the
+    samples whose time since the first, slot times nominal interval, lies in [i P, (i + 1) P): P need not be a whole
+    number of intervals. Samples on no grid are taken by their true times. The average that is still being filled is
+    not used.
+
+    A window keeps its averages and computes from them: nothing is ever subtracted from a sum, so that an outlier is
+    forgotten once it has left.
 
     The limits are by chi-square with (n - 1)(1 - r**2)/(1 + r**2) degrees of freedom, r the correlation of neighbouring
     averages (Bartlett 1946, for a first-order process): those of a gyro are not white. Where the averages wander
     over the whole record, the limits are for this record; a longer one will have a larger deviation.
-    Memory: 19 numbers.
+    Memory: 19 numbers, and 2 for each average in the window.
 
     Examples
     --------
     >>> from uuid import UUID
-    >>> import numpy as np
     >>> estimator = BiasStability(average_s=2.0)
     >>> estimator.estimate()
     NoEstimate(reason='2 averages of 2 s needed, 0 seen')
@@ -72,54 +82,67 @@ class BiasStability(Estimator):
     (2.0, 1.414214, 2)
     """
 
-    variants = ({"average_s": 1.0}, {"average_s": 10.0}, {"average_s": 100.0})
+    variants = (
+        {"average_s": 0.0},
+        {"average_s": 1.0},
+        {"average_s": 10.0},
+        {"average_s": 100.0},
+        {"average_s": 10.0, "window_s": 3600.0},
+    )
 
-    def __init__(self, average_s: float) -> None:
+    def __init__(self, average_s: float, window_s: float = 0.0) -> None:
         super().__init__()
-        if not 1e-9 <= average_s <= _MOST_SECONDS:
-            raise EstimatorError(f"averages of {average_s} s: bias stability takes 1e-9 to 1e9 s")
+        if average_s != 0.0 and not 1e-9 <= average_s <= _MOST_SECONDS:
+            raise EstimatorError(f"averages of {average_s} s: bias stability takes 1e-9 to 1e9 s, or 0 for raw samples")
+        averages = _averages_in(window_s, average_s)
         self.average_s = average_s
-        self.key = f"bias_stability_{average_s:g}s"
-        self.names = {"en": f"Bias stability ({average_s:g} s averages)", "zh": f"零偏稳定性({average_s:g} s 平均)"}
+        self.window_s = window_s
+        of = f"{average_s:g}s" if average_s else "raw"
+        over = f"_over_{window_s:g}s" if window_s else ""
+        self.key = f"bias_stability_{of}{over}"
+        english = f"{average_s:g} s averages" if average_s else "raw samples"
+        chinese = f"{average_s:g} s 平均" if average_s else "原始采样"
+        if window_s:
+            english, chinese = f"{english}, last {window_s:g} s", f"{chinese},最近 {window_s:g} s"
+        self.names = {"en": f"Bias stability ({english})", "zh": f"零偏稳定性({chinese})"}
         self._average_ns = round(average_s * 1e9)
-        self._state: AveragesState = empty_averages()
+        self._state: AveragesState = empty_averages(averages)
 
     @property
     def arguments(self) -> dict[str, int | float]:
-        """Averaging time in seconds."""
-        return {"average_s": self.average_s}
+        """Averaging time and window in seconds."""
+        return {"average_s": self.average_s, "window_s": self.window_s}
 
     def _take(self, batch: SampleBatch, pieces: list[Piece]) -> None:
         tracker = self._tracker
-        if self._average_ns < tracker.dt_ns:
+        if 0 < self._average_ns < tracker.dt_ns:
             return
-        if tracker.irregular:
-            origin_ns = tracker.first_ns
-            times_ns = for_kernel(batch.time_array)
-            values = for_kernel(batch.value_array)
-            for _, start, stop in pieces:
-                self._refer_to(values[start:stop])
-                average_times(
-                    *self._state,
-                    self._reference,
-                    self._average_ns,
-                    LEAST_SHARE,
-                    tracker.dt_ns,
-                    origin_ns,
-                    times_ns[start:stop],
-                    values[start:stop],
-                )
+        if tracker.irregular and self._average_ns:
+            self._take_timed(batch, pieces)
             return
         for first_slot, values in contiguous_runs(batch, pieces):
             self._refer_to(values)
-            average_grid(
+            if self._average_ns:
+                average_grid(
+                    *self._state, self._reference, self._average_ns, LEAST_SHARE, tracker.dt_ns, first_slot, values
+                )
+            else:
+                take_samples(*self._state, self._reference, first_slot, values)
+
+    def _take_timed(self, batch: SampleBatch, pieces: list[Piece]) -> None:
+        tracker = self._tracker
+        times_ns, values = for_kernel(batch.time_array), for_kernel(batch.value_array)
+        for _, start, stop in pieces:
+            self._refer_to(values[start:stop])
+            average_times(
                 *self._state,
                 self._reference,
                 self._average_ns,
                 LEAST_SHARE,
                 tracker.dt_ns,
-                first_slot,
-                values,
+                tracker.first_ns,
+                times_ns[start:stop],
+                values[start:stop],
             )
 
     def _refer_to(self, values: FloatArray) -> None:
@@ -127,41 +150,88 @@ class BiasStability(Estimator):
             self._reference = first_finite(values)
 
     def _go_on_from(self, earlier: Self) -> None:
-        begin_within(self._state.places, int(earlier._state.places[BLOCK]))
+        tracker, block = self._tracker, int(earlier._state.places[BLOCK])
+        if self._average_ns == 0:
+            is_within = False
+        elif tracker.irregular or tracker.dt_ns == 0:
+            is_within = True
+        else:
+            is_within = tracker.next_slot != first_slot_of(block, self._average_ns, tracker.dt_ns)
+        begin_at(self._state.places, block, is_within=is_within)
 
     def _append(self, later: Self) -> None:
         block, dt_ns = int(self._state.places[BLOCK]), later._tracker.dt_ns
-        if later._tracker.irregular or dt_ns == 0:
+        if self._average_ns == 0:
+            expected = 1.0
+        elif later._tracker.irregular or dt_ns == 0:
             expected = self._average_ns / max(dt_ns, 1)
         else:
             first, end = (first_slot_of(each, self._average_ns, dt_ns) for each in (block, block + 1))
             expected = float(end - first)
-        merge_averages(*self._state, *later._state, expected, LEAST_SHARE)
+        merge_averages(*self._state, *later._state, expected, LEAST_SHARE if self._average_ns else 1.0)
 
     def estimate(self) -> tuple[EstimatePoint, ...] | NoEstimate:
         """One point at tau = P, from two averages on."""
         unit, signal, _ = self._signal
-        places, numbers = self._state
-        n = int(places[AVERAGES])
-        if self._average_ns < self._tracker.dt_ns:
+        if 0 < self._average_ns < self._tracker.dt_ns:
             return NoEstimate(
                 f"unit {unit}, signal {signal}: averages of {self.average_s:g} s are shorter than the sample "
                 f"interval of {self.sample_interval_s:g} s"
             )
+        n, squares, correlation = self._of_window() if self.window_s else self._of_record()
         if n < 2:
-            return NoEstimate(f"2 averages of {self.average_s:g} s needed, {n} seen")
-        value = math.sqrt(float(numbers[SQUARES]) / (n - 1)) * self._factor
+            what = f"averages of {self.average_s:g} s" if self.average_s else "samples"
+            within = f" within {self.window_s:g} s" if self.window_s else ""
+            return NoEstimate(f"2 {what} needed{within}, {n} seen")
+        value = math.sqrt(squares / (n - 1)) * self._factor
         if not math.isfinite(value):
             return NoEstimate(f"unit {unit}, signal {signal}: values too large to be squared; check the source")
-        degrees = effective_degrees(n, self._neighbour_correlation())
+        degrees = effective_degrees(n, correlation)
         lo, hi = deviation_limits(value, degrees, self.confidence)
-        return (EstimatePoint(tau_s=self.average_s, value=value, lo=lo, hi=hi, edf=degrees, n=n),)
+        tau_s = self.average_s or self.sample_interval_s
+        return (EstimatePoint(tau_s=tau_s, value=value, lo=lo, hi=hi, edf=degrees, n=n),)
 
-    def _neighbour_correlation(self) -> float:
+    def _of_record(self) -> tuple[int, float, float]:
+        """Averages, the sum of squares about their mean, and the correlation of neighbours."""
         numbers = self._state.numbers
         scale = math.sqrt(float(numbers[EARLY_SQUARES])) * math.sqrt(float(numbers[LATE_SQUARES]))
-        # squares of tiny numbers vanish before the numbers do
-        return max(-1.0, min(1.0, float(numbers[COVARIANCE]) / scale)) if scale > 0.0 else 0.0
+        correlation = _within_one(float(numbers[COVARIANCE]), scale)
+        return int(self._state.places[AVERAGES]), float(numbers[SQUARES]), correlation
+
+    def _of_window(self) -> tuple[int, float, float]:
+        places, _, ring, blocks = self._state
+        in_window = np.flatnonzero(blocks >= max(0, int(places[BLOCK]) - len(ring)))
+        in_window = in_window[np.argsort(blocks[in_window])]
+        averages = ring[in_window]
+        if len(averages) < 2:
+            return len(averages), 0.0, 0.0
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = float(np.sum(np.square(averages - averages.mean())))
+            is_pair = np.diff(blocks[in_window]) == 1
+            early, late = averages[:-1][is_pair], averages[1:][is_pair]
+            if len(early) == 0:
+                return len(averages), squares, 0.0
+            early, late = early - early.mean(), late - late.mean()
+            scale = math.sqrt(float(early @ early)) * math.sqrt(float(late @ late))
+            correlation = _within_one(float(early @ late), scale)
+        return len(averages), squares, correlation
+
+
+def _within_one(covariance: float, scale: float) -> float:
+    # squares of tiny numbers vanish before the numbers do
+    return max(-1.0, min(1.0, covariance / scale)) if scale > 0.0 else 0.0
+
+
+def _averages_in(window_s: float, average_s: float) -> int:
+    if window_s == 0.0:
+        return 0
+    averages = round(window_s / average_s) if average_s and math.isfinite(window_s) else 0
+    if not 2 <= averages <= _MOST_AVERAGES or not math.isclose(averages * average_s, window_s, rel_tol=1e-9):
+        raise EstimatorError(
+            f"a window of {window_s:g} s with averages of {average_s:g} s: it takes a whole number of averages, "
+            f"2 to {_MOST_AVERAGES:,}"
+        )
+    return averages
 
 
 def effective_degrees(n: int, correlation: float) -> float:

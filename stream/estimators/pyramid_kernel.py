@@ -157,10 +157,10 @@ def _accumulate(
 
 @njit(cache=True, nogil=True)
 def _are_full(counts: FloatArray, number: int, width: float) -> bool:
+    others = 0
     for i in range(number):
-        if counts[i] != width:
-            return False
-    return True
+        others += counts[i] != width
+    return others == 0
 
 
 @njit(cache=True, nogil=True)
@@ -253,7 +253,7 @@ def _climb_a_level(
         tails[level, SUM, i] = scratch[now, SUM, given + i]
     start = history - places[level, NEXT] % 2
     places[level, NEXT] += given
-    parents = (length - start) // 2
+    parents: int = (length - start) // 2
     for i in range(parents):
         scratch[1 - now, SUM, history + i] = scratch[now, SUM, start + 2 * i] + scratch[now, SUM, start + 2 * i + 1]
     return parents

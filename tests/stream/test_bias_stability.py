@@ -109,7 +109,7 @@ def test_too_short_averages_and_too_little_data_give_reasons() -> None:
     assert push(BiasStability(1.0), np.zeros(19), 100_000_000).estimate() == NoEstimate(
         "2 averages of 1 s needed, 1 seen"
     )
-    for average_s in (0.0, -1.0, math.nan, math.inf):
+    for average_s in (1e-10, -1.0, math.nan, math.inf):
         with pytest.raises(EstimatorError, match="averages of"):
             BiasStability(average_s)
 
@@ -165,3 +165,52 @@ def test_limits_cover_the_true_deviation(correlation: float) -> None:
         point = the_point(push(BiasStability(1.0), values[100:], 10**9))
         held += point.lo <= 1.0 <= point.hi
     assert scipy.stats.binom.ppf(5e-4, trials, 0.93) <= held <= scipy.stats.binom.ppf(1 - 5e-4, trials, 0.97), held
+
+
+def of_window(means: FloatArray) -> tuple[int, float, float]:
+    """Count, deviation and Bartlett's degrees of freedom of averages, NaN where there is none; by definition."""
+    held = means[np.isfinite(means)]
+    is_pair = np.isfinite(means[:-1]) & np.isfinite(means[1:])
+    r = float(np.corrcoef(means[:-1][is_pair], means[1:][is_pair])[0, 1])
+    return len(held), float(held.std(ddof=1)), min(len(held) - 1.0, (len(held) - 1) * (1 - r * r) / (1 + r * r))
+
+
+def test_raw_samples_are_gjb_equation_20() -> None:
+    values = np.random.default_rng(8).standard_normal(5000) + np.sin(np.arange(5000) / 50.0) + 1e6
+    values[[700, 1500, 1501, 4999]] = np.nan
+    point = the_point(push(BiasStability(0.0), values, 1_000_000))
+    n, deviation, degrees = of_window(values)
+    assert (point.n, point.tau_s) == (n, 0.001)
+    assert (point.value, point.edf) == pytest.approx((deviation, degrees), rel=1e-9)
+
+
+def test_raw_samples_on_no_grid_are_each_taken_once() -> None:
+    times_ns = np.cumsum(np.random.default_rng(1).integers(1, 3_000_000, 4000)).astype(np.int64)
+    values = np.random.default_rng(2).standard_normal(4000)
+    point = the_point(push(BiasStability(0.0), values, 1_000_000, times_ns, irregular=True))
+    assert point.n == 4000
+    assert point.value == pytest.approx(values.std(ddof=1), rel=1e-12)
+
+
+@pytest.mark.parametrize("gap", [0, 3, 700])
+def test_a_rolling_window_is_that_of_its_averages_alone(gap: int) -> None:
+    values = np.random.default_rng(3).standard_normal(20_000).cumsum() * 0.01 + 40.0
+    values[500] = 1e9  # long gone
+    values[12_000 : 12_000 + gap] = np.nan
+    estimator = BiasStability(2.0, window_s=300.0)
+    for stop in (4000, 13_000, 20_000 - 5):
+        point = the_point(push(BiasStability(2.0, window_s=300.0), values[:stop], 100_000_000))
+        whole = stop // 20
+        blocks = values[(whole - 150) * 20 : whole * 20].reshape(150, 20)
+        missing = np.isnan(blocks).sum(axis=1)
+        means = np.where(missing <= 2, np.nanmean(np.where(missing[:, None] <= 2, blocks, 0.0), axis=1), np.nan)
+        n, deviation, degrees = of_window(means)
+        assert point.n == n
+        assert (point.value, point.edf) == pytest.approx((deviation, degrees), rel=1e-9)
+    assert estimator.estimate() == NoEstimate("2 averages of 2 s needed within 300 s, 0 seen")
+
+
+def test_a_window_that_its_averages_do_not_fill_is_refused() -> None:
+    for average_s, window_s in ((10.0, 10.0), (10.0, 105.0), (0.0, 100.0), (1.0, 1e7), (1.0, -5.0), (1.0, math.nan)):
+        with pytest.raises(EstimatorError, match="a whole number of averages, 2 to 1,000,000"):
+            BiasStability(average_s, window_s)
