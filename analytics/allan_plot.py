@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from analytics.allan_curve import AllanCurve
+from analytics.allan_fit_marks import draw_fit
 from analytics.allan_marks import (
     FLEET,
     INK,
@@ -24,6 +25,7 @@ from analytics.allan_marks import (
     limit_marks,
     write_names,
 )
+from analytics.noise_coefficients import NoiseCoefficients
 from analytics.plot_fonts import chinese_font, set_fonts
 from stream.errors import BadInput
 from stream.events import Limit
@@ -46,6 +48,7 @@ _WORDS = {
         MINUS_HALF: "angle random walk",
         "record": "{hours} h at {interval} s; {samples} samples, {missing} missing",
         "others": "{n} other units",
+        "fit": "fitted model, all terms",
     },
     "zh": {
         "tau": "平均时间 τ (s)",
@@ -57,6 +60,7 @@ _WORDS = {
         MINUS_HALF: "角度随机游走",
         "record": "{hours} h，采样间隔 {interval} s；样本 {samples} 个，缺失 {missing} 个",
         "others": "其余 {n} 只",
+        "fit": "拟合模型(各项之和)",
     },
 }
 SECONDS_PER_HOUR = 3600.0
@@ -73,6 +77,7 @@ def plot_allan(
     title: str | None = None,
     limits: Iterable[Limit] = (),
     chosen: str | None = None,
+    found: NoiseCoefficients | None = None,
     language: Language = "en+zh",
 ) -> None:
     """Draw Allan deviations over averaging time into a file.
@@ -90,6 +95,8 @@ def plot_allan(
         others, such as on the bias stability, are no points of this plot and are left out.
     chosen : str, optional
         The unit to draw boldly, with the rest as a grey fleet behind it.
+    found : NoiseCoefficients, optional
+        Noise fitted to the curve of `chosen`, or to the only one: drawn over it, with its terms and a legend.
     language : {"en+zh", "en", "zh"}
         Of the labels. Chinese needs a font for it; where none is installed, labels are English.
 
@@ -105,7 +112,7 @@ def plot_allan(
     """
     if path.suffix.lower() not in _SUFFIXES:
         raise BadInput(f"plot {path}: plots are written as .png or .svg, choose one of the two")
-    figure = _figure(_checked(curves, chosen), list(limits), title, chosen, language)
+    figure = _figure(_checked(curves, chosen), list(limits), title, chosen, language, found)
     image = io.BytesIO()
     kind = path.suffix.lower()[1:]
     figure.savefig(image, format=kind, dpi=200, metadata={"Date": None} if kind == "svg" else None)
@@ -130,7 +137,12 @@ def _checked(curves: Sequence[AllanCurve], chosen: str | None) -> list[AllanCurv
 
 
 def _figure(
-    curves: list[AllanCurve], limits: list[Limit], title: str | None, chosen: str | None, language: Language
+    curves: list[AllanCurve],
+    limits: list[Limit],
+    title: str | None,
+    chosen: str | None,
+    language: Language,
+    found: NoiseCoefficients | None = None,
 ) -> Figure:
     wanted = [part for part in language.split("+") if part == "en" or chinese_font() is not None] or ["en"]
     words = _WORDS[wanted[0]]
@@ -139,7 +151,8 @@ def _figure(
     axes = figure.add_axes((_LEFT, 0.135, _WIDTH, 0.725))
     marks = limit_marks(limits, {curve.signal for curve in curves}, curves[0].unit_of_measure)
     _scales(axes, curves, marks)
-    draw_slopes(axes, _crowd(curves, marks), words)
+    if found is None:
+        draw_slopes(axes, _crowd(curves, marks), words)
     names: list[EndName] = []
     for i, curve in enumerate(curves):
         _curve(axes, curve, i, len(curves), chosen)
@@ -153,6 +166,8 @@ def _figure(
         write_names(axes, names)
     for mark in marks:
         draw_limit(axes, mark, words["limit"])
+    if found is not None:
+        draw_fit(axes, found, curves[-1].tau_s, wanted[0], words["fit"])
     axes.set_xlabel(words["tau"], color=INK, fontsize=10)
     axes.set_ylabel(words["deviation"].format(unit=curves[0].unit_of_measure), color=INK, fontsize=10)
     figure.text(_LEFT, 0.945, title or _title(curves, chosen), fontsize=13, fontweight="bold", color=INK)

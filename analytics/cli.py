@@ -14,7 +14,9 @@ from stream.errors import BadInput, NotFound
 if TYPE_CHECKING:
     from analytics.allan_curve import AllanCurve
     from analytics.demo import DemoState
+    from analytics.noise_coefficients import NoiseCoefficients
     from storage.catalog import Catalog
+    from stream.estimators.base import NoEstimate
 
 _QUESTIONS = (
     "select unit, document->>'$.verdict' as verdict from events where kind = 'VerdictGiven' order by unit",
@@ -40,6 +42,7 @@ _QUESTIONS = (
     "--compare", multiple=True, metavar="UNIT", help="Draw this unit beside it, lightly; 'all' for every one."
 )
 @click.option("--limits", "limits_path", type=click.Path(path_type=Path), help="Draw the limits of this TOML file in.")
+@click.option("--fit", is_flag=True, help="Fit the noise coefficients of IEEE 952 to the curve; drawn in with --plot.")
 @reporting
 def allan(
     unit: str,
@@ -52,6 +55,7 @@ def allan(
     compare: tuple[str, ...],
     limits_path: Path | None,
     *,
+    fit: bool,
     as_json: bool,
 ) -> None:
     """Overlapping Allan deviation of a recorded signal, with 95 % confidence limits.
@@ -60,8 +64,11 @@ def allan(
     """
     from analytics.allan_curve import allan_curve
     from analytics.limits import read_limits
+    from analytics.noise_coefficients import curve_document
+    from analytics.noise_table import noise_table
     from storage.catalog import Catalog
     from storage.store import Store
+    from stream.estimators.base import NoEstimate
 
     if plot_path is None and (compare or limits_path):
         raise BadInput("--compare and --limits are drawn: give --plot FILE.png or FILE.svg as well")
@@ -73,16 +80,31 @@ def allan(
             allan_curve(catalog, each, signal, curve.run, points_per_octave=octave, resample_s=resample_s)
             for each in _fleet(catalog, curve, compare)
         ]
+        found = _noise(catalog, curve) if fit else None
     if plot_path is not None:
         from analytics.allan_plot import plot_allan
 
-        plot_allan([*others, curve], plot_path, limits=limits, chosen=unit if others else None)
+        drawn = None if isinstance(found, NoEstimate) else found
+        plot_allan([*others, curve], plot_path, limits=limits, chosen=unit if others else None, found=drawn)
     if as_json:
-        print_json(curve)
+        print_json(curve if found is None else curve_document(curve, found))
         return
     results().print(_curve_table(curve))
+    if isinstance(found, NoEstimate):
+        results().print(f"No noise coefficients (无噪声系数): {found.reason}", soft_wrap=True, markup=False)
+    elif found is not None:
+        results().print(noise_table(curve, found))
     if plot_path is not None:
         notes().print(f"plot: {plot_path}")
+
+
+def _noise(catalog: "Catalog", curve: "AllanCurve") -> "NoiseCoefficients | NoEstimate":
+    from analytics.noise_coefficients import noise_coefficients
+    from analytics.normalised_walk import normalised_walk
+    from storage.reading import find_signal
+
+    record = find_signal(catalog, curve.unit, curve.signal, curve.run)
+    return noise_coefficients(curve, normalised_walk(catalog, record))
 
 
 def _fleet(catalog: "Catalog", curve: "AllanCurve", compare: tuple[str, ...]) -> list[str]:
