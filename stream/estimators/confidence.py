@@ -115,6 +115,8 @@ def edf(alpha: int, d: int, averaging_factor: int, windows: int, stride_per_tau:
     -----
     edf = M / (sum over pairs of windows of their squared correlation / M), between 1 and M.
     Windows that gaps have driven apart are less correlated than assumed here, so that the result is on the safe side.
+    A modified variance averages the phase over all of tau, F = 1: its edf are those for `averaging_factor` 1, whatever
+    tau is, with its own windows and stride.
 
     Examples
     --------

@@ -100,3 +100,11 @@ def test_limits_cover_white_noise_and_random_walk() -> None:
     # the least degrees of freedom make the limits too wide, never too narrow: only the lower bound binds
     bound = scipy.stats.binom.ppf(0.001 / (2 * len(factors)), trials, 0.95)
     assert min(covered["white"].min(), covered["walk"].min()) >= bound, covered
+
+
+@pytest.mark.parametrize("alpha", NOISE_EXPONENTS)
+@pytest.mark.parametrize("m", [1, 2, 5, 16, 33])
+@pytest.mark.parametrize("n", [120, 1000, 100_000])
+def test_a_modified_variance_has_the_filter_factor_one(alpha: int, m: int, n: int) -> None:
+    expected = allantools.ci.edf_greenhall_simple(alpha, 2, m, m, 1, n + 1)
+    assert edf(alpha, 2, 1, n + 2 - 3 * m, m) == pytest.approx(expected, rel=1e-9)
