@@ -2,7 +2,8 @@
 
 import click
 
-from analytics.cli import allan, demo
+from analytics.allan_cli import allan
+from analytics.cli import demo
 from ingest.cli import import_files
 from storage.cli import estimate, record, sql
 

@@ -1,19 +1,28 @@
 """The Allan curve of a recorded signal."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
 
 from analytics.block_means import BlockMeans
 from storage.catalog import Catalog
-from storage.reading import find_signal, read_signal
+from storage.reading import SignalRecord, find_signal, read_signal
 from stream.errors import BadInput, NotFound
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
+from stream.estimators.deviation_forms import FORMS, Deviation
+from stream.estimators.full_overlap import FullOverlap
+from stream.events import EstimatePoint
+
+Overlap = Literal["full", "strided"]
+
+FULL_AT_MOST = 1_000_000
 
 
 @dataclass(frozen=True)
 class AllanCurve:
-    """Allan deviation of one signal over averaging time.
+    """Allan deviation of one signal over averaging time, or another deviation in its place.
 
     Parameters
     ----------
@@ -31,6 +40,10 @@ class AllanCurve:
         Deviation and its confidence limits (95 %).
     edf : tuple of float
         Equivalent degrees of freedom.
+    deviation : Deviation
+        Which deviation `adev` holds.
+    overlap : {"full", "strided"}
+        Windows at every sample, or at every 1/16 of the averaging time or closer.
 
     Raises
     ------
@@ -50,6 +63,8 @@ class AllanCurve:
     lo: tuple[float, ...]
     hi: tuple[float, ...]
     edf: tuple[float, ...]
+    deviation: Deviation = Deviation.OVERLAPPING_ALLAN
+    overlap: Overlap = "strided"
 
     def __post_init__(self) -> None:
         """Check that the columns fit together."""
@@ -70,8 +85,25 @@ class AllanCurve:
         ]
         columns = zip(*rows, strict=True) if rows else ((),) * 5
         tau_s, adev, lo, hi, edf = (tuple(column) for column in columns)
-        head = (self.unit, self.signal, self.run, self.unit_of_measure, self.sample_interval_s)
-        return AllanCurve(*head, self.samples, self.missing, tau_s, adev, lo, hi, edf)
+        return replace(self, tau_s=tau_s, adev=adev, lo=lo, hi=hi, edf=edf)
+
+    @property
+    def bare_names(self) -> tuple[str, str]:
+        """English and Chinese name of the deviation, without its overlap."""
+        form = FORMS[self.deviation]
+        return form.name[0].upper() + form.name[1:], form.chinese
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """English and Chinese name of the deviation, as a title."""
+        if not self.deviation.startswith("o"):
+            return self.bare_names
+        return f"Overlapping {FORMS[self.deviation].name}", f"重叠 {FORMS[self.deviation].chinese}"
+
+    def document(self) -> dict[str, Any]:
+        """Return the curve as it stands in JSON: the column of deviations is named after what it holds."""
+        column = self.deviation.value.removeprefix("o")
+        return {column if key == "adev" else key: value for key, value in asdict(self).items()}
 
 
 def allan_curve(
@@ -82,8 +114,11 @@ def allan_curve(
     *,
     points_per_octave: int = 1,
     resample_s: float | None = None,
+    deviation: Deviation = Deviation.OVERLAPPING_ALLAN,
+    overlap: Overlap | None = None,
+    scratch: Path | None = None,
 ) -> AllanCurve:
-    """Overlapping Allan deviation of a signal in the store, by the estimator that runs while data flow.
+    """Allan deviation of a signal in the store, or another deviation.
 
     Parameters
     ----------
@@ -97,26 +132,61 @@ def allan_curve(
         1, 2, 4 or 8 averaging times an octave.
     resample_s : float, optional
         Take means of blocks this long (seconds) first: the way to a curve from irregular samples.
+    deviation : Deviation
+        Which; all but the overlapping Allan deviation need the full overlap.
+    overlap : {"full", "strided"}, optional
+        "full" takes every window there is. "strided" is the estimator that runs while data flow, in small and constant
+        memory; its limits are as wide to 0.5 %. By default full up to a million samples.
+    scratch : Path, optional
+        Where the sums of a long record lie while it is evaluated with full overlap, 8 bytes a sample.
 
     Raises
     ------
     NotFound
         If the store does not hold the signal, or holds too little of it.
+    BadInput
+        If another deviation than the overlapping Allan deviation is wanted with strides.
     """
     record = find_signal(catalog, unit, signal, run)
-    estimator = AllanDeviation(points_per_octave=points_per_octave)
+    if overlap is None:
+        is_full = deviation is not Deviation.OVERLAPPING_ALLAN or record.samples <= FULL_AT_MOST
+        overlap = "full" if is_full else "strided"
+    if overlap == "strided":
+        if deviation is not Deviation.OVERLAPPING_ALLAN:
+            raise BadInput(f"{deviation} has no strided form: leave --overlap out, or say --overlap full")
+        strided = AllanDeviation(points_per_octave=points_per_octave)
+        _feed(strided, catalog, record, resample_s)
+        return _curve(record, strided, strided.estimate(), deviation, overlap)
+    with FullOverlap(scratch) as full:
+        _feed(full, catalog, record, resample_s)
+        return _curve(record, full, full.evaluate(deviation, points_per_octave), deviation, overlap)
+
+
+def _feed(
+    estimator: AllanDeviation | FullOverlap, catalog: Catalog, record: SignalRecord, resample_s: float | None
+) -> None:
     means = None if resample_s is None else BlockMeans(resample_s)
     for batch in read_signal(catalog, record):
         block_means = batch if means is None else means.push(batch)
         if block_means is not None:
             estimator.update(block_means)
-    points = estimator.estimate()
+
+
+def _curve(
+    record: SignalRecord,
+    estimator: AllanDeviation | FullOverlap,
+    points: tuple[EstimatePoint, ...] | NoEstimate,
+    deviation: Deviation,
+    overlap: Overlap,
+) -> AllanCurve:
     if isinstance(points, NoEstimate):
-        reason = points.reason.removeprefix(f"unit {unit}, signal {signal}: ")
-        raise NotFound(f"unit {unit}, signal {signal}, run {record.run}: no Allan deviation: {reason}")
+        reason = points.reason.removeprefix(f"unit {record.unit}, signal {record.signal}: ")
+        raise NotFound(
+            f"unit {record.unit}, signal {record.signal}, run {record.run}: no {FORMS[deviation].name}: {reason}"
+        )
     return AllanCurve(
-        unit=unit,
-        signal=signal,
+        unit=record.unit,
+        signal=record.signal,
         run=record.run,
         unit_of_measure=estimator.unit_of_measure,
         sample_interval_s=estimator.sample_interval_s,
@@ -127,6 +197,8 @@ def allan_curve(
         lo=tuple(point.lo for point in points),
         hi=tuple(point.hi for point in points),
         edf=tuple(point.edf for point in points),
+        deviation=deviation,
+        overlap=overlap,
     )
 
 
@@ -150,6 +222,19 @@ def stored_curves(catalog: Catalog, run: str, signal: str) -> list[AllanCurve]:
     if not rows:
         raise NotFound(f"run {run}, signal {signal}: no final Allan deviation is stored; has the run ended?")
     return [
-        AllanCurve(unit, signal, run, unit_of_measure, interval_s, samples, missing, *(tuple(each) for each in columns))
-        for unit, unit_of_measure, interval_s, samples, missing, *columns in rows
+        AllanCurve(
+            unit,
+            signal,
+            run,
+            unit_of_measure,
+            interval_s,
+            samples,
+            missing,
+            tau_s=tuple(taus_s),
+            adev=tuple(adev),
+            lo=tuple(lo),
+            hi=tuple(hi),
+            edf=tuple(edf),
+        )
+        for unit, unit_of_measure, interval_s, samples, missing, taus_s, adev, lo, hi, edf in rows
     ]

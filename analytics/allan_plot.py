@@ -33,6 +33,7 @@ from stream.events import Limit
 Language = Literal["en", "zh", "en+zh"]
 
 _SUFFIXES = (".png", ".svg")
+_LANGUAGES = ("en", "zh")
 _GRID = "#dfe3e8"
 # Okabe and Ito's colours for all kinds of colour vision, without their yellow, which is lost on white
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#6b4423", "#7a4fa3")
@@ -40,8 +41,8 @@ _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h")
 _WORDS = {
     "en": {
         "tau": "Averaging time τ (s)",
-        "deviation": "Allan deviation ({unit})",
-        "what": "Overlapping Allan deviation; bands: 95 % confidence",
+        "deviation": "{name} ({unit})",
+        "what": "{overlapping}; bands: 95 % confidence",
         "limit": "limit",
         "+1/2": "rate random walk",
         "0": "bias instability",
@@ -52,8 +53,8 @@ _WORDS = {
     },
     "zh": {
         "tau": "平均时间 τ (s)",
-        "deviation": "Allan 标准差 ({unit})",
-        "what": "重叠 Allan 标准差；色带：95 % 置信区间",
+        "deviation": "{name} ({unit})",
+        "what": "{overlapping}；色带：95 % 置信区间",
         "limit": "限值",
         "+1/2": "角速率随机游走",
         "0": "零偏不稳定性",
@@ -124,6 +125,9 @@ def plot_allan(
 
 def _checked(curves: Sequence[AllanCurve], chosen: str | None) -> list[AllanCurve]:
     """Return the curves that can be drawn, the chosen ones last so that they lie on top."""
+    if len({curve.deviation for curve in curves}) > 1:
+        kinds = ", ".join(sorted({curve.deviation for curve in curves}))
+        raise BadInput(f"curves of {kinds} cannot share one axis: plot them apart")
     if len({curve.unit_of_measure for curve in curves}) > 1:
         units = ", ".join(sorted({curve.unit_of_measure for curve in curves}))
         raise BadInput(f"Allan curves in {units} cannot share one axis: plot them apart")
@@ -169,9 +173,12 @@ def _figure(
     if found is not None:
         draw_fit(axes, found, curves[-1].tau_s, wanted[0], words["fit"])
     axes.set_xlabel(words["tau"], color=INK, fontsize=10)
-    axes.set_ylabel(words["deviation"].format(unit=curves[0].unit_of_measure), color=INK, fontsize=10)
+    bare = curves[0].bare_names[_LANGUAGES.index(wanted[0])]
+    axes.set_ylabel(words["deviation"].format(name=bare, unit=curves[0].unit_of_measure), color=INK, fontsize=10)
     figure.text(_LEFT, 0.945, title or _title(curves, chosen), fontsize=13, fontweight="bold", color=INK)
-    what = "  \N{MIDDLE DOT}  ".join(_WORDS[part]["what"] for part in wanted)
+    what = "  \N{MIDDLE DOT}  ".join(
+        _WORDS[part]["what"].format(overlapping=curves[0].names[_LANGUAGES.index(part)]) for part in wanted
+    )
     figure.text(_LEFT, 0.893, what, fontsize=8.5, color=SOFT)
     shown = [curve for curve in curves if chosen in (None, curve.unit)]
     figure.text(_LEFT, 0.022, _record(shown, words), fontsize=7.5, color=SOFT)

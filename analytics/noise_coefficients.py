@@ -143,7 +143,7 @@ def noise_coefficients(curve: AllanCurve, normalised: Coefficient | NoEstimate) 
 def curve_document(curve: AllanCurve, found: NoiseCoefficients | NoEstimate) -> dict[str, Any]:
     """Return a curve and its coefficients, or the reason why there are none, as one JSON document."""
     return {
-        **dataclasses.asdict(curve),
+        **curve.document(),
         "coefficients": None if isinstance(found, NoEstimate) else found.document(),
         "coefficients_reason": found.reason if isinstance(found, NoEstimate) else None,
         "confidence": CONFIDENCE,

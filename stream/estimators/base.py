@@ -87,6 +87,11 @@ class Estimator(ABC):
         return self._report_unit
 
     @property
+    def tracker(self) -> GridTracker:
+        """Where its samples lie in time; to be looked at only."""
+        return self._tracker
+
+    @property
     def samples(self) -> int:
         """Samples with a finite value that were taken in."""
         return self._tracker.samples

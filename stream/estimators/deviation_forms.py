@@ -35,8 +35,8 @@ class Form(NamedTuple):
         Averaging times that one term of the sum spans.
     is_overlapped : bool
         Whether a term begins at every sample or once an averaging time.
-    name : str
-        Name for people.
+    name, chinese : str
+        Names for people.
     """
 
     weights: tuple[float, ...]
@@ -44,14 +44,15 @@ class Form(NamedTuple):
     reach: int
     is_overlapped: bool
     name: str
+    chinese: str
 
 
 FORMS = {
-    Deviation.ALLAN: Form((-1.0, 1.0), 2.0, 2, False, "Allan deviation"),
-    Deviation.OVERLAPPING_ALLAN: Form((-1.0, 1.0), 2.0, 2, True, "Allan deviation"),
-    Deviation.MODIFIED_ALLAN: Form((-1.0, 1.0), 2.0, 3, True, "modified Allan deviation"),
-    Deviation.HADAMARD: Form((1.0, -2.0, 1.0), 6.0, 3, False, "Hadamard deviation"),
-    Deviation.OVERLAPPING_HADAMARD: Form((1.0, -2.0, 1.0), 6.0, 3, True, "Hadamard deviation"),
+    Deviation.ALLAN: Form((-1.0, 1.0), 2.0, 2, False, "Allan deviation", "Allan 标准差"),
+    Deviation.OVERLAPPING_ALLAN: Form((-1.0, 1.0), 2.0, 2, True, "Allan deviation", "Allan 标准差"),
+    Deviation.MODIFIED_ALLAN: Form((-1.0, 1.0), 2.0, 3, True, "modified Allan deviation", "修正 Allan 标准差"),
+    Deviation.HADAMARD: Form((1.0, -2.0, 1.0), 6.0, 3, False, "Hadamard deviation", "Hadamard 标准差"),
+    Deviation.OVERLAPPING_HADAMARD: Form((1.0, -2.0, 1.0), 6.0, 3, True, "Hadamard deviation", "Hadamard 标准差"),
 }
 
 

@@ -112,6 +112,17 @@ class RollingWindow:
             self._now.update(batch if stop - start == len(batch) else batch.part(start, stop))
         return [each for each in done if each is not None]
 
+    def finish(self) -> list[WindowEstimate]:
+        """The window that ends with the last sample's interval, where one does; nothing may follow."""
+        if self._first_ns is None:
+            return []
+        tracker = self._now.tracker
+        end_ns = self._first_ns + (self._pane + 1) * self._step_ns
+        if tracker.last_ns + tracker.dt_ns < end_ns:
+            return []
+        last = self._close_pane()
+        return [] if last is None else [last]
+
     def _close_pane(self) -> WindowEstimate | None:
         done = self._now
         self._now = done.successor()

@@ -36,7 +36,8 @@ def curve(*, walk: float = 0.02, instability: float = 0.1, points: int = 18) -> 
     edf = 1e5 / tau_s
     relative = 2 / np.sqrt(2 * edf)
     columns = (tau_s, adev, adev / (1 + relative), adev * (1 + relative), edf)
-    return AllanCurve("FOG-1", "rate", "r1", "deg/h", 0.1, 200_000, 0, *(tuple(each.tolist()) for each in columns))
+    taus_s, values, lo, hi, degrees = (tuple(each.tolist()) for each in columns)
+    return AllanCurve("FOG-1", "rate", "r1", "deg/h", 0.1, 200_000, 0, taus_s, values, lo, hi, degrees)
 
 
 def coefficient(key: str, value: float, *, observable: bool = True) -> Coefficient:

@@ -1,0 +1,104 @@
+"""`gyrofleet allan` with every deviation and overlap, and over a rolling window, from a file to JSON and plot."""
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import allantools
+import numpy as np
+import polars as pl
+import pytest
+
+from stream.batch import FloatArray
+
+RATE_HZ = 50.0
+N = 90_000
+
+
+def rate_deg_per_h() -> FloatArray:
+    """Half an hour, three times as noisy in its last third."""
+    rng = np.random.default_rng(952)
+    noise = rng.standard_normal(N)
+    noise[2 * N // 3 :] *= 3.0
+    values: FloatArray = 15.0 + noise + np.cumsum(rng.standard_normal(N)) * 1e-3
+    return values
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory, command_line: Callable[..., list[str]]) -> Path:
+    folder = tmp_path_factory.mktemp("forms")
+    table = pl.DataFrame({"time[s]": np.arange(N) / RATE_HZ, "rate[deg/h]": rate_deg_per_h()})
+    table.write_parquet(folder / "half-hour.parquet")
+    file = folder / "half-hour.parquet"
+    subprocess.run(command_line("import", file, "--unit", "FOG-1", "--store", folder / "store"), check=True)
+    return folder / "store"
+
+
+def ask(store: Path, *more: object) -> tuple[object, ...]:
+    return ("allan", "--unit", "FOG-1", "--signal", "rate", "--store", store, *more)
+
+
+@pytest.mark.parametrize("kind", ["adev", "oadev", "mdev", "hdev", "ohdev"])
+def test_every_deviation_agrees_with_allantools(gyrofleet: Callable[..., Any], store: Path, kind: str) -> None:
+    found = gyrofleet(*ask(store, "--deviation", kind, "--points-per-octave", 2, "--json")).json
+    assert (found["deviation"], found["overlap"]) == (kind, "full")
+    column = found[kind.removeprefix("o")]
+    taus_s = np.array(found["tau_s"])
+    peer = getattr(allantools, kind)(rate_deg_per_h(), rate=RATE_HZ, data_type="freq", taus=taus_s)
+    by_tau = dict(zip(np.round(peer[0], 9).tolist(), peer[1].tolist(), strict=True))
+    compared = [(value, by_tau[round(t, 9)]) for t, value in zip(taus_s, column, strict=True) if round(t, 9) in by_tau]
+    assert len(compared) >= 25
+    ours, theirs = np.array(compared).T
+    np.testing.assert_allclose(ours, theirs, rtol=1e-8)  # the peer sums with the mean of 15 sigma
+    assert all(lo <= y <= hi for lo, y, hi in zip(found["lo"], column, found["hi"], strict=True))
+    assert len(found["edf"]) == len(column)
+
+
+def test_the_form_that_runs_while_data_flow_is_close_to_the_full_one(
+    gyrofleet: Callable[..., Any], store: Path
+) -> None:
+    full = gyrofleet(*ask(store, "--json")).json
+    strided = gyrofleet(*ask(store, "--overlap", "strided", "--json")).json
+    assert (full["overlap"], strided["overlap"]) == ("full", "strided")
+    assert full["tau_s"] == strided["tau_s"]
+    for tau_s, a, b, edf in zip(full["tau_s"], full["adev"], strided["adev"], full["edf"], strict=True):
+        # up to 16 intervals the same; beyond, another choice among overlapping windows, far within the uncertainty
+        assert b == pytest.approx(a, rel=1e-12 if tau_s <= 16 / RATE_HZ else 0.25 / np.sqrt(2 * edf))
+
+
+def test_a_rolling_window_shows_when_the_noise_rose(gyrofleet: Callable[..., Any], store: Path, tmp_path: Path) -> None:
+    done = gyrofleet(*ask(store, "--rolling", 0.1, "--step", 0.05, "--plot", "rolling.png", "--json"))
+    surface = done.json
+    assert (tmp_path / "rolling.png").read_bytes().startswith(b"\x89PNG")
+    assert surface["start_h"] == pytest.approx([0.05 * i for i in range(9)])
+    assert len(surface["adev"]) == len(surface["lo"]) == len(surface["hi"]) == 9
+    assert all(len(row) == len(surface["tau_s"]) for row in surface["adev"])
+    first = [row[0] for row in surface["adev"]]
+    # windows before 20 min hold white noise of 1 deg/h a sample, those after it 3 deg/h: 17,999 differences each
+    np.testing.assert_allclose(first[:5], 1.0, rtol=5 / np.sqrt(17_999))
+    np.testing.assert_allclose(first[7:], 3.0, rtol=5 / np.sqrt(17_999))
+    table = gyrofleet(*ask(store, "--rolling", 0.1))
+    assert "Rolling Allan deviation (动态 Allan 标准差) of FOG-1 rate" in table.out
+    assert "17 windows of 0.1 h every 0.0125 h" in table.out
+    assert table.code == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (("--deviation", "mdev", "--overlap", "strided"), "mdev has no strided form"),
+        (("--deviation", "ohdev", "--fit"), "are of the overlapping Allan deviation"),
+        (("--step", "1"), "give --rolling HOURS as well"),
+        (("--rolling", "0.1", "--fit"), "--rolling goes with"),
+        (("--rolling", "0.1", "--step", "0.03"), "it takes a whole number of steps"),
+        (("--rolling", "0"), "it takes a whole number of steps"),
+        (("--rolling", "9"), "the record has 1799.98 s; give a shorter --rolling"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(
+    gyrofleet: Callable[..., Any], store: Path, options: tuple[str, ...], why: str
+) -> None:
+    done = gyrofleet(*ask(store, *options))
+    assert done.code != 0
+    assert why in done.err
