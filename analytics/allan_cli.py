@@ -198,13 +198,16 @@ def _curve_table(curve: "AllanCurve") -> Table:
         title=f"{curve.names[0]} ({curve.names[1]}) of {curve.unit} {curve.signal}, run {curve.run}",
         title_justify="left",
         caption=f"{curve.samples:,} samples every {curve.sample_interval_s:g} s, {curve.missing:,} missing; "
-        f"{curve.overlap} overlap; limits: 95 % confidence, least degrees of freedom of the plausible noises",
+        f"{curve.overlap} overlap; limits: 95 % confidence, least degrees of freedom of the plausible noises α "
+        "(2 quantization, 0 angle random walk, -1 bias instability, -2 rate random walk)",
         caption_justify="left",
         header_style="bold",
     )
-    for title in ("tau s", f"deviation {curve.unit_of_measure}", "from", "to", "degrees of freedom"):
+    for title in ("tau s", f"deviation {curve.unit_of_measure}", "from", "to", "degrees of freedom", "noise α"):
         table.add_column(title, justify="right")
-    for row in zip(curve.tau_s, curve.adev, curve.lo, curve.hi, curve.edf, strict=True):
-        tau_s, *values, edf = row
-        table.add_row(f"{tau_s:g}", *(f"{value:.5g}" for value in values), f"{edf:,.1f}")
+    noises = curve.plausible or ((),) * len(curve.tau_s)
+    for row in zip(curve.tau_s, curve.adev, curve.lo, curve.hi, curve.edf, noises, strict=True):
+        tau_s, *values, edf, noise = row
+        exponents = " ".join(str(exponent) for exponent in noise)
+        table.add_row(f"{tau_s:g}", *(f"{value:.5g}" for value in values), f"{edf:,.1f}", exponents)
     return table

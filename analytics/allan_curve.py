@@ -42,6 +42,8 @@ class AllanCurve:
         Equivalent degrees of freedom.
     deviation : Deviation
         Which deviation `adev` holds.
+    plausible : tuple of tuple of int
+        Exponents of the noises that are plausible at each averaging time, see `EstimatePoint`; empty where unknown.
     overlap : {"full", "strided"}
         Windows at every sample, or at every 1/16 of the averaging time or closer.
 
@@ -65,6 +67,7 @@ class AllanCurve:
     edf: tuple[float, ...]
     deviation: Deviation = Deviation.OVERLAPPING_ALLAN
     overlap: Overlap = "strided"
+    plausible: tuple[tuple[int, ...], ...] = ()
 
     def __post_init__(self) -> None:
         """Check that the columns fit together."""
@@ -85,7 +88,7 @@ class AllanCurve:
         ]
         columns = zip(*rows, strict=True) if rows else ((),) * 5
         tau_s, adev, lo, hi, edf = (tuple(column) for column in columns)
-        return replace(self, tau_s=tau_s, adev=adev, lo=lo, hi=hi, edf=edf)
+        return replace(self, tau_s=tau_s, adev=adev, lo=lo, hi=hi, edf=edf, plausible=())
 
     @property
     def bare_names(self) -> tuple[str, str]:
@@ -199,6 +202,7 @@ def _curve(
         edf=tuple(point.edf for point in points),
         deviation=deviation,
         overlap=overlap,
+        plausible=tuple(point.plausible for point in points),
     )
 
 

@@ -132,8 +132,12 @@ def noise_coefficients(curve: AllanCurve, normalised: Coefficient | NoEstimate) 
             f"{who}: the signal is in {curve.unit_of_measure}, the noise coefficients of IEEE 952 are those of an "
             "angular rate; choose a signal in deg/s, deg/h or rad/s"
         )
-    columns = zip(curve.tau_s, curve.adev, curve.lo, curve.hi, curve.edf, strict=True)
-    points = [EstimatePoint(tau_s=tau_s, value=y, lo=lo, hi=hi, edf=edf, n=0) for tau_s, y, lo, hi, edf in columns]
+    noises = curve.plausible or ((),) * len(curve.tau_s)
+    columns = zip(curve.tau_s, curve.adev, curve.lo, curve.hi, curve.edf, noises, strict=True)
+    points = [
+        EstimatePoint(tau_s=tau_s, value=y, lo=lo, hi=hi, edf=edf, n=0, plausible=noise)
+        for tau_s, y, lo, hi, edf, noise in columns
+    ]
     fit = fit_noise(points, confidence=CONFIDENCE)
     if isinstance(fit, NoEstimate):
         return NoEstimate(f"{who}: {fit.reason}")

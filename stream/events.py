@@ -133,7 +133,11 @@ class LimitsApplied(Document, frozen=True, kw_only=True, tag=True):
 
 
 class EstimatePoint(msgspec.Struct, frozen=True, kw_only=True):
-    """One value with its limits; `edf` are degrees of freedom, `n` the averages or windows behind it."""
+    """One value with its limits; `edf` are degrees of freedom, `n` the averages or windows behind it.
+
+    `plausible` are the exponents alpha of the noises S_y(f) ~ f**alpha that the record leaves possible at this tau, and
+    whose least degrees of freedom `edf` are; empty where that was not asked.
+    """
 
     tau_s: float
     value: float
@@ -141,6 +145,7 @@ class EstimatePoint(msgspec.Struct, frozen=True, kw_only=True):
     hi: float
     edf: float
     n: int
+    plausible: tuple[int, ...] = ()
 
 
 class EstimatePublished(Document, frozen=True, kw_only=True, tag=True):

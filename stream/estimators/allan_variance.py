@@ -9,7 +9,8 @@ from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.clock import Piece
 from stream.errors import EstimatorError
 from stream.estimators.base import Estimator, NoEstimate, contiguous_runs, first_finite
-from stream.estimators.confidence import deviation_limits, least_edf
+from stream.estimators.confidence import deviation_limits
+from stream.estimators.noise_exponent import Identified, identify
 from stream.estimators.pyramid_kernel import PyramidState, begin_at, empty_state, push
 from stream.estimators.pyramid_merge import merge
 from stream.events import EstimatePoint
@@ -43,8 +44,8 @@ class AllanDeviation(Estimator):
     relative to the first valid sample and keep the count of their valid samples. A window counts if it holds at least
     90 % of its samples; the mean of those it holds then stands for all. Taus reach from dt to 2**30 dt and more.
 
-    Limits are by chi-square with the least equivalent degrees of freedom of the plausible noises (`confidence`).
-    Memory: 17 KB at one point per octave.
+    Limits are by chi-square with the least equivalent degrees of freedom of the noises that are plausible at each
+    averaging time (`noise_exponent`, `confidence`). Memory: 31 KB at one point per octave.
 
     Examples
     --------
@@ -103,21 +104,23 @@ class AllanDeviation(Estimator):
         if len(levels) == 0:
             return NoEstimate(self._too_little())
         lags = self._lags[np.minimum(levels, 1), columns]
-        factors = lags << levels
-        order = np.argsort(factors)
-        windows = state.windows[levels, columns]
+        order = np.argsort(lags << levels)
+        levels, columns, lags = levels[order], columns[order], lags[order]
+        factors, windows = lags << levels, state.windows[levels, columns]
         variances = state.squares[levels, columns] / (2.0 * windows * np.square(factors, dtype=np.float64))
         values = np.sqrt(variances) * self._factor
         if not np.isfinite(values).all():
             return NoEstimate(f"unit {unit}, signal {signal}: values too large to be squared; check the source")
         return tuple(
-            self._point(int(factors[i]), float(values[i]), int(windows[i]), int(lags[i])) for i in order.tolist()
+            allan_point(factor * self._tracker.dt_ns / 1e9, value, n, noise, self.confidence)
+            for factor, value, n, noise in zip(
+                factors.tolist(),
+                values.tolist(),
+                windows.tolist(),
+                identify(factors, variances, windows, lags),
+                strict=True,
+            )
         )
-
-    def _point(self, factor: int, value: float, windows: int, lag: int) -> EstimatePoint:
-        edf = least_edf(averaging_factor=factor, windows=windows, stride_per_tau=lag)
-        lo, hi = deviation_limits(value, edf, self.confidence)
-        return EstimatePoint(tau_s=factor * self._tracker.dt_ns / 1e9, value=value, lo=lo, hi=hi, edf=edf, n=windows)
 
     def _too_little(self) -> str:
         if self.samples < 2:
@@ -126,6 +129,12 @@ class AllanDeviation(Estimator):
             f"2 neighbouring averages with {LEAST_SHARE:.0%} of their samples needed, none seen: "
             f"{self.samples} samples, {self.missing} missing"
         )
+
+
+def allan_point(tau_s: float, value: float, windows: int, noise: Identified, confidence: float) -> EstimatePoint:
+    """A point of a curve with the limits that the noise there leaves room for."""
+    lo, hi = deviation_limits(value, noise.edf, confidence)
+    return EstimatePoint(tau_s=tau_s, value=value, lo=lo, hi=hi, edf=noise.edf, n=windows, plausible=noise.plausible)
 
 
 def _lag_table(points_per_octave: int) -> IntArray:

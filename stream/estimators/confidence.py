@@ -129,10 +129,9 @@ def edf(alpha: int, d: int, averaging_factor: int, windows: int, stride_per_tau:
 def least_edf(averaging_factor: int, windows: int, stride_per_tau: int, d: int = 2) -> float:
     """Least equivalent degrees of freedom that any of the `NOISE_EXPONENTS` gives.
 
-    Which noise prevails at a tau would have to be told from the same deviations, and is told wrongly just where few
-    windows make it matter. All five are therefore held possible at every tau, and the limits keep their level with
-    each of them. Quantisation (+2) has the least at tau of one or two intervals, random walk (-2) at long ones; white
-    noise pays with limits wider by at most the root of 1.7.
+    For where nothing is known of the noise: the limits keep their level with each of them. Quantisation (+2) has the
+    least at tau of one or two intervals, random walk (-2) at long ones; white noise pays with limits wider by at most
+    the root of 1.7. Where the curve tells the noise, `noise_exponent` leaves out what it excludes.
 
     Examples
     --------

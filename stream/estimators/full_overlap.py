@@ -6,13 +6,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+import numpy as np
+
 from stream.batch import SampleBatch
 from stream.clock import GridTracker
 from stream.errors import EstimatorError
-from stream.estimators.allan_variance import LEAST_SHARE
+from stream.estimators.allan_variance import LEAST_SHARE, allan_point
 from stream.estimators.base import NoEstimate, contiguous_runs
-from stream.estimators.confidence import deviation_limits, least_edf
+from stream.estimators.confidence import NOISE_EXPONENTS, least_edf
 from stream.estimators.deviation_forms import FORMS, Deviation, squared_differences
+from stream.estimators.noise_exponent import Identified, identify
 from stream.estimators.prefix_record import PrefixRecord
 from stream.events import EstimatePoint
 from stream.quantities import report_unit
@@ -52,7 +55,8 @@ class FullOverlap:
     Where samples are missing, a window counts if it holds at least 90 % of its samples and the mean of those it holds
     stands for all; in mdev the same holds for the inner sum. Values that are not finite are missing.
 
-    Limits are by chi-square with the least equivalent degrees of freedom of the plausible noises (`confidence`).
+    Limits are by chi-square with the least equivalent degrees of freedom of the noises that the curve leaves plausible
+    for oadev (`noise_exponent`), of all noises for the others (`confidence`).
 
     Examples
     --------
@@ -194,16 +198,13 @@ class FullOverlap:
             raise EstimatorError(_no_room(who, error)) from error
         if math.isnan(record.mean):
             return NoEstimate(_too_large(who))
-        points = []
-        for factor in wanted:
-            squares, windows = squared_differences(record, kind, factor)
-            if windows == 0:
-                continue
-            value = math.sqrt(squares / (FORMS[kind].norm * windows)) / factor * self._factor
-            if not math.isfinite(value):
-                return NoEstimate(_too_large(who))
-            points.append(self._point(kind, factor, value, windows))
-        return tuple(points) or NoEstimate(self._too_little(kind, wanted))
+        found = [(factor, *squared_differences(record, kind, factor)) for factor in wanted]
+        found = [(factor, squares, windows) for factor, squares, windows in found if windows]
+        variances = [squares / (FORMS[kind].norm * n) / float(factor) ** 2 for factor, squares, n in found]
+        if not all(math.isfinite(variance * self._factor) for variance in variances):
+            return NoEstimate(_too_large(who))
+        factors, windows = [factor for factor, _, _ in found], [n for _, _, n in found]
+        return self._points(kind, factors, variances, windows) or NoEstimate(self._too_little(kind, wanted))
 
     def _wanted(self, kind: Deviation, points_per_octave: int, factors: Sequence[int] | None) -> list[int]:
         """Averaging factors that the record is long enough for."""
@@ -214,19 +215,28 @@ class FullOverlap:
             raise EstimatorError(f"an averaging time of {min(factors)} sample intervals: it takes 1 or more")
         return sorted({factor for factor in map(int, factors) if factor <= largest})
 
-    def _point(self, kind: Deviation, factor: int, value: float, windows: int) -> EstimatePoint:
+    def _points(
+        self, kind: Deviation, factors: list[int], variances: list[float], windows: list[int]
+    ) -> tuple[EstimatePoint, ...]:
         form = FORMS[kind]
-        stride, strides = 1, windows
-        if form.is_overlapped:
-            # far fewer windows in a tau than there are hold the same freedom to 0.5 %, and their sums are short
-            stride = factor
-            while stride >= _EDF_STRIDE:
-                stride //= 2
-            strides = max(1, windows * stride // factor)
-        filter_factor = 1 if kind is Deviation.MODIFIED_ALLAN else factor
-        edf = least_edf(filter_factor, strides, stride, d=len(form.weights))
-        lo, hi = deviation_limits(value, edf, self.confidence)
-        return EstimatePoint(tau_s=factor * self._tracker.dt_ns / 1e9, value=value, lo=lo, hi=hi, edf=edf, n=windows)
+        strides = [_stride(factor) if form.is_overlapped else 1 for factor in factors]
+        freedom = [
+            max(1, n * stride // factor) if form.is_overlapped else n
+            for n, stride, factor in zip(windows, strides, factors, strict=True)
+        ]
+        if kind is Deviation.OVERLAPPING_ALLAN and factors:
+            noises = identify(np.array(factors), np.array(variances), np.array(freedom), np.array(strides))
+        else:
+            noises = tuple(
+                Identified(exponent=0, plausible=NOISE_EXPONENTS, edf=_least(kind, factor, n, stride))
+                for factor, n, stride in zip(factors, freedom, strides, strict=True)
+            )
+        return tuple(
+            allan_point(
+                factor * self._tracker.dt_ns / 1e9, math.sqrt(variance) * self._factor, n, noise, self.confidence
+            )
+            for factor, variance, n, noise in zip(factors, variances, windows, noises, strict=True)
+        )
 
     def _too_little(self, kind: Deviation, wanted: list[int]) -> str:
         reach = FORMS[kind].reach
@@ -246,6 +256,18 @@ class FullOverlap:
             )
         self._report_unit, self._factor = report_unit(batch.unit_of_measure)
         self._signal = signal
+
+
+def _stride(factor: int) -> int:
+    """Windows in a tau that hold the same freedom as all there are, to 0.5 %, and whose sums are short."""
+    while factor >= _EDF_STRIDE:
+        factor //= 2
+    return factor
+
+
+def _least(kind: Deviation, factor: int, windows: int, stride: int) -> float:
+    filter_factor = 1 if kind is Deviation.MODIFIED_ALLAN else factor
+    return least_edf(filter_factor, windows, stride, d=len(FORMS[kind].weights))
 
 
 def averaging_factors(points_per_octave: int, largest: int) -> list[int]:
