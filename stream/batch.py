@@ -6,6 +6,7 @@ from uuid import UUID
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from stream.errors import BadInput
 
@@ -144,6 +145,11 @@ class SampleBatch:
         )
 
     @cached_property
+    def finite(self) -> int:
+        """Samples with a finite value."""
+        return len(self) if self.values is None else count_finite(self.values)
+
+    @cached_property
     def time_array(self) -> IntArray:
         """Time of every sample, nanoseconds, shape (n,)."""
         if self.times_ns is not None:
@@ -157,6 +163,15 @@ class SampleBatch:
             return self.values
         assert self.counts is not None
         return np.asarray(self.counts * self.scale + self.offset, np.float64)
+
+
+@njit(cache=True, nogil=True)
+def count_finite(values: FloatArray) -> int:
+    """How many values are finite."""
+    count = 0
+    for i in range(values.shape[0]):
+        count += values[i] - values[i] == 0.0
+    return count
 
 
 def _same(a: object, b: object) -> bool:

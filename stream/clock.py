@@ -3,9 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from stream.batch import FloatArray, IntArray, SampleBatch
+from stream.batch import FloatArray, IntArray, SampleBatch, count_finite
 from stream.errors import EstimatorError
 
 INTERVAL_TOLERANCE = 1e-3
@@ -109,6 +108,28 @@ class GridTracker:
         start = {"start_ns": self.start_ns, "start_slot": self.start_slot}
         self.import_state(later.export_state() | counts | start)
 
+    def follow(self, batch: SampleBatch) -> int:
+        """Place a batch that goes on exactly where the last one ended, as nearly all do: its first slot, else -1."""
+        dt_ns = self.dt_ns
+        if (
+            batch.t0_ns != self.last_ns + dt_ns
+            or batch.dt_ns != dt_ns
+            or batch.times_ns is not None
+            or batch.irregular
+            or self.irregular
+            or not self.next_slot
+        ):
+            return -1
+        first_slot, n = self.next_slot, len(batch)
+        last_ns = self.last_ns + n * dt_ns
+        if last_ns - self.first_ns > MAX_SPAN_NS:
+            return -1
+        self.last_ns = last_ns
+        self.next_slot = first_slot + n
+        self.samples += batch.finite
+        self.missing = self.next_slot - self.start_slot - self.samples
+        return first_slot
+
     def place(self, batch: SampleBatch) -> list[Piece]:
         """Slots of the samples of `batch`, as pieces without holes; samples that are late are in none of them.
 
@@ -118,22 +139,13 @@ class GridTracker:
             If the nominal interval differs from that of the first batch by more than 0.1 %, or the times lie too
             far apart to be numbered.
         """
-        n, t0_ns, dt_ns = len(batch), batch.t0_ns, batch.dt_ns
-        if dt_ns != self.dt_ns:
+        n, t0_ns = len(batch), batch.t0_ns
+        if batch.dt_ns != self.dt_ns:
             self._check_interval(batch)
         if batch.irregular:
             self.irregular = True
         if batch.times_ns is not None:
             return self._place_timed(batch, batch.times_ns)
-        if t0_ns == self.last_ns + dt_ns and self.next_slot:
-            # what nearly every batch is: it goes on where the last one ended
-            first_slot = self.next_slot
-            self.last_ns += n * dt_ns
-            self.next_slot += n
-            if self.last_ns - self.first_ns > MAX_SPAN_NS:
-                self._check_span(batch, self.last_ns)
-            self._count(n, batch.values)
-            return [Piece(first_slot, 0, n)]
         late = 0
         if t0_ns <= self.last_ns and self.next_slot:
             late = min(n, (self.last_ns - t0_ns) // batch.dt_ns + 1)
@@ -196,16 +208,8 @@ class GridTracker:
             )
 
     def _count(self, n: int, values: FloatArray | None) -> None:
-        self.samples += n if values is None else _count_finite(values)
+        self.samples += n if values is None else count_finite(values)
         self.missing = self.next_slot - self.start_slot - self.samples
-
-
-@njit(cache=True, nogil=True)
-def _count_finite(values: FloatArray) -> int:
-    count = 0
-    for i in range(values.shape[0]):
-        count += values[i] - values[i] == 0.0
-    return count
 
 
 def _who(batch: SampleBatch) -> str:

@@ -5,10 +5,9 @@ from typing import Self
 
 import numpy as np
 
-from stream.batch import FloatArray, IntArray, SampleBatch
-from stream.clock import Piece
+from stream.batch import FloatArray, IntArray
 from stream.errors import EstimatorError
-from stream.estimators.base import Estimator, NoEstimate, contiguous_runs, first_finite
+from stream.estimators.base import Estimator, NoEstimate, first_finite
 from stream.estimators.confidence import deviation_limits
 from stream.estimators.noise_exponent import Identified, identify
 from stream.estimators.pyramid_kernel import PyramidState, begin_at, empty_state, push
@@ -50,6 +49,7 @@ class AllanDeviation(Estimator):
     Examples
     --------
     >>> from uuid import UUID
+    >>> from stream.batch import SampleBatch
     >>> estimator = AllanDeviation()
     >>> estimator.estimate()
     NoEstimate(reason='2 samples needed, 0 seen')
@@ -77,13 +77,12 @@ class AllanDeviation(Estimator):
         """Points per octave."""
         return {"points_per_octave": self._points_per_octave}
 
-    def _take(self, batch: SampleBatch, pieces: list[Piece]) -> None:
+    def _take_run(self, first_slot: int, values: FloatArray) -> None:
         if self._tracker.irregular:
             return
-        for first_slot, values in contiguous_runs(batch, pieces):
-            if self._reference != self._reference:  # NaN: no finite value yet
-                self._reference = first_finite(values)
-            push(*self._state, self._lags, LEAST_SHARE, self._reference, first_slot, values)
+        if self._reference != self._reference:  # NaN: no finite value yet
+            self._reference = first_finite(values)
+        push(*self._state, self._lags, LEAST_SHARE, self._reference, first_slot, values)
 
     def _go_on_from(self, earlier: Self) -> None:
         begin_at(self._state, earlier._tracker.next_slot)

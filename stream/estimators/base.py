@@ -206,6 +206,10 @@ class Estimator(ABC):
         signal = (batch.unit, batch.signal, batch.unit_of_measure)
         if signal != self._signal:
             self._begin(batch, signal)
+        first_slot = self._tracker.follow(batch)
+        if first_slot >= 0:
+            self._take_run(first_slot, for_kernel(batch.value_array))
+            return
         pieces = self._tracker.place(batch)
         if pieces:
             self._take(batch, pieces)
@@ -214,9 +218,14 @@ class Estimator(ABC):
     def estimate(self) -> tuple[EstimatePoint, ...] | NoEstimate:
         """What is known now, in `unit_of_measure`; never NaN or infinite."""
 
-    @abstractmethod
     def _take(self, batch: SampleBatch, pieces: list[Piece]) -> None:
         """Take in the samples of a batch that are not late."""
+        for first_slot, values in contiguous_runs(batch, pieces):
+            self._take_run(first_slot, values)
+
+    @abstractmethod
+    def _take_run(self, first_slot: int, values: FloatArray) -> None:
+        """Take in values on the slots from `first_slot` on; NaN is missing."""
 
     def _begin(self, batch: SampleBatch, signal: tuple[str, str, str]) -> None:
         if self._report_unit:

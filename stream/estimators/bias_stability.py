@@ -26,7 +26,7 @@ from stream.estimators.averages_kernel import (
     first_slot_of,
     merge_averages,
 )
-from stream.estimators.base import Estimator, NoEstimate, contiguous_runs, first_finite, for_kernel
+from stream.estimators.base import Estimator, NoEstimate, first_finite, for_kernel
 from stream.estimators.confidence import deviation_limits
 from stream.estimators.raw_averages_kernel import take_samples
 from stream.events import EstimatePoint
@@ -114,20 +114,18 @@ class BiasStability(Estimator):
         return {"average_s": self.average_s, "window_s": self.window_s}
 
     def _take(self, batch: SampleBatch, pieces: list[Piece]) -> None:
-        tracker = self._tracker
-        if 0 < self._average_ns < tracker.dt_ns:
-            return
-        if tracker.irregular and self._average_ns:
+        if self._tracker.irregular and self._tracker.dt_ns <= self._average_ns:
             self._take_timed(batch, pieces)
-            return
-        for first_slot, values in contiguous_runs(batch, pieces):
-            self._refer_to(values)
-            if self._average_ns:
-                average_grid(
-                    *self._state, self._reference, self._average_ns, LEAST_SHARE, tracker.dt_ns, first_slot, values
-                )
-            else:
-                take_samples(*self._state, self._reference, first_slot, values)
+        else:
+            super()._take(batch, pieces)
+
+    def _take_run(self, first_slot: int, values: FloatArray) -> None:
+        self._refer_to(values)
+        if self._average_ns == 0:
+            take_samples(*self._state, self._reference, first_slot, values)
+        elif self._average_ns >= self._tracker.dt_ns:
+            dt_ns = self._tracker.dt_ns
+            average_grid(*self._state, self._reference, self._average_ns, LEAST_SHARE, dt_ns, first_slot, values)
 
     def _take_timed(self, batch: SampleBatch, pieces: list[Piece]) -> None:
         tracker = self._tracker

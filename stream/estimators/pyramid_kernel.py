@@ -15,7 +15,7 @@ from stream.batch import FloatArray, IntArray
 FIRST, NEXT, FILLED, HEADED, FULL = 0, 1, 2, 3, 4
 SUM, COUNT = 0, 1
 _CHUNK = 2048
-_FEW = 64
+_FEW = 32
 
 
 class PyramidState(NamedTuple):
@@ -244,9 +244,13 @@ def _climb_a_level(
         if lag == 0:
             break
         total = 0.0
-        for i in range(history + 1, length + 1):
-            difference = scratch[2, SUM, i] - 2.0 * scratch[2, SUM, i - lag] + scratch[2, SUM, i - 2 * lag]
-            total += difference * difference
+        if given < _FEW:
+            for i in range(history + 1, length + 1):
+                difference = scratch[2, SUM, i] - 2.0 * scratch[2, SUM, i - lag] + scratch[2, SUM, i - 2 * lag]
+                total += difference * difference
+        else:
+            sums = scratch[2, SUM, history + 1 - 2 * lag : length + 1]
+            total = _sum_of_squares(sums[2 * lag :], sums[lag : lag + given], sums[:given])
         squares[level, j] += total
         windows[level, j] += given
     for i in range(history):
@@ -285,7 +289,7 @@ def _climb(
         if total == 0:
             break
         width = 2.0**level
-        if full and total == given and given < _FEW and places[level, FULL] == 1 and places[level, HEADED] == history:
+        if full and total == given and places[level, FULL] == 1 and places[level, HEADED] == history:
             given = _climb_a_level(tails, squares, windows, places, lags, scratch, level, now, given)
             total = given
             now = 1 - now
