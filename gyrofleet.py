@@ -4,6 +4,7 @@ import click
 
 from analytics.allan_cli import allan
 from analytics.cli import demo
+from analytics.spectrum_cli import spectrum
 from ingest.cli import import_files
 from storage.cli import estimate, record, sql
 
@@ -14,7 +15,7 @@ def main() -> None:
     """Screen many gyroscopes for hours or weeks: record, estimate while it flows, ask in SQL."""
 
 
-for command in (demo, import_files, record, estimate, sql, allan):
+for command in (demo, import_files, record, estimate, sql, allan, spectrum):
     main.add_command(command)
 
 if __name__ == "__main__":
