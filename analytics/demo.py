@@ -11,7 +11,17 @@ from analytics.limits import LimitsTable, demo_limits, judge_unit
 from ingest.instruments.simulated.gyro import GyroParameters, demo_fleet, unit_batches
 from ingest.pipeline import EmbeddedPipeline
 from stream.batch import SampleBatch
-from stream.events import EstimatePublished, PowerOn, RunEnded, RunStarted, StreamTotal, VerdictGiven
+from stream.events import (
+    AnyDocument,
+    EarlyDecision,
+    EstimatePublished,
+    Limit,
+    PowerOn,
+    RunEnded,
+    RunStarted,
+    StreamTotal,
+    VerdictGiven,
+)
 from stream.identity import Place, event_key, sample_key
 from stream.quantities import report_unit
 
@@ -28,6 +38,7 @@ class UnitView:
     rate_deg_per_h: float | None = None
     temperature_deg_c: float | None = None
     estimates: dict[str, EstimatePublished] = field(default_factory=dict)
+    decisions: dict[Limit, EarlyDecision] = field(default_factory=dict)
     verdict: VerdictGiven | None = None
 
 
@@ -79,14 +90,18 @@ def run_demo(
     state = DemoState(run, duration_s, demo_limits(), {gyro.unit: UnitView(gyro.unit) for gyro in fleet})
     finals: list[EstimatePublished] = []
 
-    def on_estimate(document: EstimatePublished) -> None:
-        if document.unit in state.units and document.signal == "rate":
+    def on_document(document: AnyDocument) -> None:
+        if isinstance(document, EarlyDecision):
+            state.units[document.unit].decisions[document.limit] = document
+        if not isinstance(document, EstimatePublished):
+            return
+        if document.signal == "rate":
             state.units[document.unit].estimates[document.estimator] = document
         if document.final:
             finals.append(document)
 
     with EmbeddedPipeline(
-        folder, "gyrofleet demo", estimate_every_s=ESTIMATE_EVERY_S, on_estimate=on_estimate
+        folder, "gyrofleet demo", estimate_every_s=ESTIMATE_EVERY_S, on_document=on_document
     ) as pipeline:
         events = event_key(PLACE)
         started = RunStarted(
@@ -99,7 +114,7 @@ def run_demo(
             lot="DEMO-LOT-1",
         )
         pipeline.send_event(events, started)
-        pipeline.send_event(events, state.limits.applied(run, t0_ns))
+        pipeline.send_event(events, state.limits.applied(run, t0_ns, planned_s=duration_s))
         totals: dict[tuple[str, str], StreamTotal] = {}
         shown_at = 0.0
         for batch in _station(fleet, run, duration_s, seed, t0_ns):

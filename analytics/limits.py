@@ -65,9 +65,9 @@ class LimitsTable(msgspec.Struct, frozen=True):
     revision: str
     limits: tuple[Limit, ...]
 
-    def applied(self, run: str, t_ns: int) -> LimitsApplied:
-        """Return the document that says that `run` is judged by this table."""
-        return LimitsApplied(run=run, t_ns=t_ns, revision=self.revision, limits=self.limits)
+    def applied(self, run: str, t_ns: int, planned_s: float | None = None) -> LimitsApplied:
+        """Return the document that says that `run`, planned to last `planned_s` seconds, is judged by this table."""
+        return LimitsApplied(run=run, t_ns=t_ns, revision=self.revision, limits=self.limits, planned_s=planned_s)
 
 
 class Reading(NamedTuple):

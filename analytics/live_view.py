@@ -11,7 +11,8 @@ from rich.text import Text
 
 from analytics.demo import DemoState, UnitView
 from analytics.limits import judge
-from stream.events import Check, EstimatePublished, Limit, Verdict, VerdictGiven
+from stream.estimators.decision import Outcome
+from stream.events import Check, EarlyDecision, EstimatePublished, Limit, Verdict, VerdictGiven
 
 _WIDE = 140
 _COLOURS = {
@@ -94,7 +95,7 @@ def _row(view: UnitView, limits: Sequence[Limit]) -> list[RenderableType]:
         f"{view.samples:,}",
         "" if view.rate_deg_per_h is None else f"{view.rate_deg_per_h:+.2f}",
         "" if view.temperature_deg_c is None else f"{view.temperature_deg_c:.2f}",
-        *(_cell(check, final=view.verdict is not None) for check in checks),
+        *(_cell(check, view.decisions.get(check.limit), final=view.verdict is not None) for check in checks),
         _verdict(view.verdict),
     ]
 
@@ -103,11 +104,16 @@ def _estimates(view: UnitView) -> list[EstimatePublished]:
     return list(view.estimates.values())
 
 
-def _cell(check: Check, *, final: bool) -> Text:
+def _cell(check: Check, decision: EarlyDecision | None, *, final: bool) -> Text:
     if check.value is None:
         return Text("...", style="dim")
     text = f"{check.value:.4f}\n{_short(check.lo)}-{_short(check.hi)}"
-    return Text(text, style=_COLOURS[check.verdict] if final else "")
+    if final:
+        return Text(text, style=_COLOURS[check.verdict])
+    # an interval looked at again and again says nothing; a decision that was planned does
+    if decision is None or decision.outcome == Outcome.UNDECIDED:
+        return Text(text)
+    return Text(f"{text}\n{decision.outcome} early 提前", style=_COLOURS[Verdict(decision.outcome)])
 
 
 def _short(value: float | None) -> str:

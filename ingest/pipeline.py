@@ -11,7 +11,7 @@ from storage.store import Store, WriterLock
 from stream.batch import SampleBatch
 from stream.delivery import DurablePublisher
 from stream.errors import GyrofleetError
-from stream.events import AnyDocument, EstimatePublished
+from stream.events import AnyDocument
 from stream.worker import EstimationWorker
 from stream.zenoh_bus import ZenohBus
 
@@ -34,8 +34,8 @@ class EmbeddedPipeline:
         Endpoints on which others may listen in; none by default.
     rotate_bytes : int
         Payload after which a segment of the log is sealed.
-    on_estimate : callable, optional
-        Called with every estimate, in the worker's thread.
+    on_document : callable, optional
+        Called with every estimate and decision, in the worker's thread.
 
     Raises
     ------
@@ -51,7 +51,7 @@ class EmbeddedPipeline:
         estimate_every_s: float = 600.0,
         listen: Sequence[str] = (),
         rotate_bytes: int = EMBEDDED_ROTATE_BYTES,
-        on_estimate: Callable[[EstimatePublished], None] | None = None,
+        on_document: Callable[[AnyDocument], None] | None = None,
     ) -> None:
         with ExitStack() as stack:
             self.store = Store.create(folder)
@@ -67,7 +67,7 @@ class EmbeddedPipeline:
 
             self._publisher, self._estimates = publishers
             # the worker listens first: what the recorder acknowledges, the worker has
-            self.worker = EstimationWorker(bus, self._estimates, every_s=estimate_every_s, on_estimate=on_estimate)
+            self.worker = EstimationWorker(bus, self._estimates, every_s=estimate_every_s, on_document=on_document)
             self.recorder = stack.enter_context(Recorder(self.store, bus, log, on_failure=give_up))
             self._stack = stack.pop_all()
 

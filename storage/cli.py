@@ -115,6 +115,14 @@ def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
 
 @click.command("estimate")
 @store_option
+@click.option(
+    "--checkpoint-every",
+    "checkpoint_every_s",
+    type=click.FloatRange(min=0.1),
+    default=30.0,
+    show_default=True,
+    help="Seconds between checkpoints, from which it goes on after it was stopped or killed.",
+)
 @click.option("--connect", help="Where the recorder listens; by default, where the one listens that writes the store.")
 @click.option(
     "--every",
@@ -125,29 +133,36 @@ def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
     help="Seconds of a signal's time between estimates.",
 )
 @reporting
-def estimate(folder: Path, connect: str | None, every_s: float, *, as_json: bool) -> None:
-    """Estimate bias stability and Allan deviation of every signal on the bus, until stopped.
+def estimate(folder: Path, connect: str | None, every_s: float, checkpoint_every_s: float, *, as_json: bool) -> None:
+    """Estimate bias stability, Allan deviation, spectrum and noise of every signal on the bus, until stopped.
 
+    In the store it keeps a checkpoint, and goes on from it with what was recorded since, also when it was killed.
     Estimates go to the recorder; shown are the final ones of each run (of a curve its lowest point), with --json all.
     """
-    from storage.store import writer_endpoint
+    from storage.log_tail import LogTail
+    from storage.store import Store, writer_endpoint
     from stream.delivery import DurablePublisher
     from stream.errors import BusError
-    from stream.events import EstimatePublished
+    from stream.events import AnyDocument, EstimatePublished
     from stream.worker import EstimationWorker
     from stream.zenoh_bus import ZenohBus
 
-    connect = connect or writer_endpoint(folder)
+    endpoint = writer_endpoint(folder)
+    connect = connect or endpoint
     if connect is None:
         raise BusError(f"no `gyrofleet record` writes {folder} now; start one, or give --connect with its address")
     console = notes()
     printing = threading.Lock()
 
-    def show(document: EstimatePublished) -> None:
+    # the log of a store that another recorder writes would not go with what comes over the bus
+    log = LogTail(Store.open(folder)) if connect == endpoint else None
+    checkpoint = None if log is None else folder / "checkpoints" / "estimate.checkpoint"
+
+    def show(document: AnyDocument) -> None:
         with printing:
             if as_json:
                 print_json(document)
-            elif document.final:
+            elif isinstance(document, EstimatePublished) and document.final:
                 console.print(told(document), soft_wrap=True, markup=False)
 
     compile_kernels(quiet=as_json)
@@ -156,8 +171,18 @@ def estimate(folder: Path, connect: str | None, every_s: float, *, as_json: bool
         DurablePublisher(bus, timeout_s=10.0) as publisher,
         until_stopped() as stopped,
     ):
-        with EstimationWorker(bus, publisher, every_s=every_s, on_estimate=show) as worker:
-            console.print(f"estimating what arrives on {connect}; Ctrl-C ends")
+        worker = EstimationWorker(
+            bus,
+            publisher,
+            every_s=every_s,
+            on_document=show,
+            log=log,
+            checkpoint=checkpoint,
+            checkpoint_every_s=checkpoint_every_s,
+        )
+        with worker:
+            going_on = f", going on from {checkpoint}" if worker.resumed else ""
+            console.print(f"estimating what arrives on {connect}{going_on}; Ctrl-C ends", soft_wrap=True)
             told_at, told_samples = time.monotonic(), 0
             while not stopped.wait(0.2) and worker.failure is None:
                 if time.monotonic() - told_at >= 5.0 and worker.counts.samples != told_samples and not as_json:

@@ -65,7 +65,7 @@ class EventLog:
         self.recovered: list[Recovery] = []
         for sealed in sorted(store.log.glob("*.mcap")):
             for stream, next_seq in read_marks(sealed).items():
-                self._advance(_stream_of(stream), int(next_seq))
+                self._advance(stream_of(stream), int(next_seq))
         for left_open in sorted(store.log.glob("*.mcap.open")):
             self._recover(left_open)
 
@@ -126,7 +126,7 @@ class EventLog:
             sealed.with_name(sealed.name + ".recovering").unlink(missing_ok=True)
             self._segment = SegmentWriter(sealed, ".recovering")
             for record in salvage.records:
-                stream, next_seq = _position_of(record)
+                stream, next_seq = position_of(record)
                 if stream is None:
                     self.append_aside(record)
                 elif next_seq > self.marks.get(stream, 0):
@@ -138,14 +138,16 @@ class EventLog:
         self.recovered.append(Recovery(left_open.name, len(salvage.records), salvage.damaged_chunks, aside))
 
 
-def _stream_of(text: str) -> StreamId:
+def stream_of(text: str) -> StreamId:
+    """Read a stream as it stands in the marks of a segment."""
     key, separator, epoch = text.rpartition(" ")
     if not separator:
         raise StoreError(f"stream position {text!r} in the log cannot be read; was it written by gyrofleet?")
     return StreamId(key, epoch)
 
 
-def _position_of(record: LogRecord) -> tuple[StreamId | None, int]:
+def position_of(record: LogRecord) -> tuple[StreamId | None, int]:
+    """Return the stream of a message and the number that follows it; None for one that is not numbered."""
     if record.schema == SAMPLES:
         batch = decode_batch(record.data)
         return StreamId(record.topic, batch.epoch.hex), batch.next_seq

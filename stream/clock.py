@@ -99,7 +99,7 @@ class GridTracker:
         EstimatorError
             If `later` was not begun as the successor of what this one is now.
         """
-        if self.next_slot and (later.start_slot, later.start_ns) != (self.next_slot, self.last_ns):
+        if (later.start_slot, later.start_ns) != (self.next_slot, self.last_ns):
             raise EstimatorError(
                 f"the later part begins at slot {later.start_slot}, the earlier one ends at slot {self.next_slot}: "
                 "only neighbours can be merged; begin the later part with successor() of the earlier one"

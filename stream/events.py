@@ -126,10 +126,11 @@ class Limit(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LimitsApplied(Document, frozen=True, kw_only=True, tag=True):
-    """The limits that the run is judged by."""
+    """The limits that the run is judged by; with the duration that is planned it can be decided early."""
 
     revision: str
     limits: tuple[Limit, ...]
+    planned_s: float | None = None
 
 
 class EstimatePoint(msgspec.Struct, frozen=True, kw_only=True):
@@ -162,6 +163,41 @@ class EstimatePublished(Document, frozen=True, kw_only=True, tag=True):
     final: bool = False
     points: tuple[EstimatePoint, ...] = ()
     reason: str | None = None
+
+
+class NoiseFitted(Document, frozen=True, kw_only=True, tag=True):
+    """The noise coefficients of a finished run's Allan deviation (IEEE 952), or a reason why there are none."""
+
+    unit: str
+    signal: str
+    coefficients: dict[str, Any] | None = None
+    reason: str | None = None
+
+
+class SpectralLinesFound(Document, frozen=True, kw_only=True, tag=True):
+    """The sinusoids in the spectrum of a finished run, or a reason why there was no spectrum."""
+
+    unit: str
+    signal: str
+    unit_of_measure: str = ""
+    lines: tuple[dict[str, float], ...] = ()
+    reason: str | None = None
+
+
+class EarlyDecision(Document, frozen=True, kw_only=True, tag=True):
+    """A look at one limit while the run goes on: PASS, FAIL or UNDECIDED, what it rests on, and when to expect it."""
+
+    unit: str
+    signal: str
+    limit: Limit
+    outcome: str
+    rule: str
+    error_probability: float
+    looked_at_fraction: float
+    reason: str
+    reason_zh: str
+    forecast_s: float | None = None
+    forecast_latest_s: float | None = None
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
@@ -223,6 +259,9 @@ AnyDocument = (
     | NoteAdded
     | LimitsApplied
     | EstimatePublished
+    | NoiseFitted
+    | SpectralLinesFound
+    | EarlyDecision
     | VerdictGiven
     | ModelActivated
     | RunResumed

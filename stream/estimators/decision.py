@@ -14,6 +14,8 @@ squares is S = 2 n value**2; of a standard deviation of n averages it is M2 = (n
 
 import math
 from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
 
 from stream.errors import EstimatorError
 from stream.estimators.confidence import least_edf
@@ -34,6 +36,19 @@ class _Looks:
         self.decision: Decision | None = None
         self._elapsed_s = 0.0
         self._last_n = 0
+
+    def export_state(self) -> dict[str, Any]:
+        """Everything that is kept between looks, in plain values."""
+        state = {name: value for name, value in vars(self).items() if name in {"_elapsed_s", "_last_n", "_used"}}
+        return {**state, "decision": None if self.decision is None else asdict(self.decision)}
+
+    def import_state(self, state: dict[str, Any]) -> None:
+        """Take over what another one of the same plan has exported."""
+        decision = state["decision"]
+        self.decision = None if decision is None else _decision(decision)
+        for name, value in state.items():
+            if name != "decision":
+                setattr(self, name, value)
 
     def _enter(self, elapsed_s: float, point: EstimatePoint | None, most: Callable[[float], int]) -> None:
         plan = self.plan
@@ -106,6 +121,10 @@ class _Looks:
             en = f"expected at {first:.0f} s by the present estimate, by its interval as late as {end_en}"
             zh = f"按当前估计预计在 {first:.0f} s 判定,按其区间最迟到{end_zh}"
         return Decision(Outcome.UNDECIDED, f"undecided; {en}", f"未判定;{zh}", promise, fraction, first, last)
+
+
+def _decision(state: dict[str, Any]) -> Decision:
+    return Decision(**{**state, "outcome": Outcome(state["outcome"]), "rule": Rule(state["rule"])})
 
 
 class AllanDecision(_Looks):

@@ -1,4 +1,4 @@
-"""An estimator's state as bytes: versioned, compact, checked, and nothing of Python's own in it."""
+"""The state of what follows a signal as bytes: versioned, compact, checked, and nothing of Python's own in it."""
 
 import struct
 import zlib
@@ -10,7 +10,7 @@ import numpy as np
 from stream.errors import EstimatorError
 
 if TYPE_CHECKING:
-    from stream.estimators.base import Estimator
+    from stream.estimators.base import Follower
 
 SNAPSHOT_VERSION = 2
 
@@ -36,8 +36,8 @@ class _Content(msgspec.Struct, frozen=True):
 _decoder = msgspec.msgpack.Decoder(_Content)
 
 
-def take_snapshot(estimator: "Estimator") -> bytes:
-    """State of `estimator`, to be brought back by `restore`; it goes on from there as if nothing had happened.
+def take_snapshot(follower: "Follower") -> bytes:
+    """State of `follower`, to be brought back by `restore`; it goes on from there as if nothing had happened.
 
     Examples
     --------
@@ -45,10 +45,10 @@ def take_snapshot(estimator: "Estimator") -> bytes:
     >>> restore(take_snapshot(BiasStability(10.0))).key
     'bias_stability_10s'
     """
-    state = estimator.export_state()
+    state = follower.export_state()
     content = _Content(
-        estimator=type(estimator).__name__,
-        arguments=dict(estimator.arguments),
+        estimator=type(follower).__name__,
+        arguments=dict(follower.arguments),
         signal=state.signal,
         tracker=state.tracker,
         reference=state.reference,
@@ -58,15 +58,15 @@ def take_snapshot(estimator: "Estimator") -> bytes:
     return _HEAD.pack(_MARK, SNAPSHOT_VERSION, _checksum(SNAPSHOT_VERSION, packed)) + packed
 
 
-def restore(snapshot: bytes) -> "Estimator":
-    """The estimator that a snapshot was taken of.
+def restore(snapshot: bytes) -> "Follower":
+    """The estimator, or whatever follows a signal, that a snapshot was taken of.
 
     Raises
     ------
     EstimatorError
         If the bytes are no snapshot, are damaged, or were written by a newer gyrofleet.
     """
-    from stream.estimators.base import EstimatorState, estimator_classes
+    from stream.estimators.base import EstimatorState, follower_classes
 
     if len(snapshot) < _HEAD.size:
         raise EstimatorError(f"{len(snapshot)} bytes are no snapshot of an estimator")
@@ -84,16 +84,16 @@ def restore(snapshot: bytes) -> "Estimator":
             "estimate anew from the record"
         )
     content = _decoder.decode(zlib.decompress(packed))
-    classes = {cls.__name__: cls for cls in estimator_classes()}
+    classes = {cls.__name__: cls for cls in follower_classes()}
     if content.estimator not in classes:
         raise EstimatorError(
             f"snapshot of an estimator {content.estimator!r}, which this gyrofleet does not have; it has "
             f"{', '.join(classes)}"
         )
-    estimator = classes[content.estimator](**content.arguments)
+    follower = classes[content.estimator](**content.arguments)
     arrays = tuple(np.frombuffer(a.data, np.dtype(a.dtype)).reshape(a.shape) for a in content.arrays)
-    estimator.import_state(EstimatorState(content.signal, content.tracker, content.reference, arrays))
-    return estimator
+    follower.import_state(EstimatorState(content.signal, content.tracker, content.reference, arrays))
+    return follower
 
 
 def _checksum(version: int, packed: bytes) -> int:

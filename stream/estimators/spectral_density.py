@@ -2,28 +2,34 @@
 
 import math
 from types import MappingProxyType
+from typing import Any, Self
 
 import numpy as np
-import scipy.fft
+import numpy.typing as npt
 
-from stream.batch import FloatArray, SampleBatch
-from stream.clock import GridTracker
+from stream.batch import FloatArray
 from stream.errors import EstimatorError
-from stream.estimators.base import NoEstimate, contiguous_runs, first_finite
 from stream.estimators.confidence import deviation_limits
-from stream.estimators.spectral_lines import Line, Spectrum, WelchAverage, find_lines, hann_window
-from stream.quantities import report_unit
+from stream.estimators.follower import Follower, NoEstimate, first_finite
+from stream.estimators.spectral_lines import Line, Spectrum, WelchAverage, find_lines, welch_edf
+from stream.estimators.spectral_segments import (
+    PAIRS,
+    SEGMENTS,
+    START,
+    SegmentState,
+    append,
+    empty_state,
+    state_behind,
+    take,
+)
 
 FEWEST_SAMPLES = 128
 MOST_SAMPLES = 2**20
 FIRST_BIN = 2
 
 
-class SpectralDensity:
+class SpectralDensity(Follower):
     """One-sided power spectral density of one signal by Welch's method, in bounded memory.
-
-    Not an `Estimator`: that yields points over an averaging time, and every one in the package is given to every
-    signal. It is fed, asked and refuses in the same manner.
 
     Parameters
     ----------
@@ -49,11 +55,13 @@ class SpectralDensity:
     degrees of freedom. Limits are by chi-square with those of `spectral_lines.welch_edf`, for a density that is smooth
     over a bin. Frequencies are on the scale of the nominal sample interval.
 
-    Memory: 12 N bytes.
+    Memory: 12 N bytes, and up to 8 N more in what `successor` begins: its first slots close the segments across the
+    seam when the parts are merged.
 
     Examples
     --------
     >>> from uuid import UUID
+    >>> from stream.batch import SampleBatch
     >>> spectral = SpectralDensity(segment_samples=1024)
     >>> spectral.estimate()
     NoEstimate(reason='a segment of 1024 samples without a gap needed, 0 samples seen')
@@ -71,6 +79,7 @@ class SpectralDensity:
     names = MappingProxyType({"en": "Power spectral density", "zh": "功率谱密度"})
 
     def __init__(self, segment_samples: int = 4096, confidence: float = 0.95) -> None:
+        super().__init__()
         if not FEWEST_SAMPLES <= segment_samples <= MOST_SAMPLES or segment_samples & (segment_samples - 1):
             raise EstimatorError(
                 f"segments of {segment_samples} samples: a spectrum takes a power of two from {FEWEST_SAMPLES} to "
@@ -80,81 +89,48 @@ class SpectralDensity:
             raise EstimatorError(f"a confidence of {confidence}: it lies between 0 and 1")
         self.segment_samples = segment_samples
         self.confidence = confidence
-        self._tracker = GridTracker()
-        self._signal = ("", "", "")
-        self._report_unit = ""
-        self._factor = 1.0
-        self._reference = math.nan
-        self._buffer = np.full(segment_samples, np.nan)
-        self._origin = 0
-        self._filled = 0
-        self._power = np.zeros(segment_samples // 2 + 1)
-        self._segments = 0
-        self._pairs = 0
-        self._last_origin = -segment_samples
+        self._state: SegmentState = empty_state(segment_samples)
 
     @property
-    def unit_of_measure(self) -> str:
-        """Unit that amplitudes are reported in, deg/h for angular rates; empty before the first batch."""
-        return self._report_unit
-
-    @property
-    def samples(self) -> int:
-        """Samples with a finite value that were taken in."""
-        return self._tracker.samples
-
-    @property
-    def missing(self) -> int:
-        """Slots of the grid up to the last sample that hold no finite value."""
-        return self._tracker.missing
-
-    @property
-    def late(self) -> int:
-        """Samples left out because their time was not after that of one already taken in."""
-        return self._tracker.late
-
-    @property
-    def sample_interval_s(self) -> float:
-        """Nominal sample interval in seconds, 0 before the first batch."""
-        return self._tracker.sample_interval_s
+    def arguments(self) -> dict[str, int | float]:
+        """Samples of a segment, and the confidence level."""
+        return {"segment_samples": self.segment_samples, "confidence": self.confidence}
 
     @property
     def segments(self) -> int:
         """Segments averaged."""
-        return self._segments
+        return int(self._state.places[SEGMENTS])
 
     @property
     def segments_left_out(self) -> int:
         """Segments up to the last sample that are not averaged as a slot of theirs holds no finite value."""
-        beyond = self._tracker.next_slot - self.segment_samples
-        if beyond < 0 or self._tracker.irregular:
+        if self._tracker.irregular:
             return 0
-        return beyond // (self.segment_samples // 2) + 1 - self._segments
+        half = self.segment_samples // 2
+        ended = (self._tracker.next_slot - self.segment_samples) // half + 1
+        first = -(-int(self._state.places[START]) // half)
+        return max(0, ended - first) - self.segments
 
-    @property
-    def state_bytes(self) -> int:
-        """Size of what is kept of the signal, bytes."""
-        return self._buffer.nbytes + self._power.nbytes
-
-    def update(self, batch: SampleBatch) -> None:
-        """Take in the next batch of the signal.
-
-        Raises
-        ------
-        EstimatorError
-            If the batch is of another signal, unit of measure or sample interval than those before it.
-        """
-        signal = (batch.unit, batch.signal, batch.unit_of_measure)
-        if signal != self._signal:
-            self._begin(batch, signal)
-        pieces = self._tracker.place(batch)
-        if not pieces or self._tracker.irregular:
+    def _take_run(self, first_slot: int, values: FloatArray) -> None:
+        if self._tracker.irregular:
             return
-        for first_slot, values in contiguous_runs(batch, pieces):
-            if math.isnan(self._reference):
-                self._reference = first_finite(values)
-            with np.errstate(over="ignore", invalid="ignore"):
-                self._take(first_slot, values - self._reference)
+        if math.isnan(self._reference):
+            self._reference = first_finite(values)
+        with np.errstate(over="ignore", invalid="ignore"):
+            relative = values - self._reference
+        take(self._state, first_slot, relative)
+
+    def _go_on_from(self, earlier: Self) -> None:
+        self._state = state_behind(earlier._state)
+
+    def _append(self, later: Self) -> None:
+        append(self._state, later._state)
+
+    def _room_for(self, arrays: tuple[npt.NDArray[Any], ...]) -> tuple[npt.NDArray[Any], ...]:
+        # only a part that goes on behind another has a head
+        if len(arrays) == len(self._state) and arrays[-1].size < self.segment_samples:
+            return self._state._replace(head=np.empty(arrays[-1].size))
+        return self._state
 
     def estimate(self) -> Spectrum | NoEstimate:
         """The density of every bin with its limits."""
@@ -173,7 +149,7 @@ class SpectralDensity:
             unit_of_measure=f"({self._report_unit})^2/Hz",
             confidence=self.confidence,
             edf=average.edf,
-            segments=self._segments,
+            segments=self.segments,
         )
 
     def lines(self, false_alarm_probability: float = 0.01) -> tuple[Line, ...] | NoEstimate:
@@ -202,53 +178,6 @@ class SpectralDensity:
             return average
         return find_lines(average, false_alarm_probability, self.confidence)
 
-    def _begin(self, batch: SampleBatch, signal: tuple[str, str, str]) -> None:
-        if self._report_unit:
-            raise EstimatorError(
-                f"run {batch.run}: the {self.names['en']} of unit {self._signal[0]}, signal {self._signal[1]} in "
-                f"{self._signal[2]} was given a batch of unit {batch.unit}, signal {batch.signal} in "
-                f"{batch.unit_of_measure}; each signal needs one of its own"
-            )
-        self._signal = signal
-        self._report_unit, self._factor = report_unit(batch.unit_of_measure)
-
-    def _take(self, first_slot: int, values: FloatArray) -> None:
-        size, half = self.segment_samples, self.segment_samples // 2
-        taken = 0
-        while taken < len(values):
-            start = self._leap(first_slot + taken)
-            count = min(size - start, len(values) - taken)
-            self._buffer[self._filled : start] = np.nan
-            self._buffer[start : start + count] = values[taken : taken + count]
-            self._filled = start + count
-            taken += count
-            if self._filled == size:
-                self._close()
-                self._buffer[:half] = self._buffer[half:]
-                self._origin += half
-                self._filled = half
-
-    def _leap(self, slot: int) -> int:
-        """Leave the segments behind that end before `slot`; its place in the one that is then being filled."""
-        size, half = self.segment_samples, self.segment_samples // 2
-        beyond = slot - self._origin - size
-        if beyond >= 0:
-            self._buffer[self._filled :] = np.nan
-            self._buffer[:half] = self._buffer[half:]
-            steps = beyond // half + 1
-            self._filled = half if steps == 1 else 0
-            self._origin += steps * half
-        return slot - self._origin
-
-    def _close(self) -> None:
-        if not np.isfinite(self._buffer).all():
-            return
-        transform = scipy.fft.rfft((self._buffer - self._buffer.mean()) * hann_window(self.segment_samples))
-        self._power += np.square(transform.real) + np.square(transform.imag)
-        self._segments += 1
-        self._pairs += self._last_origin == self._origin - self.segment_samples // 2
-        self._last_origin = self._origin
-
     def _average(self) -> WelchAverage | NoEstimate:
         unit, signal, _ = self._signal
         if self._tracker.irregular:
@@ -256,17 +185,19 @@ class SpectralDensity:
                 f"unit {unit}, signal {signal}: the samples lie on no grid of {self.sample_interval_s:g} s, and the "
                 "power spectral density needs one; resample by block means, --resample SECONDS"
             )
-        if self._segments == 0:
+        if self.segments == 0:
             missing = f", {self.missing} missing" if self.missing else ""
             return NoEstimate(
                 f"a segment of {self.segment_samples} samples without a gap needed, {self.samples} samples seen"
                 f"{missing}"
             )
         # sum of the squares of the Hann window: 3 N/8
-        scale = 2.0 * self.sample_interval_s * self._factor**2 / (0.375 * self.segment_samples * self._segments)
+        scale = 2.0 * self.sample_interval_s * self._factor**2 / (0.375 * self.segment_samples * self.segments)
+        pairs = int(self._state.places[PAIRS])
+        _, widest = deviation_limits(1.0, welch_edf(self.segments, pairs), self.confidence)
         with np.errstate(over="ignore", invalid="ignore"):
-            density = scale * self._power
-            is_finite = bool(np.isfinite(density.sum()))
+            density = scale * self._state.power
+            is_finite = bool(np.isfinite(density.sum() * widest**2))
         if not is_finite:
             return NoEstimate(f"unit {unit}, signal {signal}: values too large to be squared; check the source")
         bin_width_hz = 1.0 / (self.segment_samples * self.sample_interval_s)
@@ -274,6 +205,6 @@ class SpectralDensity:
             density=density,
             first_bin=FIRST_BIN,
             bin_width_hz=bin_width_hz,
-            segments=self._segments,
-            pairs=self._pairs,
+            segments=self.segments,
+            pairs=pairs,
         )

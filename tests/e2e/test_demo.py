@@ -152,7 +152,7 @@ def test_allan_draws_and_tells(gyrofleet: Callable[..., Any], demo: tuple[Path, 
     assert [common[tau] for tau in coarse["tau_s"]] == pytest.approx(coarse["adev"], rel=1e-12)
     assert list(coarse) == [
         "unit", "signal", "run", "unit_of_measure", "sample_interval_s", "samples", "missing",
-        "tau_s", "adev", "lo", "hi", "edf",
+        "tau_s", "adev", "lo", "hi", "edf", "deviation", "overlap", "plausible",
     ]  # fmt: skip
 
 

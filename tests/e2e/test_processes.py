@@ -13,6 +13,8 @@ import numpy as np
 import polars as pl
 import pytest
 
+from stream.estimators.base import default_estimators
+
 Spawn = Callable[..., subprocess.Popen[str]]
 
 
@@ -98,9 +100,9 @@ def test_recorder_estimator_and_source_as_processes(
     assert source.code == 0, source.err
     assert [signal["in_lake"] for signal in source.json["files"][0]["signals"]] == [50_000] * 3
     documents = [json.loads(line) for line in stopped(estimate)[0].splitlines()]
-    assert {d["estimator"] for d in documents} == {
-        "allan_deviation", "bias_stability_1s", "bias_stability_10s", "bias_stability_100s",
-    }  # fmt: skip
+    assert {d["estimator"] for d in documents if d["kind"] == "EstimatePublished"} == set(default_estimators())
+    for kind in ("NoiseFitted", "SpectralLinesFound"):
+        assert sorted(d["signal"] for d in documents if d["kind"] == kind) == ["rate_x", "rate_y", "rate_z"]
     ended = json.loads(stopped(record)[0].splitlines()[-1])
     assert (ended["samples"], ended["rejected"]) == (150_000, 0)
     rows = gyrofleet(
@@ -245,3 +247,48 @@ def test_a_source_killed_beside_a_running_recorder_is_completed_by_giving_it_aga
         "sql", "select count(*) as n, count(distinct (signal, t_ns)) as moments from samples", "--json"
     ).json
     assert row == {"n": 6_000_000, "moments": 6_000_000}
+
+
+def test_an_estimator_killed_again_and_again_gives_what_one_that_lived_gives(
+    gyrofleet: Callable[..., Any], spawn: Spawn, endpoint: str, tmp_path: Path
+) -> None:
+    path = table(tmp_path / "a.parquet", 2_000_000)
+    assert gyrofleet("import", path, "--unit", "U1", "--store", "undisturbed").code == 0
+    record = spawn("record", "--listen", endpoint, "--json", "--rotate-mb", "8")
+    assert record.stdout is not None
+    record.stdout.readline()
+
+    def start() -> subprocess.Popen[str]:
+        process = spawn("estimate", "--every", "600", "--checkpoint-every", "0.1", "--json")
+        assert process.stderr is not None
+        assert "estimating" in process.stderr.readline()
+        return process
+
+    estimate = start()
+    source = spawn("import", path, "--unit", "U1", "--connect", endpoint)
+    for delay_s in (0.3, 0.0, 1.0, 0.1):  # before and after checkpoints, while live and while catching up
+        time.sleep(delay_s)
+        estimate.kill()
+        estimate.wait()
+        estimate = start()
+    assert source.wait(timeout=120) == 0
+    lines = iter(estimate.stdout.readline, "") if estimate.stdout is not None else iter(())
+    finals: set[tuple[str, str]] = set()
+    for line in lines:
+        document = json.loads(line)
+        if document["kind"] == "SpectralLinesFound":
+            finals.add((document["run"], document["signal"]))
+        if len(finals) == 3:
+            break
+    stopped(estimate)
+    stopped(record)
+    ask = (
+        "select signal, estimator, t_ns, final, tau_s, value, lo, hi, edf, n, samples, missing, reason "
+        "from estimates order by all"
+    )
+    expected = gyrofleet("sql", ask, "--store", "undisturbed", "--json").json
+    found = gyrofleet("sql", ask, "--json").json
+    assert len(expected) > 1000
+    assert found == expected
+    other = "select kind, uid, document from events where kind in ('NoiseFitted', 'SpectralLinesFound') order by all"
+    assert gyrofleet("sql", other, "--json").json == gyrofleet("sql", other, "--store", "undisturbed", "--json").json

@@ -47,7 +47,7 @@ def test_a_slow_estimator_throttles_its_source_and_loses_nothing(
     monkeypatch.setattr(
         pipeline_module,
         "EstimationWorker",
-        lambda *args, **kwargs: EstimationWorker(*args, **{**kwargs, "estimators": [lambda: SlowEstimator(1.0)]}),
+        lambda *args, **kwargs: EstimationWorker(*args, **{**kwargs, "estimators": {"slow": lambda: SlowEstimator(1.0)}}),
     )
     with EmbeddedPipeline(tmp_path / "store", "test", estimate_every_s=10.0) as pipeline:
         for i in range(500):
@@ -65,7 +65,7 @@ def test_a_slow_estimator_throttles_its_source_and_loses_nothing(
 def test_a_worker_that_cannot_follow_leaves_out_counts_and_keeps_living(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(worker_module, "_MOST_BYTES", 100_000)
     with ZenohBus() as bus, DurablePublisher(bus) as publisher:
-        worker = EstimationWorker(bus, publisher, estimators=[lambda: SlowEstimator(1.0)])
+        worker = EstimationWorker(bus, publisher, estimators={"slow": lambda: SlowEstimator(1.0)})
         for i in range(300):
             publisher.send_batch(KEY, batch(i))
         time.sleep(0.2)

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import EstimatorError
-from stream.estimators.base import NoEstimate, estimator_classes
+from stream.estimators.base import NoEstimate, estimator_classes, follower_classes
+from stream.estimators.snapshot import restore, take_snapshot
 from stream.estimators.spectral_density import SpectralDensity
 from stream.estimators.spectral_lines import Line, Spectrum, hann_window, welch_edf
 
@@ -89,6 +90,7 @@ def assert_same(a: SpectralDensity, b: SpectralDensity) -> None:
 
 def test_it_is_not_among_the_estimators_that_every_signal_is_given() -> None:
     assert "SpectralDensity" not in {cls.__name__ for cls in estimator_classes()}
+    assert SpectralDensity in follower_classes()
     assert all(SpectralDensity.names[language].strip() for language in ("en", "zh"))
 
 
@@ -216,9 +218,86 @@ def test_memory_is_bounded() -> None:
         sizes.append(len(pickle.dumps(spectral)))
     assert sizes[-1] <= sizes[0] + 64
     assert sizes[-1] < 65_536
-    assert spectral.state_bytes == 8 * (4096 + 2049)
+    assert spectral.state_bytes == 8 * (4096 + 2049 + 7)
     twin = pickle.loads(pickle.dumps(spectral))
     assert_same(twin, spectral)
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(data=st.data())
+def test_parts_merge_to_one_pass_wherever_the_seams_lie(data: st.DataObject) -> None:
+    """Around the seams: parts shorter than a segment, gaps at and across them, merged in any association."""
+    values = white(3000) + 15.0
+    values[: data.draw(st.sampled_from([0, 1, 128, 700]))] = np.nan
+    seams = data.draw(st.lists(st.integers(0, 3000) | st.sampled_from([128, 256, 1024, 1025]), min_size=1, max_size=8))
+    edges = sorted({0, *seams, 3000})
+    shift = 0
+    batches = []
+    for a, b in itertools.pairwise(edges):
+        batches.append(make(values[a:b], a + shift))
+        shift += data.draw(st.sampled_from([0, 0, 0, 1, 100, 128, 256, 1000]))
+    whole = fed(batches)
+    waiting = [SpectralDensity(256)]
+    for batch in batches:
+        waiting[-1].update(batch)
+        waiting.append(waiting[-1].successor())
+        if data.draw(st.booleans()):
+            waiting.append(waiting[-1].successor())
+    while len(waiting) > 1:
+        at = data.draw(st.integers(0, len(waiting) - 2))
+        later = waiting.pop(at + 1)
+        waiting[at].merge(pickle.loads(pickle.dumps(later)) if data.draw(st.booleans()) else later)
+    assert_same(waiting[0], whole)
+    assert waiting[0].state_bytes == whole.state_bytes
+    after = make(white(600, 2), edges[-1] + shift)
+    for each in (waiting[0], whole):
+        each.update(after)
+    assert_same(waiting[0], whole)
+
+
+def test_a_part_alone_is_the_spectrum_of_its_own_segments() -> None:
+    values = white(3000)
+    first = fed([make(values[:1000])])
+    part = first.successor()
+    part.update(make(values[1000:], 1000))
+    expected = fed([make(values[1024:])])
+    np.testing.assert_allclose(spectrum_of(part).density, spectrum_of(expected).density, rtol=1e-10)
+    assert (part.samples, part.segments, part.segments_left_out) == (2000, 14, 0)
+    first.merge(part)
+    assert (first.segments, first.segments_left_out) == (22, 0)
+    assert spectrum_of(first).edf == welch_edf(22, 21)
+
+
+def test_only_a_part_behind_another_pays_for_its_head() -> None:
+    first = fed([make(white(1001))])
+    part = first.successor()
+    # segments at 768 and 896 lie across the seam at 1001: slots up to 1152
+    assert part.state_bytes - first.state_bytes == 8 * (1152 - 1001)
+    assert SpectralDensity(256).successor().state_bytes == first.state_bytes
+    again = restore(take_snapshot(part))
+    assert again.state_bytes == part.copy().state_bytes == part.state_bytes
+    state = part.export_state()
+    with pytest.raises(EstimatorError, match="of another estimator"):
+        SpectralDensity(512).import_state(state)
+    with pytest.raises(EstimatorError, match="of another estimator"):
+        first.import_state(state._replace(arrays=state.arrays[:3]))
+    assert first.segments == 6
+
+
+def test_a_copy_keeps_its_confidence() -> None:
+    spectral = SpectralDensity(256, confidence=0.5)
+    assert [each.confidence for each in (spectral.copy(), spectral.successor())] == [0.5, 0.5]
+    assert restore(take_snapshot(spectral)).confidence == 0.5
+    with pytest.raises(EstimatorError, match="settings must agree"):
+        spectral.merge(SpectralDensity(256))
+
+
+def test_limits_are_finite_or_there_are_none() -> None:
+    """One segment has 2 degrees of freedom: its upper limit is 40 times the density."""
+    values = white(256)
+    for exponent in np.arange(150.0, 155.0, 0.1):
+        estimate = fed([make(values * 10.0**exponent)]).estimate()
+        assert isinstance(estimate, NoEstimate) or np.isfinite(estimate.hi).all()
 
 
 def test_units_and_counts() -> None:

@@ -10,7 +10,7 @@ from stream.batch import SampleBatch
 from stream.bus import LocalBus
 from stream.delivery import DurablePublisher
 from stream.estimators.base import default_estimators
-from stream.events import EstimatePublished, RunEnded
+from stream.events import AnyDocument, EstimatePublished, RunEnded
 from stream.identity import Place, event_key, sample_key
 from stream.wire import encode_batch
 from stream.worker import EstimationWorker
@@ -33,7 +33,11 @@ class Bench:
         self.bus = LocalBus()
         self.publisher = DurablePublisher(self.bus)
         self.published: list[EstimatePublished] = []
-        self.worker = EstimationWorker(self.bus, self.publisher, every_s=60.0, on_estimate=self.published.append)
+        self.worker = EstimationWorker(self.bus, self.publisher, every_s=60.0, on_document=self._see)
+
+    def _see(self, document: AnyDocument) -> None:
+        if isinstance(document, EstimatePublished):
+            self.published.append(document)
 
     def send(self, *batches: SampleBatch) -> None:
         for each in batches:

@@ -1,0 +1,187 @@
+"""A worker's checkpoint: written whole, refused when damaged, gone on from to the last bit."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+from uuid import UUID
+
+import numpy as np
+import pytest
+
+from stream.batch import SampleBatch
+from stream.bus import LocalBus
+from stream.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from stream.delivery import DurablePublisher, StreamId, StreamPosition, encode_acknowledgement
+from stream.errors import EstimatorError
+from stream.events import (
+    AnyDocument,
+    EarlyDecision,
+    Limit,
+    LimitsApplied,
+    RunEnded,
+    StreamTotal,
+    decode_event,
+    encode_event,
+)
+from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING, Place, SampleKey, event_key, parse_key, sample_key
+from stream.wire import decode_batch, encode_batch
+from stream.worker import EstimationWorker
+
+PLACE = Place("plant", "bench")
+KEY = sample_key(PLACE, "U1", "rate")
+DT_NS = 10**7
+VALUES = np.random.default_rng(12).standard_normal(60_000) + 3.0
+LIMITS = (
+    Limit(characteristic="bias_stability", signal="rate", tau_s=1.0, upper=100.0, unit_of_measure="deg/h"),
+    Limit(characteristic="allan_deviation", signal="rate", tau_s=2.56, upper=5000.0, unit_of_measure="deg/h"),
+    Limit(characteristic="allan_deviation", signal="rate", tau_s=3.0, upper=5000.0, unit_of_measure="deg/h"),
+)
+
+
+class Message(NamedTuple):
+    stream: StreamId
+    next_seq: int
+    payload: bytes
+
+
+class MemoryLog:
+    """A recorder that keeps everything in memory and acknowledges it at once."""
+
+    identity = "memory"
+
+    def __init__(self, bus: LocalBus) -> None:
+        self._bus = bus
+        self.messages: list[Message] = []
+        bus.subscribe(EVERYTHING, self._on_message)
+
+    def _on_message(self, key: str, payload: bytes) -> None:
+        if isinstance(parse_key(key), SampleKey):
+            batch = decode_batch(payload)
+            message = Message(StreamId(key, batch.epoch.hex), batch.next_seq, payload)
+        else:
+            event = decode_event(payload)
+            message = Message(StreamId(key, event.epoch), event.seq + 1, payload)
+        if message.next_seq > self.positions().get(message.stream, 0):
+            self.messages.append(message)
+        position = StreamPosition(*message.stream, message.next_seq)
+        self._bus.publish(ACKNOWLEDGEMENT_KEY, encode_acknowledgement(self.identity, (position,)))
+
+    def positions(self) -> dict[StreamId, int]:
+        return {message.stream: message.next_seq for message in self.messages}
+
+    def since(self, positions: Mapping[StreamId, int]) -> Iterator[Message]:
+        return iter([each for each in self.messages if each.next_seq > positions.get(each.stream, 0)])
+
+
+def batch(first: int, n: int = 500) -> SampleBatch:
+    return SampleBatch(
+        "U1", "rate", "r1", UUID(int=1), first, first * DT_NS, DT_NS, "deg/s", values=VALUES[first : first + n]
+    )
+
+
+def run(
+    path: Path | None, lives: list[list[int]], *, deaf: frozenset[int] = frozenset()
+) -> tuple[list[AnyDocument], list[EstimationWorker]]:
+    """Documents of a run whose worker lives through those batches; samples of the `deaf` ones reach only the log."""
+    bus = LocalBus()
+    log = MemoryLog(bus)
+    seen: dict[str, AnyDocument] = {}
+    workers = []
+    first = encode_event(LimitsApplied(run="r1", t_ns=0, revision="R", limits=LIMITS, planned_s=600.0), "e", 0)
+    with DurablePublisher(bus) as publisher:
+
+        def see(document: AnyDocument) -> None:
+            assert document.uid not in seen, "published twice"
+            seen[document.uid] = document
+
+        for number, life in enumerate(lives):
+            worker = EstimationWorker(
+                bus, publisher, every_s=60.0, on_document=see, log=log, checkpoint=path, checkpoint_every_s=0.05
+            )
+            workers.append(worker)
+            if number == 0:
+                bus.publish(event_key(PLACE), first)
+            for start in life:
+                if start in deaf:
+                    log._on_message(KEY, encode_batch(batch(start)))
+                else:
+                    bus.publish(KEY, encode_batch(batch(start)))
+            if number == len(lives) - 1:
+                totals = (StreamTotal(unit="U1", signal="rate", epoch=str(UUID(int=1)), samples=60_000),)
+                bus.publish(event_key(PLACE), encode_event(RunEnded(run="r1", t_ns=10**12, totals=totals), "e", 1))
+                worker.close()
+            else:
+                worker.kill()
+    return list(seen.values()), workers
+
+
+def sorted_documents(documents: list[AnyDocument]) -> list[AnyDocument]:
+    return sorted(documents, key=lambda document: document.uid)
+
+
+STARTS = list(range(0, 60_000, 500))
+
+
+def test_lives_that_end_anywhere_give_the_documents_of_one(tmp_path: Path) -> None:
+    whole, _ = run(None, [STARTS])
+    assert len(whole) > 50
+    broken, workers = run(tmp_path / "c", [STARTS[:30], STARTS[30:31], STARTS[31:100], STARTS[100:]])
+    assert sorted_documents(broken) == sorted_documents(whole)
+    assert any(worker.resumed for worker in workers)
+
+
+def test_what_came_while_nobody_listened_is_read_in_the_log(tmp_path: Path) -> None:
+    whole, _ = run(None, [STARTS])
+    deaf = frozenset(STARTS[20:25] + STARTS[119:])
+    broken, workers = run(tmp_path / "c", [STARTS[:70], STARTS[70:]], deaf=deaf)
+    assert sorted_documents(broken) == sorted_documents(whole)
+    assert sum(worker.counts.lost for worker in workers) == 0
+    assert sum(worker.counts.recalled for worker in workers) >= 5 * 500
+
+
+def test_early_decisions_are_given_and_survive(tmp_path: Path) -> None:
+    found, _ = run(tmp_path / "c", [STARTS[:60], STARTS[60:]])
+    looks = [each for each in found if isinstance(each, EarlyDecision)]
+    by_limit = {limit: [each for each in looks if each.limit == limit] for limit in LIMITS}
+    # white noise of 3600 deg/h at 100 Hz: averages of 1 s spread by 360, three times the limit: FAIL before the end
+    failing = by_limit[LIMITS[0]]
+    assert [each.outcome for each in failing][-1] == "FAIL"
+    assert {each.rule for each in failing if each.outcome == "FAIL"} == {"curtailed"}
+    first_fail = min(each.t_ns for each in failing if each.outcome == "FAIL")
+    assert first_fail < 600e9
+    # at 2.56 s it is 225, far below 5000: PASS by the bounds; at 3 s there is no point, and it is said
+    assert {(each.outcome, each.rule) for each in by_limit[LIMITS[1]]} == {("PASS", "bounds")}
+    assert {each.reason for each in by_limit[LIMITS[2]]} == {
+        "no early decision: the estimator has no averaging time of 3 s, but 2.56 s, 5.12 s; judged at the end"
+    }
+
+
+def test_a_damaged_checkpoint_is_a_named_error(tmp_path: Path) -> None:
+    path = tmp_path / "c"
+    assert read_checkpoint(path) is None
+    checkpoint = Checkpoint("s", 10, [("k", "e", 3)], [], [])
+    write_checkpoint(path, checkpoint)
+    assert read_checkpoint(path) == checkpoint
+    content = path.read_bytes()
+    for at in range(len(content)):
+        path.write_bytes(content[:at] + bytes([content[at] ^ 0x10]) + content[at + 1 :])
+        with pytest.raises(EstimatorError, match=r"remove .* to begin anew"):
+            read_checkpoint(path)
+        path.write_bytes(content[:at])
+        with pytest.raises(EstimatorError, match=r"remove .* to begin anew"):
+            read_checkpoint(path)
+
+
+def test_a_checkpoint_of_another_store_is_not_gone_on_from(tmp_path: Path) -> None:
+    path = tmp_path / "c"
+    write_checkpoint(path, Checkpoint("another", 10, [(KEY, UUID(int=1).hex, 30_000)], [], []))
+    found, (worker,) = run(path, [STARTS])
+    assert not worker.resumed
+    whole, _ = run(None, [STARTS])
+    assert sorted_documents(found) == sorted_documents(whole)
+
+
+def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(EstimatorError, match="cannot be written"):
+        write_checkpoint(tmp_path / "file" / "c", Checkpoint("s", 10, [], [], []))
