@@ -108,26 +108,27 @@ class GridTracker:
         start = {"start_ns": self.start_ns, "start_slot": self.start_slot}
         self.import_state(later.export_state() | counts | start)
 
-    def follow(self, batch: SampleBatch) -> int:
-        """Place a batch that goes on exactly where the last one ended, as nearly all do: its first slot, else -1."""
-        dt_ns = self.dt_ns
+    def follow(self, batch: SampleBatch, n: int) -> int:
+        """Place a batch of n samples that goes on exactly where the last one ended, as nearly all do: its first slot.
+
+        -1 where it does not, and nothing is placed.
+        """
+        dt_ns, first_slot = self.dt_ns, self.next_slot
+        last_ns = self.last_ns + n * dt_ns
         if (
             batch.t0_ns != self.last_ns + dt_ns
             or batch.dt_ns != dt_ns
             or batch.times_ns is not None
-            or batch.irregular
             or self.irregular
-            or not self.next_slot
+            or batch.irregular
+            or first_slot == 0
+            or last_ns - self.first_ns > MAX_SPAN_NS
         ):
             return -1
-        first_slot, n = self.next_slot, len(batch)
-        last_ns = self.last_ns + n * dt_ns
-        if last_ns - self.first_ns > MAX_SPAN_NS:
-            return -1
         self.last_ns = last_ns
-        self.next_slot = first_slot + n
-        self.samples += batch.finite
-        self.missing = self.next_slot - self.start_slot - self.samples
+        self.next_slot = next_slot = first_slot + n
+        self.samples = samples = self.samples + batch.finite
+        self.missing = next_slot - self.start_slot - samples
         return first_slot
 
     def place(self, batch: SampleBatch) -> list[Piece]:

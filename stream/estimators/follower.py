@@ -202,9 +202,12 @@ class Follower(ABC):
         signal = (batch.unit, batch.signal, batch.unit_of_measure)
         if signal != self._signal:
             self._begin(batch, signal)
-        first_slot = self._tracker.follow(batch)
+        values = batch.values
+        if values is None:
+            values = batch.value_array
+        first_slot = self._tracker.follow(batch, len(values))
         if first_slot >= 0:
-            self._take_run(first_slot, for_kernel(batch.value_array))
+            self._take_run(first_slot, for_kernel(values))
             return
         pieces = self._tracker.place(batch)
         if pieces:

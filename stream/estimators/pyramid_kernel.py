@@ -16,6 +16,7 @@ FIRST, NEXT, FILLED, HEADED, FULL = 0, 1, 2, 3, 4
 SUM, COUNT = 0, 1
 _CHUNK = 2048
 _FEW = 32
+_OCTAVES = 5  # lags 1, 2, 4, 8, 16 of level 0 at one point per octave
 
 
 class PyramidState(NamedTuple):
@@ -99,9 +100,47 @@ def _prefix(line: FloatArray, out: FloatArray) -> None:
 def _sum_of_squares(late: FloatArray, middle: FloatArray, early: FloatArray) -> float:
     total = 0.0
     for i in range(late.shape[0]):
-        difference = (late[i] - middle[i]) - (middle[i] - early[i])
+        difference = (late[i] + early[i]) - 2.0 * middle[i]
         total += difference * difference
     return total
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _sums_of_squares(
+    p0: FloatArray,
+    p1: FloatArray,
+    p2: FloatArray,
+    p4: FloatArray,
+    p8: FloatArray,
+    p16: FloatArray,
+    p32: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Add those of the lags 1, 2, 4, 8 and 16 at once; p_n is the prefix n blocks before p0."""
+    by_1 = by_2 = by_4 = by_8 = by_16 = 0.0
+    for i in range(p0.shape[0]):
+        last = p0[i]
+        difference = (last + p2[i]) - 2.0 * p1[i]
+        by_1 += difference * difference
+        difference = (last + p4[i]) - 2.0 * p2[i]
+        by_2 += difference * difference
+        difference = (last + p8[i]) - 2.0 * p4[i]
+        by_4 += difference * difference
+        difference = (last + p16[i]) - 2.0 * p8[i]
+        by_8 += difference * difference
+        difference = (last + p32[i]) - 2.0 * p16[i]
+        by_16 += difference * difference
+    out[0] += by_1
+    out[1] += by_2
+    out[2] += by_4
+    out[3] += by_8
+    out[4] += by_16
+
+
+@njit(cache=True, nogil=True)
+def _add_pairs(line: FloatArray, out: FloatArray, pairs: int) -> None:
+    for i in range(pairs):
+        out[i] = line[2 * i] + line[2 * i + 1]
 
 
 @njit(cache=True, nogil=True)
@@ -239,7 +278,13 @@ def _climb_a_level(
     length = history + given
     _prefix(scratch[now, SUM, :length], scratch[2, SUM])
     row = min(level, 1)
-    for j in range(lags.shape[1]):
+    begin = 0
+    if level == 0 and given >= _FEW and lags.shape[1] == _OCTAVES:
+        p = scratch[2, SUM, history - 31 : length + 1]
+        _sums_of_squares(p[32:], p[31:-1], p[30:-2], p[28:-4], p[24:-8], p[16:-16], p[:-32], squares[0])
+        windows[0] += given
+        begin = _OCTAVES
+    for j in range(begin, lags.shape[1]):
         lag = lags[row, j]
         if lag == 0:
             break
@@ -258,8 +303,7 @@ def _climb_a_level(
     start = history - places[level, NEXT] % 2
     places[level, NEXT] += given
     parents: int = (length - start) // 2
-    for i in range(parents):
-        scratch[1 - now, SUM, history + i] = scratch[now, SUM, start + 2 * i] + scratch[now, SUM, start + 2 * i + 1]
+    _add_pairs(scratch[now, SUM, start:length], scratch[1 - now, SUM, history:], parents)
     return parents
 
 
