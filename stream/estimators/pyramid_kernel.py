@@ -11,6 +11,15 @@ import numpy as np
 from numba import njit
 
 from stream.batch import FloatArray, IntArray
+from stream.estimators.pyramid_sums import (
+    add_pairs,
+    mask,
+    prefix_sums,
+    subtract,
+    sum_of_squares,
+    sum_of_squares_with_gaps,
+    sums_of_squares,
+)
 
 FIRST, NEXT, FILLED, HEADED, FULL = 0, 1, 2, 3, 4
 SUM, COUNT = 0, 1
@@ -56,113 +65,8 @@ def begin_at(state: PyramidState, slot: int) -> None:
     state.places[:, FIRST] = state.places[:, NEXT] = -(-slot >> levels)
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc"})
-def _subtract(values: FloatArray, reference: float, out: FloatArray) -> bool:
-    """Write values - reference; whether all are finite (0 * NaN and 0 * inf are NaN)."""
-    zero = 0.0
-    for i in range(values.shape[0]):
-        difference = values[i] - reference
-        out[i] = difference
-        zero += difference * 0.0
-    return zero == 0.0
-
-
 @njit(cache=True, nogil=True)
-def _mask(sums: FloatArray, counts: FloatArray) -> None:
-    """Turn values that are not finite into empty blocks."""
-    for i in range(sums.shape[0]):
-        if sums[i] - sums[i] == 0.0:
-            counts[i] = 1.0
-        else:
-            sums[i] = 0.0
-            counts[i] = 0.0
-
-
-@njit(cache=True, nogil=True)
-def _prefix(line: FloatArray, out: FloatArray) -> None:
-    """Prefix sums, out[0] = 0; groups of four, so that one addition in four waits for the one before."""
-    total = 0.0
-    out[0] = 0.0
-    whole = line.shape[0] - line.shape[0] % 4
-    for i in range(0, whole, 4):
-        two = line[i] + line[i + 1]
-        out[i + 1] = total + line[i]
-        out[i + 2] = total + two
-        out[i + 3] = total + (two + line[i + 2])
-        total += two + (line[i + 2] + line[i + 3])
-        out[i + 4] = total
-    for i in range(whole, line.shape[0]):
-        total += line[i]
-        out[i + 1] = total
-
-
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def _sum_of_squares(late: FloatArray, middle: FloatArray, early: FloatArray) -> float:
-    total = 0.0
-    for i in range(late.shape[0]):
-        difference = (late[i] + early[i]) - 2.0 * middle[i]
-        total += difference * difference
-    return total
-
-
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def _sums_of_squares(
-    p0: FloatArray,
-    p1: FloatArray,
-    p2: FloatArray,
-    p4: FloatArray,
-    p8: FloatArray,
-    p16: FloatArray,
-    p32: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Add those of the lags 1, 2, 4, 8 and 16 at once; p_n is the prefix n blocks before p0."""
-    by_1 = by_2 = by_4 = by_8 = by_16 = 0.0
-    for i in range(p0.shape[0]):
-        last = p0[i]
-        difference = (last + p2[i]) - 2.0 * p1[i]
-        by_1 += difference * difference
-        difference = (last + p4[i]) - 2.0 * p2[i]
-        by_2 += difference * difference
-        difference = (last + p8[i]) - 2.0 * p4[i]
-        by_4 += difference * difference
-        difference = (last + p16[i]) - 2.0 * p8[i]
-        by_8 += difference * difference
-        difference = (last + p32[i]) - 2.0 * p16[i]
-        by_16 += difference * difference
-    out[0] += by_1
-    out[1] += by_2
-    out[2] += by_4
-    out[3] += by_8
-    out[4] += by_16
-
-
-@njit(cache=True, nogil=True)
-def _add_pairs(line: FloatArray, out: FloatArray, pairs: int) -> None:
-    for i in range(pairs):
-        out[i] = line[2 * i] + line[2 * i + 1]
-
-
-@njit(cache=True, nogil=True)
-def _sum_of_squares_with_gaps(
-    sums: FloatArray, counts: FloatArray, lag: int, first: int, stop: int, needed: float, slots: float
-) -> tuple[float, int]:
-    """Differences of window means, times the slots of a window, where both windows hold enough samples."""
-    total = 0.0
-    windows = 0
-    for i in range(first, stop):
-        late = counts[i] - counts[i - lag]
-        early = counts[i - lag] - counts[i - 2 * lag]
-        if late >= needed and early >= needed:
-            difference = (sums[i] - sums[i - lag]) / late - (sums[i - lag] - sums[i - 2 * lag]) / early
-            difference *= slots
-            total += difference * difference
-            windows += 1
-    return total, windows
-
-
-@njit(cache=True, nogil=True)
-def _accumulate(
+def accumulate(
     squares: FloatArray,
     windows: IntArray,
     lags: IntArray,
@@ -183,19 +87,20 @@ def _accumulate(
         if lag == 0 or first >= stop:
             continue
         if full:
-            squares[j] += _sum_of_squares(
+            squares[j] += sum_of_squares(
                 sums[first:stop], sums[first - lag : stop - lag], sums[first - 2 * lag : stop - 2 * lag]
             )
             windows[j] += stop - first
         else:
             slots = lag * width
-            total, found = _sum_of_squares_with_gaps(sums, prefix[COUNT], lag, first, stop, share * slots, slots)
+            total, found = sum_of_squares_with_gaps(sums, prefix[COUNT], lag, first, stop, share * slots, slots)
             squares[j] += total
             windows[j] += found
 
 
 @njit(cache=True, nogil=True)
-def _are_full(counts: FloatArray, number: int, width: float) -> bool:
+def are_full(counts: FloatArray, number: int, width: float) -> bool:
+    """Whether each of the first `number` counts is `width`."""
     others = 0
     for i in range(number):
         others += counts[i] != width
@@ -220,7 +125,7 @@ def _keep_ends(
     place[HEADED] = headed + more
     place[FILLED] = kept
     if not full:
-        place[FULL] = _are_full(tail[COUNT], kept, width)
+        place[FULL] = are_full(tail[COUNT], kept, width)
 
 
 @njit(cache=True, nogil=True)
@@ -276,12 +181,12 @@ def _climb_a_level(
     for i in range(history):
         scratch[now, SUM, i] = tails[level, SUM, i]
     length = history + given
-    _prefix(scratch[now, SUM, :length], scratch[2, SUM])
+    prefix_sums(scratch[now, SUM, :length], scratch[2, SUM])
     row = min(level, 1)
     begin = 0
     if level == 0 and given >= _FEW and lags.shape[1] == _OCTAVES:
         p = scratch[2, SUM, history - 31 : length + 1]
-        _sums_of_squares(p[32:], p[31:-1], p[30:-2], p[28:-4], p[24:-8], p[16:-16], p[:-32], squares[0])
+        sums_of_squares(p[32:], p[31:-1], p[30:-2], p[28:-4], p[24:-8], p[16:-16], p[:-32], squares[0])
         windows[0] += given
         begin = _OCTAVES
     for j in range(begin, lags.shape[1]):
@@ -295,7 +200,7 @@ def _climb_a_level(
                 total += difference * difference
         else:
             sums = scratch[2, SUM, history + 1 - 2 * lag : length + 1]
-            total = _sum_of_squares(sums[2 * lag :], sums[lag : lag + given], sums[:given])
+            total = sum_of_squares(sums[2 * lag :], sums[lag : lag + given], sums[:given])
         squares[level, j] += total
         windows[level, j] += given
     for i in range(history):
@@ -303,7 +208,7 @@ def _climb_a_level(
     start = history - places[level, NEXT] % 2
     places[level, NEXT] += given
     parents: int = (length - start) // 2
-    _add_pairs(scratch[now, SUM, start:length], scratch[1 - now, SUM, history:], parents)
+    add_pairs(scratch[now, SUM, start:length], scratch[1 - now, SUM, history:], parents)
     return parents
 
 
@@ -351,8 +256,8 @@ def _climb(
         for which in range(1 if all_full else 2):
             for i in range(filled):
                 line[which, i] = tails[level, which, i]
-            _prefix(line[which, :length], prefix[which])
-        _accumulate(
+            prefix_sums(line[which, :length], prefix[which])
+        accumulate(
             squares[level],
             windows[level],
             lags[min(level, 1)],
@@ -399,7 +304,7 @@ def push(
     for start in range(0, values.shape[0], _CHUNK):
         given = min(_CHUNK, values.shape[0] - start)
         sums = scratch[0, SUM, history : history + given]
-        full = _subtract(values[start : start + given], reference, sums)
+        full = subtract(values[start : start + given], reference, sums)
         if not full:
-            _mask(sums, scratch[0, COUNT, history : history + given])
+            mask(sums, scratch[0, COUNT, history : history + given])
         _climb(tails, heads, squares, windows, places, lags, share, scratch, given, given, full)

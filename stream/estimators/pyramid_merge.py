@@ -12,10 +12,10 @@ from stream.estimators.pyramid_kernel import (
     HEADED,
     NEXT,
     SUM,
-    _accumulate,
-    _are_full,
-    _prefix,
+    accumulate,
+    are_full,
 )
+from stream.estimators.pyramid_sums import prefix_sums
 
 
 @njit(cache=True, nogil=True)
@@ -68,9 +68,9 @@ def merge(
         length = own + later[HEADED]
         if length > filled and own > 0:
             for which in range(2):
-                _prefix(line[which, :length], prefix[which])
+                prefix_sums(line[which, :length], prefix[which])
             # those that lie in the earlier one are counted already, and those that begin in the later one
-            _accumulate(
+            accumulate(
                 squares[level], windows[level], lags[min(level, 1)], prefix, filled, length, own, False, share, width
             )
         for j in range(lags.shape[1]):
@@ -102,4 +102,4 @@ def merge(
             _copy(later_tails[level], 0, kept, tail, 0)
         place[FILLED] = kept
         place[NEXT] = max(place[FIRST], stop >> level)
-        place[FULL] = _are_full(tail[COUNT], kept, width)
+        place[FULL] = are_full(tail[COUNT], kept, width)
