@@ -151,12 +151,13 @@ def _pair(
     all_parents = max(0, (filled + total - start) // 2)
     if total > given:
         if start + 2 * pairs < filled + given:
-            parents[:, made] = line[:, filled + given - 1]
+            for which in range(2):
+                parents[which, made] = line[which, filled + given - 1]
             made += 1
         wanted = min(all_parents, enough)
-        if made < wanted:
-            parents[:, made:wanted] = 0.0
-            made = wanted
+        for i in range(made, wanted):
+            parents[SUM, i] = parents[COUNT, i] = 0.0
+        made = max(made, wanted)
     return made, all_parents
 
 
@@ -187,7 +188,8 @@ def _climb_a_level(
     if level == 0 and given >= _FEW and lags.shape[1] == _OCTAVES:
         p = scratch[2, SUM, history - 31 : length + 1]
         sums_of_squares(p[32:], p[31:-1], p[30:-2], p[28:-4], p[24:-8], p[16:-16], p[:-32], squares[0])
-        windows[0] += given
+        for j in range(_OCTAVES):
+            windows[0, j] += given
         begin = _OCTAVES
     for j in range(begin, lags.shape[1]):
         lag = lags[row, j]
@@ -252,7 +254,8 @@ def _climb(
         line = here[:, history - filled :]
         all_full = full and place[FULL] == 1
         if full and not all_full:
-            line[COUNT, filled:length] = width
+            for i in range(filled, length):
+                line[COUNT, i] = width
         for which in range(1 if all_full else 2):
             for i in range(filled):
                 line[which, i] = tails[level, which, i]
@@ -299,7 +302,8 @@ def push(
     gap = first_slot - places[0, NEXT]
     if gap > 0:
         given = min(gap, history + 1)
-        scratch[0, :, history : history + given] = 0.0
+        for i in range(history, history + given):
+            scratch[0, SUM, i] = scratch[0, COUNT, i] = 0.0
         _climb(tails, heads, squares, windows, places, lags, share, scratch, given, gap, False)
     for start in range(0, values.shape[0], _CHUNK):
         given = min(_CHUNK, values.shape[0] - start)
