@@ -1,6 +1,7 @@
 """Commands of the store: `gyrofleet record`, `gyrofleet estimate` and `gyrofleet sql`."""
 
 import csv
+import functools
 import itertools
 import sys
 import threading
@@ -116,6 +117,14 @@ def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
 @click.command("estimate")
 @store_option
 @click.option(
+    "--average",
+    "averages_s",
+    type=click.FloatRange(min=1e-9),
+    multiple=True,
+    metavar="SECONDS",
+    help="Bias stability of averages this long as well, beside raw samples and 1, 10 and 100 s.",
+)
+@click.option(
     "--checkpoint-every",
     "checkpoint_every_s",
     type=click.FloatRange(min=0.1),
@@ -133,7 +142,15 @@ def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
     help="Seconds of a signal's time between estimates.",
 )
 @reporting
-def estimate(folder: Path, connect: str | None, every_s: float, checkpoint_every_s: float, *, as_json: bool) -> None:
+def estimate(
+    folder: Path,
+    connect: str | None,
+    every_s: float,
+    averages_s: tuple[float, ...],
+    checkpoint_every_s: float,
+    *,
+    as_json: bool,
+) -> None:
     """Estimate bias stability, Allan deviation, spectrum and noise of every signal on the bus, until stopped.
 
     In the store it keeps a checkpoint, and goes on from it with what was recorded since, also when it was killed.
@@ -143,6 +160,8 @@ def estimate(folder: Path, connect: str | None, every_s: float, checkpoint_every
     from storage.store import Store, writer_endpoint
     from stream.delivery import DurablePublisher
     from stream.errors import BusError
+    from stream.estimators.base import default_estimators
+    from stream.estimators.bias_stability import BiasStability
     from stream.events import AnyDocument, EstimatePublished
     from stream.worker import EstimationWorker
     from stream.zenoh_bus import ZenohBus
@@ -154,6 +173,7 @@ def estimate(folder: Path, connect: str | None, every_s: float, checkpoint_every
     console = notes()
     printing = threading.Lock()
 
+    also = {BiasStability(each).key: functools.partial(BiasStability, each) for each in averages_s}
     # the log of a store that another recorder writes would not go with what comes over the bus
     log = LogTail(Store.open(folder)) if connect == endpoint else None
     checkpoint = None if log is None else folder / "checkpoints" / "estimate.checkpoint"
@@ -175,6 +195,7 @@ def estimate(folder: Path, connect: str | None, every_s: float, checkpoint_every
             bus,
             publisher,
             every_s=every_s,
+            estimators={**default_estimators(), **also},
             on_document=show,
             log=log,
             checkpoint=checkpoint,

@@ -93,14 +93,16 @@ def test_recorder_estimator_and_source_as_processes(
 ) -> None:
     record = recorder(spawn, endpoint)
     assert listening_addresses(record.pid) == {"0100007F"}  # 127.0.0.1, and nothing else
-    estimate = spawn("estimate", "--every", "100", "--json")  # finds the recorder by its store
+    estimate = spawn("estimate", "--every", "100", "--average", "5", "--json")  # finds the recorder by its store
     assert estimate.stderr is not None
     assert "estimating" in estimate.stderr.readline()
     source = gyrofleet("import", table(tmp_path / "a.parquet", 50_000), "--unit", "U1", "--connect", endpoint, "--json")
     assert source.code == 0, source.err
     assert [signal["in_lake"] for signal in source.json["files"][0]["signals"]] == [50_000] * 3
     documents = [json.loads(line) for line in stopped(estimate)[0].splitlines()]
-    assert {d["estimator"] for d in documents if d["kind"] == "EstimatePublished"} == set(default_estimators())
+    assert {d["estimator"] for d in documents if d["kind"] == "EstimatePublished"} == {
+        *default_estimators(), "bias_stability_5s",
+    }  # fmt: skip
     for kind in ("NoiseFitted", "SpectralLinesFound"):
         assert sorted(d["signal"] for d in documents if d["kind"] == kind) == ["rate_x", "rate_y", "rate_z"]
     ended = json.loads(stopped(record)[0].splitlines()[-1])

@@ -47,7 +47,7 @@ def test_a_slow_estimator_throttles_its_source_and_loses_nothing(
     monkeypatch.setattr(
         pipeline_module,
         "EstimationWorker",
-        lambda *args, **kwargs: EstimationWorker(*args, **{**kwargs, "estimators": {"slow": lambda: SlowEstimator(1.0)}}),
+        lambda *args, **kwargs: EstimationWorker(*args, **kwargs, estimators={"slow": lambda: SlowEstimator(1.0)}),
     )
     with EmbeddedPipeline(tmp_path / "store", "test", estimate_every_s=10.0) as pipeline:
         for i in range(500):

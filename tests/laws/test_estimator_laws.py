@@ -245,6 +245,15 @@ def test_too_little_data_is_a_reason(key: str, values: list[float]) -> None:
 
 
 @EVERY
+def test_a_constant_output_is_zero_or_a_reason(key: str) -> None:
+    """A dead sensor: no deviation at all, and never a limit that is not zero."""
+    rows = rows_of(fed(key, [make(np.full(6000, 7.25))]))
+    assert_legal(rows)
+    if not isinstance(rows, NoEstimate):
+        assert all((row.value, row.lo, row.hi) == (0.0, 0.0, 0.0) for row in rows)
+
+
+@EVERY
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     values=st.lists(st.floats(width=64) | st.sampled_from([0.0, 1.0, math.nan]), min_size=1, max_size=300),
@@ -468,6 +477,20 @@ def test_a_snapshot_of_a_newer_version_is_refused(key: str, monkeypatch: pytest.
     monkeypatch.undo()
     with pytest.raises(EstimatorError, match=r"version 99, this gyrofleet reads up to 2: upgrade"):
         restore(newer)
+
+
+@EVERY
+def test_other_settings_are_not_merged(key: str) -> None:
+    one = fed(key, [make(signal(500))])
+    for name, value in one.arguments.items():
+        later = one.successor()
+        try:
+            other = type(one)(**{**one.arguments, name: value * 2 or 1.0})
+        except EstimatorError:
+            continue  # twice as much is not offered
+        with pytest.raises(EstimatorError, match="kind and settings must agree"):
+            one.merge(other)
+        one.merge(later)
 
 
 def test_a_state_of_other_settings_is_refused() -> None:
