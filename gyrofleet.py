@@ -6,7 +6,8 @@ from analytics.allan_cli import allan
 from analytics.cli import demo
 from analytics.spectrum_cli import spectrum
 from ingest.cli import import_files
-from storage.cli import estimate, record, sql
+from storage.cli import record, sql
+from storage.estimate_cli import estimate
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

@@ -1,10 +1,8 @@
-"""Commands of the store: `gyrofleet record`, `gyrofleet estimate` and `gyrofleet sql`."""
+"""Commands of the store: `gyrofleet record` and `gyrofleet sql`."""
 
 import csv
-import functools
 import itertools
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +11,6 @@ import click
 from rich.table import Table
 
 from stream.console import (
-    compile_kernels,
     json_text,
     notes,
     print_json,
@@ -112,130 +109,6 @@ def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
     )
     for rejection in list(counts.rejections)[-_SHOWN_REJECTIONS:]:
         console.print(f"  kept aside, among the last: {rejection}", markup=False, soft_wrap=True)
-
-
-@click.command("estimate")
-@store_option
-@click.option(
-    "--average",
-    "averages_s",
-    type=click.FloatRange(min=1e-9),
-    multiple=True,
-    metavar="SECONDS",
-    help="Bias stability of averages this long as well, beside raw samples and 1, 10 and 100 s.",
-)
-@click.option(
-    "--checkpoint-every",
-    "checkpoint_every_s",
-    type=click.FloatRange(min=0.1),
-    default=30.0,
-    show_default=True,
-    help="Seconds between checkpoints, from which it goes on after it was stopped or killed.",
-)
-@click.option("--connect", help="Where the recorder listens; by default, where the one listens that writes the store.")
-@click.option(
-    "--every",
-    "every_s",
-    type=click.FloatRange(min=0.001),
-    default=60.0,
-    show_default=True,
-    help="Seconds of a signal's time between estimates.",
-)
-@reporting
-def estimate(
-    folder: Path,
-    connect: str | None,
-    every_s: float,
-    averages_s: tuple[float, ...],
-    checkpoint_every_s: float,
-    *,
-    as_json: bool,
-) -> None:
-    """Estimate bias stability, Allan deviation, spectrum and noise of every signal on the bus, until stopped.
-
-    In the store it keeps a checkpoint, and goes on from it with what was recorded since, also when it was killed.
-    Estimates go to the recorder; shown are the final ones of each run (of a curve its lowest point), with --json all.
-    """
-    from storage.log_tail import LogTail
-    from storage.store import Store, writer_endpoint
-    from stream.delivery import DurablePublisher
-    from stream.errors import BusError
-    from stream.estimators.base import default_estimators
-    from stream.estimators.bias_stability import BiasStability
-    from stream.events import AnyDocument, EstimatePublished
-    from stream.worker import EstimationWorker
-    from stream.zenoh_bus import ZenohBus
-
-    endpoint = writer_endpoint(folder)
-    connect = connect or endpoint
-    if connect is None:
-        raise BusError(f"no `gyrofleet record` writes {folder} now; start one, or give --connect with its address")
-    console = notes()
-    printing = threading.Lock()
-
-    also = {BiasStability(each).key: functools.partial(BiasStability, each) for each in averages_s}
-    # the log of a store that another recorder writes would not go with what comes over the bus
-    log = LogTail(Store.open(folder)) if connect == endpoint else None
-    checkpoint = None if log is None else folder / "checkpoints" / "estimate.checkpoint"
-
-    def show(document: AnyDocument) -> None:
-        with printing:
-            if as_json:
-                print_json(document)
-            elif isinstance(document, EstimatePublished) and document.final:
-                console.print(told(document), soft_wrap=True, markup=False)
-
-    compile_kernels(quiet=as_json)
-    with (
-        ZenohBus(connect=[connect]) as bus,
-        DurablePublisher(bus, timeout_s=10.0) as publisher,
-        until_stopped() as stopped,
-    ):
-        worker = EstimationWorker(
-            bus,
-            publisher,
-            every_s=every_s,
-            estimators={**default_estimators(), **also},
-            on_document=show,
-            log=log,
-            checkpoint=checkpoint,
-            checkpoint_every_s=checkpoint_every_s,
-        )
-        with worker:
-            going_on = f", going on from {checkpoint}" if worker.resumed else ""
-            console.print(f"estimating what arrives on {connect}{going_on}; Ctrl-C ends", soft_wrap=True)
-            told_at, told_samples = time.monotonic(), 0
-            while not stopped.wait(0.2) and worker.failure is None:
-                if time.monotonic() - told_at >= 5.0 and worker.counts.samples != told_samples and not as_json:
-                    told_at, told_samples = time.monotonic(), worker.counts.samples
-                    console.print(f"{told_samples:,} samples, {worker.counts.estimates:,} estimates published")
-        publisher.drain()
-    if not as_json:
-        counts = worker.counts
-        console.print(f"{counts.samples:,} samples, {counts.estimates:,} estimates, {counts.lost:,} samples missed")
-
-
-def told(document: object) -> str:
-    """One line on an estimate, for people.
-
-    Examples
-    --------
-    >>> from stream.events import EstimatePublished
-    >>> told(EstimatePublished(run="r1", t_ns=0, unit="FOG-1", signal="rate", estimator="allan_deviation",
-    ...     unit_of_measure="deg/h", confidence=0.95, samples=1, missing=0, sample_interval_s=1.0, reason="too few"))
-    'FOG-1 rate allan_deviation: no estimate (too few)'
-    """
-    from stream.events import EstimatePublished
-
-    assert isinstance(document, EstimatePublished)
-    head = f"{document.unit} {document.signal} {document.estimator}"
-    if not document.points:
-        return f"{head}: no estimate ({document.reason})"
-    least = min(document.points, key=lambda point: point.value)
-    return (
-        f"{head}: {least.value:.4g} {document.unit_of_measure} ({least.lo:.4g} to {least.hi:.4g}) "
-        f"at {least.tau_s:g} s, {document.samples:,} samples"
-    )
 
 
 @click.command("sql")
