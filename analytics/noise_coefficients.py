@@ -150,5 +150,6 @@ def curve_document(curve: AllanCurve, found: NoiseCoefficients | NoEstimate) -> 
         **curve.document(),
         "coefficients": None if isinstance(found, NoEstimate) else found.document(),
         "coefficients_reason": found.reason if isinstance(found, NoEstimate) else None,
+        "misfit": None if isinstance(found, NoEstimate) else found.fit.misfit,
         "confidence": CONFIDENCE,
     }

@@ -28,8 +28,7 @@ def noise_table(curve: AllanCurve, found: NoiseCoefficients) -> Table:
     table = Table(
         title=f"Noise coefficients (噪声系数) of {curve.unit} {curve.signal}, run {curve.run}",
         title_justify="left",
-        caption=f"IEEE 952-2020 annex C; limits: {CONFIDENCE * 100:g} % confidence, if the noise is that of the model, "
-        f"which lies within those of the curve at {found.agreeing(curve)} of {len(curve.tau_s)} averaging times; "
+        caption=f"IEEE 952-2020 annex C; limits: {CONFIDENCE * 100:g} % confidence; {_agreement(found, curve)}; "
         "normalised (归一化法): GJB 2426A-2004 5.12.5.4.1, from the samples",
         caption_justify="left",
         header_style="bold",
@@ -55,6 +54,15 @@ def noise_table(curve: AllanCurve, found: NoiseCoefficients) -> Table:
     else:
         table.add_row(name, "RWC", *_cells(normalised))
     return table
+
+
+def _agreement(found: NoiseCoefficients, curve: AllanCurve) -> str:
+    if found.fit.misfit == 0.0:
+        return "the terms explain the curve (模型与曲线一致)"
+    return (
+        f"misfit (失配) {found.fit.misfit:.1%}: so far the curve departs from these terms beyond its scatter, within its "
+        f"own limits they are at {found.agreeing(curve)} of {len(curve.tau_s)} averaging times; the limits allow for it"
+    )
 
 
 def _cells(coefficient: Coefficient) -> tuple[str, str, str, str, str]:

@@ -10,15 +10,17 @@ from stream.batch import FloatArray
 from stream.errors import EstimatorError
 from stream.estimators.base import NoEstimate
 from stream.estimators.noise_likelihood import CurveLikelihood, deviance_quantile
-from stream.estimators.noise_markov import best_correlation_time
-from stream.estimators.noise_model import MARKOV_NOISE, TERMS, Term, markov_column, scatter, term_columns
+from stream.estimators.noise_markov import Offer, best_markov
+from stream.estimators.noise_misfit import admitted
+from stream.estimators.noise_model import MARKOV_NOISE, TERMS, Term, correlations, markov_column, term_columns
 from stream.events import EstimatePoint
 
 LEAST_POINTS = 6
-LEAST_SHARE = 0.5
-LEAST_DEGREES = 4.0
 KNOWN_DEGREES = 30.0
 _TRIED_TIMES = 5
+_MOST_ROUNDS = 4
+_SETTLED = 0.01
+_FILTER = 64.0
 
 
 class Coefficient(msgspec.Struct, frozen=True, kw_only=True):
@@ -62,7 +64,22 @@ class Markov(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class NoiseFit(msgspec.Struct, frozen=True, kw_only=True):
-    """The coefficients of one Allan curve; `points` of it were used, `confidence` is the level of all limits."""
+    """The coefficients of one Allan curve.
+
+    Parameters
+    ----------
+    quantization_noise, angle_random_walk, bias_instability, rate_random_walk, rate_ramp : Coefficient
+        The five terms.
+    markov : Markov or None
+        The sixth, where the curve asks for it.
+    confidence : float
+        Level of all limits.
+    points : int
+        How many averaging times were used.
+    misfit : float
+        Relative standard deviation, root mean square over these, by which the Allan deviation departs from the model
+        beyond its own scatter; 0 where the model fits. The limits allow for it.
+    """
 
     quantization_noise: Coefficient
     angle_random_walk: Coefficient
@@ -72,6 +89,7 @@ class NoiseFit(msgspec.Struct, frozen=True, kw_only=True):
     markov: Markov | None
     confidence: float
     points: int
+    misfit: float = 0.0
 
 
 def fit_noise(points: Sequence[EstimatePoint], *, confidence: float = 0.95) -> NoiseFit | NoEstimate:
@@ -101,15 +119,23 @@ def fit_noise(points: Sequence[EstimatePoint], *, confidence: float = 0.95) -> N
     they stand (`CurveLikelihood`). **Erratum**: the standards fit the same polynomial by plain least squares, which
     the longest taus govern and which returns negative squares.
 
-    Points come with the least degrees of freedom of all noises; a first fit says which noises prevail at each tau,
-    and a second uses the degrees of that mixture and the correlation between taus (`scatter`, where drift counts as
-    random walk and Markov noise as flicker; below 30 degrees all is taken for random walk, which scatters most).
+    The degrees of freedom are those of the points. A first fit says which noises prevail at each tau, and a second
+    takes the correlation between taus from them (`correlations`, where drift counts as random walk and Markov noise as
+    flicker; below 30 degrees all is taken for random walk, which correlates most).
     Limits are by profile likelihood, widened for that correlation and for the bound at 0. Where there is Markov noise,
     they hold over its correlation times too.
 
-    A term is not observable where the lower limit is 0 and the term makes up less than half of the fitted variance at
-    every tau of at least 4 degrees of freedom; at longer ones the variance is known to a factor of two at best, and
-    any term can seem to prevail.
+    No sensor is the sum of five terms to the 1e-3 to which its shortest taus are known: its filter alone correlates
+    neighbouring samples. Where the curve departs from the model by more than its scatter, an error of the model is
+    estimated with it (`admitted`), so that a million degrees of freedom at one tau do not outweigh all others; limits
+    hold over the forms of that error, and over its own uncertainty.
+
+    A misfit of the five terms calls for Markov noise only if the likelihood gains enough with the misfit estimated
+    anew beside it. Such noise of a time within 64 of the shortest taus that leaves a misfit and takes the place of
+    angle random walk is a filter's work, and is not called Markov noise.
+
+    A term is observable where its lower limit is above 0. It can prevail at some tau and not be: random walk and ramp
+    often explain the same rise at the end of a record, and either may then be absent.
 
     Examples
     --------
@@ -148,39 +174,94 @@ def _is_usable(point: EstimatePoint) -> bool:
 def _fitted(taus_s: FloatArray, deviations: FloatArray, edf: FloatArray, confidence: float) -> NoiseFit:
     scale = float(np.exp(np.mean(np.log(deviations))))
     variances = (deviations / scale) ** 2
-    columns = term_columns(taus_s)
-    likelihood = _weighed(taus_s, columns, variances, edf)
+    likelihoods = _weighed(taus_s, term_columns(taus_s), variances, edf)
     quantile = deviance_quantile(confidence)
-    times = best_correlation_time(taus_s, variances, likelihood, quantile)
-    if times is None:
-        found = _coefficients(TERMS, [likelihood], quantile, scale)
-        return NoiseFit(**found, markov=None, confidence=confidence, points=len(taus_s))
-    best_s, lo_s, hi_s = times
-    likelihood = _weighed(taus_s, np.column_stack([columns, markov_column(taus_s, best_s)]), variances, edf)
-    tried = [
-        likelihood.instead(markov_column(taus_s, float(time_s)) / variances)
-        for time_s in np.geomspace(lo_s, hi_s, _TRIED_TIMES)
-    ]
-    found = _coefficients((*TERMS, MARKOV_NOISE), [likelihood, *tried], quantile, scale)
-    markov = Markov(
-        amplitude=found.pop(MARKOV_NOISE.key), correlation_s=best_s, correlation_lo_s=lo_s, correlation_hi_s=hi_s
-    )
-    return NoiseFit(**found, markov=markov, confidence=confidence, points=len(taus_s))
+    offer = _markov_noise(taus_s, variances, edf, likelihoods[0], quantile)
+    if offer is None:
+        found, markov = _coefficients(TERMS, likelihoods, quantile, scale), None
+    else:
+        likelihoods = _weighed(taus_s, _and_markov(taus_s, offer.correlation_s), variances, edf)
+        tried = [
+            likelihood.instead(markov_column(taus_s, float(time_s)) / variances)
+            for likelihood in likelihoods
+            for time_s in np.geomspace(offer.lo_s, offer.hi_s, _TRIED_TIMES)
+        ]
+        found = _coefficients((*TERMS, MARKOV_NOISE), [*likelihoods, *tried], quantile, scale)
+        markov = Markov(
+            amplitude=found.pop(MARKOV_NOISE.key),
+            correlation_s=offer.correlation_s,
+            correlation_lo_s=offer.lo_s,
+            correlation_hi_s=offer.hi_s,
+        )
+    misfit = math.sqrt(float(np.mean(likelihoods[0].excess))) / 2.0
+    return NoiseFit(**found, markov=markov, confidence=confidence, points=len(taus_s), misfit=misfit)
 
 
-def _weighed(taus_s: FloatArray, columns: FloatArray, variances: FloatArray, edf: FloatArray) -> CurveLikelihood:
-    """Likelihood with the degrees of freedom and correlations of the noises that a first fit finds."""
+def _and_markov(taus_s: FloatArray, correlation_s: float) -> FloatArray:
+    return np.column_stack([term_columns(taus_s), markov_column(taus_s, correlation_s)])
+
+
+def _markov_noise(
+    taus_s: FloatArray, variances: FloatArray, edf: FloatArray, likelihood: CurveLikelihood, quantile: float
+) -> Offer | None:
+    """Markov noise that the curve asks for beside the five terms of a likelihood, None if for none."""
+    if not likelihood.excess.any():
+        offer = best_markov(taus_s, variances, likelihood, quantile)
+        return offer if offer is not None and offer.is_wanted(offer.gain) else None
+    # a misfit of the five terms may be the Markov noise itself, so that what is left beside it decides
+    starts = _of_mixture(likelihood, taus_s, variances, edf), likelihood
+    # a misfit by its moments is not the likeliest: where it is barely one, none at all may be likelier
+    without = min(start.height() for start in starts)
+    best, least = likelihood, without
+    for start in starts:
+        at = start
+        for _ in range(_MOST_ROUNDS):
+            offer = best_markov(taus_s, variances, at, quantile)
+            if offer is None:
+                return None
+            whole = _weighed(taus_s, _and_markov(taus_s, offer.correlation_s), variances, edf)[0]
+            if math.isinf(offer.bound) or _is_bandwidth(whole, offer.correlation_s, taus_s):
+                break
+            if whole.height() < least:
+                best, least = whole, whole.height()
+            is_settled = np.allclose(whole.excess, at.excess, rtol=_SETTLED)
+            at = whole.without()
+            if is_settled:
+                break
+    if best is likelihood:
+        return None
+    offer = best_markov(taus_s, variances, best.without(), quantile)
+    gain = (without - least) * best.known_share()
+    return offer if offer is not None and offer.is_wanted(gain) else None
+
+
+def _is_bandwidth(whole: CurveLikelihood, correlation_s: float, taus_s: FloatArray) -> bool:
+    """Whether Markov noise of a short time, and a misfit, take the place of white noise that a filter has passed."""
+    theta = whole.minimum()[0] / whole.sizes
+    is_short = correlation_s < _FILTER * taus_s[0]
+    return bool(whole.excess.any() and is_short and theta[-1] * correlation_s**2 > theta[1])
+
+
+def _weighed(taus_s: FloatArray, columns: FloatArray, variances: FloatArray, edf: FloatArray) -> list[CurveLikelihood]:
+    """Likelihoods with the correlations of the noises that a first fit finds; best first."""
     first = CurveLikelihood(columns, variances, edf, np.eye(len(edf)))
-    theta, _ = first.minimum()
-    parts = first.columns * theta * variances[:, np.newaxis]
+    likelihoods = admitted(_of_mixture(first, taus_s, variances, edf), taus_s)
+    if likelihoods[0].excess.any():
+        likelihoods = admitted(_of_mixture(likelihoods[0], taus_s, variances, edf), taus_s)
+    return likelihoods
+
+
+def _of_mixture(fitted: CurveLikelihood, taus_s: FloatArray, variances: FloatArray, edf: FloatArray) -> CurveLikelihood:
+    theta, _ = fitted.minimum()
+    parts = fitted.columns * theta * variances[:, np.newaxis]
     mixture = parts[:, :4].copy()
     mixture[:, 3] += parts[:, 4]
     mixture[:, 2] += parts[:, 5:].sum(axis=1)
-    # where few windows are left the fit cannot tell the noises apart: the one that scatters most is assumed
+    # where few windows are left the fit cannot tell the noises apart: the one that correlates most is assumed
     is_unsure = edf < KNOWN_DEGREES
     mixture[is_unsure] = np.array([0.0, 0.0, 0.0, 1.0]) * variances[is_unsure, np.newaxis]
-    gain, correlation = scatter(taus_s, mixture)
-    return CurveLikelihood(columns, variances, edf * gain, correlation)
+    correlation = correlations(taus_s, mixture)
+    return CurveLikelihood(fitted.columns * fitted.sizes, np.ones(len(edf)), edf, correlation)
 
 
 def _coefficients(
@@ -190,20 +271,20 @@ def _coefficients(
     best = likelihoods[0]
     minima = [likelihood.minimum() for likelihood in likelihoods]
     theta, least = minima[0]
-    parts = best.columns * theta
-    shares = (parts / parts.sum(axis=1, keepdims=True))[best.degrees >= LEAST_DEGREES].max(axis=0, initial=0.0)
+    heights = [likelihood.constant() - best.constant() for likelihood in likelihoods]
+    spread = best.spread(theta, quantile)
     found = {}
     for which, term in enumerate(terms):
-        allowed = least + quantile * best.inflation(theta, which)
+        allowed = least + spread * best.inflation(theta, which)
         squares = [(theta[which] / best.sizes[which],) * 2]
         squares += [
-            tuple(np.array(likelihood.limits(minimum, allowed, which)) / likelihood.sizes[which])
-            for likelihood, (minimum, lowest) in zip(likelihoods, minima, strict=True)
-            if lowest < allowed
+            tuple(np.array(likelihood.limits(minimum, allowed - height, which)) / likelihood.sizes[which])
+            for likelihood, (minimum, lowest), height in zip(likelihoods, minima, heights, strict=True)
+            if lowest + height < allowed
         ]
         ends = min(lo for lo, _ in squares), max(hi for _, hi in squares)
         value, lo, hi = (math.sqrt(square) * scale * term.per_si for square in (squares[0][0], *ends))
-        is_seen = lo > 0.0 or bool(shares[which] >= LEAST_SHARE)
+        is_seen = lo > 0.0
         found[term.key] = Coefficient(
             value=value,
             lo=lo,

@@ -12,6 +12,7 @@ _TOLERANCE = 1e-8
 _ROOT_TOLERANCE = 1e-6
 _NEGLIGIBLE = 1e-9
 _LEAST_MODEL = 1e-200
+_MOST_EXPONENT = 100.0
 
 
 class CurveLikelihood:
@@ -25,6 +26,8 @@ class CurveLikelihood:
         Allan variances, positive, and their equivalent degrees of freedom.
     correlation : ndarray, shape (n, n)
         Correlation of the variances.
+    excess : ndarray, shape (n,), optional
+        Relative variance by which the curve departs from any such model beyond its scatter; see `widened`.
 
     Notes
     -----
@@ -44,27 +47,62 @@ class CurveLikelihood:
     """
 
     def __init__(
-        self, columns: FloatArray, variances: FloatArray, degrees: FloatArray, correlation: FloatArray
+        self,
+        columns: FloatArray,
+        variances: FloatArray,
+        degrees: FloatArray,
+        correlation: FloatArray,
+        excess: FloatArray | None = None,
     ) -> None:
         relative = columns / variances[:, np.newaxis]
         self.sizes: FloatArray = relative.max(axis=0)
         self.columns: FloatArray = relative / self.sizes
         self.degrees = degrees
+        self.excess: FloatArray = np.zeros(len(variances)) if excess is None else excess
         self._correlation = correlation
+
+    def _with(self, relative: FloatArray) -> "CurveLikelihood":
+        return CurveLikelihood(relative, np.ones(len(relative)), self.degrees, self._correlation, self.excess)
 
     def beside(self, relative: FloatArray) -> "CurveLikelihood":
         """The same with one more term, given relative to the curve."""
-        columns = np.column_stack([self.columns * self.sizes, relative])
-        return CurveLikelihood(columns, np.ones(len(relative)), self.degrees, self._correlation)
+        return self._with(np.column_stack([self.columns * self.sizes, relative]))
 
     def instead(self, relative: FloatArray) -> "CurveLikelihood":
         """The same with another last term, given relative to the curve."""
-        columns = np.column_stack([(self.columns * self.sizes)[:, :-1], relative])
-        return CurveLikelihood(columns, np.ones(len(relative)), self.degrees, self._correlation)
+        return self._with(np.column_stack([(self.columns * self.sizes)[:, :-1], relative]))
+
+    def without(self) -> "CurveLikelihood":
+        """The same without its last term."""
+        return self._with((self.columns * self.sizes)[:, :-1])
+
+    def widened(self, excess: FloatArray, alike: FloatArray) -> "CurveLikelihood":
+        """The same with a model error: relative variance 2/edf + excess, the errors correlated as `alike`.
+
+        Degrees of freedom are those of the sum, so that D keeps its form.
+        """
+        scatter = 2.0 / self.degrees
+        total = scatter + excess
+        covariance = self._correlation * np.sqrt(np.outer(scatter, scatter)) + alike * np.sqrt(np.outer(excess, excess))
+        correlation = covariance / np.sqrt(np.outer(total, total))
+        return CurveLikelihood(
+            self.columns * self.sizes, np.ones(len(total)), 2.0 / total, correlation, self.excess + excess
+        )
 
     def deviance(self, model: FloatArray) -> float:
         """D of a model, given relative to the curve."""
         return float(np.sum(self.degrees * (1.0 / model - 1.0 + np.log(model))))
+
+    def constant(self) -> float:
+        """What twice the negative log likelihood has beside D: it tells apart degrees of freedom."""
+        from scipy.special import gammaln
+
+        half = self.degrees / 2.0
+        return float(2.0 * np.sum(half + gammaln(half) - half * np.log(half)))
+
+    def height(self) -> float:
+        """Twice the negative log likelihood at the minimum, to compare between degrees of freedom."""
+        return self.minimum()[1] + self.constant()
 
     def minimum(self) -> tuple[FloatArray, float]:
         """Coefficients of least deviance, and that deviance."""
@@ -136,6 +174,37 @@ class CurveLikelihood:
         """Variance of an estimate over that of independent points, at least 1."""
         left = self.residual(theta, self.columns[:, [which]], without=which)
         return max(1.0, float(self.covariance(left)[0, 0] / np.sum(left**2)))
+
+    def freedom(self, theta: FloatArray) -> tuple[float, float]:
+        """Mean of D at the minimum theta if the model holds, and the degrees of a chi-square that D then is like.
+
+        With P what the terms at work leave of the standardised variances and C their correlation, D is a quadratic
+        form of mean tr(P C) and variance 2 tr(P C P C) (F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110-114).
+        """
+        basis, _ = np.linalg.qr(self.scores(theta, self.columns[:, theta > _NEGLIGIBLE]))
+        product = self._correlation - basis @ (basis.T @ self._correlation)
+        mean, square = float(np.trace(product)), float(np.sum(product * product.T))
+        return mean, mean**2 / square if square > 0.0 else 0.0
+
+    def known_share(self) -> float:
+        """How much of a gain in `height` counts, from 1 where the variances are known.
+
+        Where all is model error, the gain is n ln of the ratio of two sums of squares, of which only nu are free: nu/n.
+        """
+        unknown = float(np.mean(self.excess * self.degrees / 2.0))
+        return 1.0 - unknown * (1.0 - self.freedom(self.minimum()[0])[0] / len(self.degrees))
+
+    def spread(self, theta: FloatArray, quantile: float) -> float:
+        """Quantile to take instead of that of chi-square where the model error was estimated from the curve itself.
+
+        With nu degrees of freedom behind the variances that it makes up most, nu (exp(quantile/nu) - 1): the profile
+        likelihood of a variance shared by nu points, close to the square of Student's t.
+        """
+        if not self.excess.any():
+            return quantile
+        share = self.excess * self.degrees / 2.0
+        nu = max(1.0, self.freedom(theta)[1] * float(np.mean((share / share.max()) ** 2)))
+        return nu * math.expm1(min(quantile / nu, _MOST_EXPONENT))
 
     def limits(self, theta: FloatArray, allowed: float, which: int) -> tuple[float, float]:
         """Where the deviance, the other coefficients free, rises to `allowed` on either side of its minimum theta."""

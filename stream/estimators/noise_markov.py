@@ -2,6 +2,7 @@
 
 import math
 
+import msgspec
 import numpy as np
 
 from stream.batch import FloatArray
@@ -9,16 +10,44 @@ from stream.estimators.noise_likelihood import CurveLikelihood
 from stream.estimators.noise_model import markov_column
 
 FALSE_ALARM = 0.001
+SHORTEST = 4.0
 _TIMES_PER_OCTAVE = 3
 _REFINED = 8
 _LEAST_LEFT = 1e-6
 _LEAST_TIMES = 3
 
 
-def best_correlation_time(
+class Offer(msgspec.Struct, frozen=True, kw_only=True):
+    """The Markov noise that suits a curve best, wanted or not.
+
+    Parameters
+    ----------
+    correlation_s, lo_s, hi_s : float
+        Correlation time and its limits, seconds.
+    gain : float
+        By how much it lowers the deviance.
+    inflation : float
+        Variance of its amplitude over that of independent points, at least 1.
+    bound : float
+        Wanted is what gains more than this over its inflation; infinite at the shortest correlation time sought.
+    """
+
+    correlation_s: float
+    lo_s: float
+    hi_s: float
+    gain: float
+    inflation: float
+    bound: float
+
+    def is_wanted(self, gain: float) -> bool:
+        """Whether a gain in deviance is more than chance."""
+        return gain / self.inflation > self.bound
+
+
+def best_markov(
     taus_s: FloatArray, variances: FloatArray, likelihood: CurveLikelihood, quantile: float
-) -> tuple[float, float, float] | None:
-    """Correlation time of the Markov noise that the curve asks for, with its limits, in seconds; None if for none.
+) -> Offer | None:
+    """Markov noise that lowers the deviance of a curve most; None where it is too short to tell.
 
     Parameters
     ----------
@@ -31,22 +60,24 @@ def best_correlation_time(
 
     Notes
     -----
-    Offered are correlation times from the second tau to half the longest, three an octave. Without Markov noise the
-    time means nothing, and the best of many is no single test: the gain in deviance over its inflation is
-    the square of a Gaussian process along the grid, which exceeds u anywhere with a probability of at most
+    Offered are correlation times from the second tau, and at least four times the first, to half the longest, three
+    an octave; Markov noise of a shorter time is white but for the first points, where a sensor's filter does the same,
+    and if the shortest suits best none is wanted. Without Markov noise the time means nothing, and the best of many is
+    no single test: the gain in deviance over its inflation is the square of a Gaussian process along the grid, which
+    exceeds u anywhere with a probability of at most
 
         Phi(-sqrt(u)) + L/(2 pi) exp(-u/2)
 
     (Davies, Biometrika 74 (1987) 33-43), L the length of the path of its unit vectors, the sum of the angles between
-    neighbours. Accepted is what leaves that below 0.1 %: Markov noise and flicker explain
-    much the same, and a false claim takes all of B away. The limits are where the deviance has risen by
-    the quantile; an end of the grid is a limit where the curve does not bound the time.
+    neighbours. The bound leaves that at 0.1 %: Markov noise and flicker explain much the same, and a false claim takes
+    all of B away. The limits are where the deviance has risen by the quantile; an end of the grid is a limit where the
+    curve does not bound the time.
     """
-    octaves = math.log2(taus_s[-1] / taus_s[1]) - 1.0
+    shortest_s, longest_s = max(taus_s[1], SHORTEST * taus_s[0]), taus_s[-1] / 2.0
+    octaves = math.log2(longest_s / shortest_s)
     if octaves <= 1.0:
         return None
-    count = round(octaves * _TIMES_PER_OCTAVE) + 1
-    times_s = np.geomspace(taus_s[1], taus_s[-1] / 2.0, count)
+    times_s = np.geomspace(shortest_s, longest_s, round(octaves * _TIMES_PER_OCTAVE) + 1)
     theta, least = likelihood.minimum()
     columns = np.stack([markov_column(taus_s, float(time)) for time in times_s], 1)
     relative = columns / variances[:, np.newaxis]
@@ -59,16 +90,21 @@ def best_correlation_time(
     covariance = likelihood.covariance(left)
     inflation = np.maximum(1.0, np.diag(covariance) / information)
     deviances = np.array([_deviance(likelihood, taus_s, variances, float(time)) for time in times_s])
-    gains = (least - deviances) / inflation
-    best = int(np.argmax(gains))
-    if gains[best] <= davies_bound(path_length(covariance), FALSE_ALARM):
-        return None
+    best = int(np.argmax((least - deviances) / inflation))
     around = np.geomspace(times_s[max(0, best - 1)], times_s[min(len(times_s) - 1, best + 1)], 2 * _REFINED + 1)
     refined = np.array([_deviance(likelihood, taus_s, variances, float(time)) for time in around])
     every, order = np.unique(np.concatenate([times_s, around]), return_index=True)
     rise = np.concatenate([deviances, refined])[order]
-    rise = (rise - rise.min()) / inflation[best] - quantile
-    return _crossings(every, rise)
+    rise = (rise - rise.min()) / inflation[best] - likelihood.spread(theta, quantile)
+    correlation_s, lo_s, hi_s = _crossings(every, rise)
+    return Offer(
+        correlation_s=correlation_s,
+        lo_s=lo_s,
+        hi_s=hi_s,
+        gain=float(least - deviances[best]),
+        inflation=float(inflation[best]),
+        bound=math.inf if correlation_s <= shortest_s else davies_bound(path_length(covariance), FALSE_ALARM),
+    )
 
 
 def _deviance(likelihood: CurveLikelihood, taus_s: FloatArray, variances: FloatArray, correlation_s: float) -> float:
@@ -99,7 +135,8 @@ def path_length(covariance: FloatArray) -> float:
     >>> round(path_length(np.array([[1.0, 0.5], [0.5, 1.0]])), 4)
     1.0472
     """
-    deviations = np.sqrt(np.diag(covariance))
+    # correlations are approximate, and a combination of the variances can come out without scatter
+    deviations = np.sqrt(np.maximum(np.diag(covariance), _LEAST_LEFT))
     cosines = np.diag(covariance, 1) / (deviations[1:] * deviations[:-1])
     return float(np.sum(np.arccos(np.clip(cosines, -1.0, 1.0))))
 

@@ -72,7 +72,7 @@ BIAS_INSTABILITY = Term(
 RATE_RANDOM_WALK = Term(
     key="rate_random_walk",
     symbol="K",
-    names=_names("Rate random walk", "速率随机游走"),
+    names=_names("Rate random walk", "角速率随机游走"),
     unit_of_measure="deg/h/sqrt(h)",
     per_si=60.0,
 )
@@ -86,7 +86,7 @@ RATE_RAMP = Term(
 MARKOV_NOISE = Term(
     key="markov_noise",
     symbol="q",
-    names=_names("Exponentially correlated (Markov) noise", "指数相关(马尔可夫)噪声"),
+    names=_names("Exponentially correlated (Markov) noise", "马尔可夫噪声(指数相关)"),
     unit_of_measure="deg/h/sqrt(h)",
     per_si=60.0,
 )
@@ -155,8 +155,8 @@ def _phase_covariances(lags: FloatArray) -> FloatArray:
     )
 
 
-def scatter(taus_s: FloatArray, parts: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How the Allan variances of one record scatter, and together: gain in degrees of freedom, and correlation.
+def correlations(taus_s: FloatArray, parts: FloatArray) -> FloatArray:
+    """How the Allan variances of one record scatter together.
 
     Parameters
     ----------
@@ -167,9 +167,7 @@ def scatter(taus_s: FloatArray, parts: FloatArray) -> tuple[FloatArray, FloatArr
 
     Returns
     -------
-    gain : ndarray, shape (n,)
-        Equivalent degrees of freedom over the least that one of the four alone would have, at least 1.
-    correlation : ndarray, shape (n, n)
+    ndarray, shape (n, n)
         Correlation of the variances at two taus.
 
     Notes
@@ -185,17 +183,14 @@ def scatter(taus_s: FloatArray, parts: FloatArray) -> tuple[FloatArray, FloatArr
     Examples
     --------
     >>> taus_s = np.array([1.0, 2.0, 4.0])
-    >>> gain, correlation = scatter(taus_s, np.stack([0 * taus_s, 1 / taus_s, 0 * taus_s, 0 * taus_s], 1))
-    >>> bool((gain >= 1).all() and 0 < correlation[0, 2] < correlation[0, 1] < 1)
+    >>> correlation = correlations(taus_s, np.stack([0 * taus_s, 1 / taus_s, 0 * taus_s, 0 * taus_s], 1))
+    >>> bool(0 < correlation[0, 2] < correlation[0, 1] < 1)
     True
     """
     steps = np.clip(np.round(taus_s / taus_s[0]), 1, LATTICE).astype(np.int64).tolist()
     n = len(taus_s)
     products = [np.array(_products(m, m)) for m in steps]
-    totals = parts.sum(axis=1)
     own = np.array([parts[i] @ products[i] @ parts[i] for i in range(n)])
-    worst = np.array([np.diag(product).max() for product in products])
-    gain = np.maximum(1.0, worst * totals**2 / own)
     spacing = taus_s / np.array(steps)
     correlation = np.eye(n)
     for a in range(n):
@@ -207,4 +202,4 @@ def scatter(taus_s: FloatArray, parts: FloatArray) -> tuple[FloatArray, FloatArr
             shared = parts[a] @ product @ parts[a] * spacing[a] * (2.0 * taus_s[a] ** 2) ** 2
             scale = math.sqrt(own[a] * spacing[a] * own[b] * spacing[b]) * 4.0 * taus_s[a] ** 2 * taus_s[b] ** 2
             correlation[a, b] = correlation[b, a] = min(1.0, shared / scale)
-    return gain, correlation
+    return correlation

@@ -82,7 +82,7 @@ def test_what_was_estimated_live_is_what_the_store_gives(gyrofleet: Callable[...
     ).json  # fmt: skip
     curve = gyrofleet(
         "allan", "--unit", "ADIS16405", "--signal", "rate_x", "--run", "adis16405_static_run1",
-        "--store", adis_store, "--json",
+        "--store", adis_store, "--overlap", "strided", "--json",
     ).json  # fmt: skip
     assert [row["tau_s"] for row in stored] == curve["tau_s"]
     np.testing.assert_allclose([row["value"] for row in stored], curve["adev"], rtol=1e-12)
@@ -95,7 +95,7 @@ def test_bias_stability_is_that_of_the_averages(
     stored = gyrofleet(
         "sql",
         "select estimator, value, n from estimates where run = 'adis16405_static_run1' and signal = 'rate_z' "
-        "and estimator like 'bias_stability_%' and final",
+        "and estimator similar to 'bias_stability_[0-9]+s' and final",
         "--store", adis_store, "--json",
     ).json  # fmt: skip
     rate = pl.read_parquet(measured / "adis16405_static_run1.parquet")["rate_z[deg/s]"].to_numpy() * 3600.0
@@ -104,6 +104,22 @@ def test_bias_stability_is_that_of_the_averages(
     assert {row["estimator"]: row["n"] for row in stored} == {
         "bias_stability_1s": 10_000, "bias_stability_10s": 1000, "bias_stability_100s": 100,
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("run", [1, 2])
+@pytest.mark.parametrize("signal", RATES)
+def test_the_fitted_random_walk_is_that_of_the_device(
+    gyrofleet: Callable[..., Any], adis_store: Path, signal: str, run: int
+) -> None:
+    found = gyrofleet(
+        "allan", "--unit", "ADIS16405", "--signal", signal, "--run", f"adis16405_static_run{run}",
+        "--store", adis_store, "--fit", "--json",
+    ).json["coefficients"]  # fmt: skip
+    walk = found["angle_random_walk"]
+    assert (walk["unit_of_measure"], walk["observable"]) == ("deg/sqrt(h)", True)
+    assert found["angle_random_walk_normalised"]["value"] is None
+    assert "asks for less than 0.01 s" in found["angle_random_walk_normalised"]["reason"]
+    assert 2.0 < walk["value"] < 3.0
 
 
 def test_steps_of_the_ferraris_session(gyrofleet: Callable[..., Any], measured: Path) -> None:
