@@ -60,7 +60,7 @@ def _agreement(found: NoiseCoefficients, curve: AllanCurve) -> str:
     if found.fit.misfit == 0.0:
         return "the terms explain the curve (模型与曲线一致)"
     return (
-        f"misfit (失配) {found.fit.misfit:.1%}: so far the curve departs from these terms beyond its scatter, within its "
+        f"misfit (失配) {found.fit.misfit:.1%}: so far the curve departs from the terms beyond its scatter, within its "
         f"own limits they are at {found.agreeing(curve)} of {len(curve.tau_s)} averaging times; the limits allow for it"
     )
 
