@@ -145,6 +145,12 @@ class SampleBatch:
         )
 
     @cached_property
+    def own_values(self) -> FloatArray:
+        """The values as a contiguous array that may be written: a copy where theirs is not, as off the wire."""
+        values = self.value_array
+        return values if values.flags.c_contiguous and values.flags.writeable else values.copy()
+
+    @cached_property
     def finite(self) -> int:
         """Samples with a finite value."""
         return len(self) if self.values is None else count_finite(self.values)

@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from stream.batch import FloatArray, IntArray
+from stream.estimators.kernel_part import kernel_part
 
 BLOCK, COUNT, LAST, AVERAGES, PAIRS, BEGAN, HEAD_COUNT, FIRST_AVERAGE = range(8)
 (
@@ -64,7 +65,7 @@ def begin_at(places: IntArray, block: int, *, is_within: bool) -> None:
     places[BEGAN] = block if is_within else block - 1
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def _pair(numbers: FloatArray, pairs: int, first: float, second: float) -> None:
     """Add the last of `pairs` pairs of neighbours to their means and products."""
     early = first - numbers[EARLY_MEAN]
@@ -76,7 +77,7 @@ def _pair(numbers: FloatArray, pairs: int, first: float, second: float) -> None:
     numbers[COVARIANCE] += early * (second - numbers[LATE_MEAN])
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def _close(
     places: IntArray, numbers: FloatArray, ring: FloatArray, ring_blocks: IntArray, expected: float, share: float
 ) -> None:

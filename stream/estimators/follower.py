@@ -203,11 +203,11 @@ class Follower(ABC):
         if signal != self._signal:
             self._begin(batch, signal)
         values = batch.values
-        if values is None:
-            values = batch.value_array
+        if values is None or not (values.flags.writeable and values.flags.c_contiguous):
+            values = batch.own_values
         first_slot = self._tracker.follow(batch, len(values))
         if first_slot >= 0:
-            self._take_run(first_slot, for_kernel(values))
+            self._take_run(first_slot, values)
             return
         pieces = self._tracker.place(batch)
         if pieces:
@@ -242,7 +242,7 @@ def contiguous_runs(batch: SampleBatch, pieces: list[Piece]) -> list[tuple[int, 
 
     Pieces that lie close together come as one, NaN between them: a call for each would cost more than the NaN.
     """
-    values = for_kernel(batch.value_array)
+    values = batch.own_values
     if len(pieces) == 1:
         first_slot, start, stop = pieces[0]
         return [(first_slot, values if stop - start == len(values) else values[start:stop])]

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from stream.batch import FloatArray, IntArray
+from stream.estimators.kernel_part import kernel_part
 from stream.estimators.pyramid_sums import (
     add_pairs,
     mask,
@@ -65,7 +66,7 @@ def begin_at(state: PyramidState, slot: int) -> None:
     state.places[:, FIRST] = state.places[:, NEXT] = -(-slot >> levels)
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def accumulate(
     squares: FloatArray,
     windows: IntArray,
@@ -98,7 +99,7 @@ def accumulate(
             windows[j] += found
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def are_full(counts: FloatArray, number: int, width: float) -> bool:
     """Whether each of the first `number` counts is `width`."""
     others = 0
@@ -107,7 +108,7 @@ def are_full(counts: FloatArray, number: int, width: float) -> bool:
     return others == 0
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def _keep_ends(
     tail: FloatArray, head: FloatArray, place: IntArray, line: FloatArray, length: int, full: bool, width: float
 ) -> None:
@@ -128,7 +129,7 @@ def _keep_ends(
         place[FULL] = are_full(tail[COUNT], kept, width)
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def _pair(
     line: FloatArray, parents: FloatArray, place: IntArray, filled: int, given: int, total: int, full: bool, enough: int
 ) -> tuple[int, int]:
@@ -161,7 +162,7 @@ def _pair(
     return made, all_parents
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def _climb_a_level(
     tails: FloatArray,
     squares: FloatArray,
@@ -214,7 +215,7 @@ def _climb_a_level(
     return parents
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def _climb(
     tails: FloatArray,
     heads: FloatArray,
@@ -300,15 +301,19 @@ def push(
     chunk = min(values.shape[0], _CHUNK)
     scratch = np.empty((3, 2, history + max(chunk, history) + 2))
     gap = first_slot - places[0, NEXT]
-    if gap > 0:
-        given = min(gap, history + 1)
-        for i in range(history, history + given):
-            scratch[0, SUM, i] = scratch[0, COUNT, i] = 0.0
-        _climb(tails, heads, squares, windows, places, lags, share, scratch, given, gap, False)
-    for start in range(0, values.shape[0], _CHUNK):
-        given = min(_CHUNK, values.shape[0] - start)
-        sums = scratch[0, SUM, history : history + given]
-        full = subtract(values[start : start + given], reference, sums)
-        if not full:
-            mask(sums, scratch[0, COUNT, history : history + given])
-        _climb(tails, heads, squares, windows, places, lags, share, scratch, given, given, full)
+    start = 0
+    while start < values.shape[0]:
+        # one call for gap and values: machine code is made for each place of a call
+        if gap > 0:
+            given, total, full = min(gap, history + 1), gap, False
+            for i in range(history, history + given):
+                scratch[0, SUM, i] = scratch[0, COUNT, i] = 0.0
+            gap = 0
+        else:
+            given = total = min(_CHUNK, values.shape[0] - start)
+            sums = scratch[0, SUM, history : history + given]
+            full = subtract(values[start : start + given], reference, sums)
+            if not full:
+                mask(sums, scratch[0, COUNT, history : history + given])
+            start += given
+        _climb(tails, heads, squares, windows, places, lags, share, scratch, given, total, full)

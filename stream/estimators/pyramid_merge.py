@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from stream.batch import FloatArray, IntArray
+from stream.estimators.kernel_part import kernel_part
 from stream.estimators.pyramid_kernel import (
     COUNT,
     FILLED,
@@ -18,7 +19,7 @@ from stream.estimators.pyramid_kernel import (
 from stream.estimators.pyramid_sums import prefix_sums
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def _copy(source: FloatArray, start: int, number: int, line: FloatArray, at: int) -> None:
     for which in range(2):
         for i in range(number):

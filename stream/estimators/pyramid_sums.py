@@ -1,11 +1,10 @@
 """Machine code for the sums that the pyramid of block sums is made of (``pyramid_kernel``)."""
 
-from numba import njit
-
 from stream.batch import FloatArray
+from stream.estimators.kernel_part import kernel_part
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc"})
+@kernel_part("reassoc")
 def subtract(values: FloatArray, reference: float, out: FloatArray) -> bool:
     """Write values - reference; whether all are finite (0 * NaN and 0 * inf are NaN)."""
     zero = 0.0
@@ -16,7 +15,7 @@ def subtract(values: FloatArray, reference: float, out: FloatArray) -> bool:
     return zero == 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def mask(sums: FloatArray, counts: FloatArray) -> None:
     """Turn values that are not finite into empty blocks."""
     for i in range(sums.shape[0]):
@@ -27,7 +26,7 @@ def mask(sums: FloatArray, counts: FloatArray) -> None:
             counts[i] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def prefix_sums(line: FloatArray, out: FloatArray) -> None:
     """Prefix sums, out[0] = 0; groups of four, so that one addition in four waits for the one before."""
     total = 0.0
@@ -45,7 +44,7 @@ def prefix_sums(line: FloatArray, out: FloatArray) -> None:
         out[i + 1] = total
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@kernel_part("reassoc", "contract")
 def sum_of_squares(late: FloatArray, middle: FloatArray, early: FloatArray) -> float:
     """Sum of the squared differences of adjacent windows, from three stretches of the prefix sums."""
     total = 0.0
@@ -55,7 +54,7 @@ def sum_of_squares(late: FloatArray, middle: FloatArray, early: FloatArray) -> f
     return total
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@kernel_part("reassoc", "contract")
 def sums_of_squares(
     p0: FloatArray,
     p1: FloatArray,
@@ -87,14 +86,14 @@ def sums_of_squares(
     out[4] += by_16
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def add_pairs(line: FloatArray, out: FloatArray, pairs: int) -> None:
     """Write the sums of neighbours."""
     for i in range(pairs):
         out[i] = line[2 * i] + line[2 * i + 1]
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def sum_of_squares_with_gaps(
     sums: FloatArray, counts: FloatArray, lag: int, first: int, stop: int, needed: float, slots: float
 ) -> tuple[float, int]:

@@ -25,9 +25,10 @@ from stream.estimators.averages_kernel import (
     average_grid,
     merge_averages,
 )
+from stream.estimators.kernel_part import kernel_part
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@kernel_part("reassoc", "contract")
 def _moments(values: FloatArray, reference: float) -> tuple[float, float]:
     """Mean of values - reference, and the sum of squares about it."""
     total = 0.0
@@ -41,7 +42,7 @@ def _moments(values: FloatArray, reference: float) -> tuple[float, float]:
     return mean, squares
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@kernel_part("reassoc", "contract")
 def _products(early: FloatArray, late: FloatArray, reference: float, early_mean: float, late_mean: float) -> float:
     total = 0.0
     for i in range(early.shape[0]):
@@ -68,7 +69,7 @@ def take_samples(
     if n < 2 or squares - squares != 0.0:
         average_grid(places, numbers, ring, ring_blocks, reference, 1, 1.0, 1, first_slot + 1, rest)
         return
-    later, found = np.zeros_like(places), np.zeros_like(numbers)
+    later, found = np.zeros(places.shape[0], np.int64), np.zeros(numbers.shape[0])
     later[BLOCK] = first_slot + 1 + n
     later[BEGAN], later[HEAD_COUNT] = NEVER - 1, 0
     later[AVERAGES], later[PAIRS] = n, n - 1
