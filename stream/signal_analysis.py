@@ -135,7 +135,9 @@ class SignalAnalysis:
                     found.append((NOISE_COEFFICIENTS, self._noise(follower, document)))
             elif final and isinstance(follower, SpectralDensity):
                 found.append((SPECTRAL_LINES, self._lines(follower)))
-        elapsed_s = (self.last_ns - self._first_ns) / 1e9
+        # to the end of the last sample's interval: then a test of its planned length is finished
+        interval_s = max((follower.sample_interval_s for follower in self._followers), default=0.0)
+        elapsed_s = (self.last_ns - self._first_ns) / 1e9 + interval_s
         for number, decision in enumerate(self._decisions.look(elapsed_s, points)):
             found.append((EARLY_DECISION, decision.document(self._head(f"decision-{number}", final=final))))
         return found

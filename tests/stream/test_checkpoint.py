@@ -35,6 +35,7 @@ LIMITS = (
     Limit(characteristic="bias_stability", signal="rate", tau_s=1.0, upper=100.0, unit_of_measure="deg/h"),
     Limit(characteristic="allan_deviation", signal="rate", tau_s=2.56, upper=5000.0, unit_of_measure="deg/h"),
     Limit(characteristic="allan_deviation", signal="rate", tau_s=3.0, upper=5000.0, unit_of_measure="deg/h"),
+    Limit(characteristic="bias_stability", signal="rate", tau_s=10.0, upper=0.2, unit_of_measure="deg/s"),
 )
 
 
@@ -151,6 +152,11 @@ def test_early_decisions_are_given_and_survive(tmp_path: Path) -> None:
     assert first_fail < 600e9
     # at 2.56 s it is 225, far below 5000: PASS by the bounds; at 3 s there is no point, and it is said
     assert {(each.outcome, each.rule) for each in by_limit[LIMITS[1]]} == {("PASS", "bounds")}
+    assert max(each.looked_at_fraction for each in failing) < 1.0
+    # a limit that is kept is decided when the planned test has ended, with its last sample
+    kept = by_limit[LIMITS[3]]
+    assert {each.outcome for each in kept if each.t_ns < max(each.t_ns for each in kept)} == {"UNDECIDED"}
+    assert [(each.outcome, each.rule) for each in kept][-1] == ("PASS", "finished")
     assert {each.reason for each in by_limit[LIMITS[2]]} == {
         "no early decision: the estimator has no averaging time of 3 s, but 2.56 s, 5.12 s; judged at the end"
     }
