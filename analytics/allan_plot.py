@@ -1,6 +1,5 @@
 """A plot of Allan deviations, for a data sheet or a report: PNG or SVG."""
 
-import io
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -9,7 +8,6 @@ from typing import Literal
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from analytics.allan_curve import AllanCurve
 from analytics.allan_fit_marks import draw_fit
@@ -25,6 +23,7 @@ from analytics.allan_marks import (
     limit_marks,
     write_names,
 )
+from analytics.figure_file import check_suffix, logarithmic_grid, write_figure
 from analytics.noise_coefficients import NoiseCoefficients
 from analytics.plot_fonts import chinese_font, set_fonts
 from stream.errors import BadInput
@@ -32,9 +31,7 @@ from stream.events import Limit
 
 Language = Literal["en", "zh", "en+zh"]
 
-_SUFFIXES = (".png", ".svg")
 _LANGUAGES = ("en", "zh")
-_GRID = "#dfe3e8"
 # Okabe and Ito's colours for all kinds of colour vision, without their yellow, which is lost on white
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#6b4423", "#7a4fa3")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h")
@@ -68,7 +65,6 @@ SECONDS_PER_HOUR = 3600.0
 _LEFT, _WIDTH = 0.095, 0.745
 _NAMED_AT_MOST = 24
 _NAME_LENGTH = 16
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def plot_allan(
@@ -111,16 +107,9 @@ def plot_allan(
     -----
     Holds no global state of matplotlib: calls may run in several threads.
     """
-    if path.suffix.lower() not in _SUFFIXES:
-        raise BadInput(f"plot {path}: plots are written as .png or .svg, choose one of the two")
+    check_suffix(path)
     figure = _figure(_checked(curves, chosen), list(limits), title, chosen, language, found)
-    image = io.BytesIO()
-    kind = path.suffix.lower()[1:]
-    figure.savefig(image, format=kind, dpi=200, metadata={"Date": None} if kind == "svg" else None)
-    try:
-        path.write_bytes(image.getvalue())
-    except OSError as error:
-        raise BadInput(f"plot {path}: cannot be written ({error.strerror or error})") from error
+    write_figure(figure, path)
 
 
 def _checked(curves: Sequence[AllanCurve], chosen: str | None) -> list[AllanCurve]:
@@ -209,30 +198,13 @@ def _scales(axes: Axes, curves: list[AllanCurve], marks: list[LimitMark]) -> Non
     axes.set_xlim(_at_least_a_decade(min(tau_s) / 1.4, max(tau_s) * 1.4))
     axes.set_ylim(_at_least_a_decade(bottom, top))
     axes.set_axisbelow(True)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(10, numticks=99))
-        axis.set_minor_locator(LogLocator(10, subs=tuple(range(2, 10)), numticks=99))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: _plain(value)))
-        axis.set_minor_formatter(NullFormatter())
-        axis.grid(True, which="major", color=_GRID, linewidth=0.9)
-        axis.grid(True, which="minor", color=_GRID, linewidth=0.35)
-    axes.tick_params(which="both", color=FLEET, labelcolor=INK, labelsize=9, direction="out")
-    for spine in axes.spines.values():
-        spine.set_color(FLEET)
+    logarithmic_grid(axes)
 
 
 def _at_least_a_decade(low: float, high: float) -> tuple[float, float]:
     """Widen a range that might hold no power of ten to label."""
     stretch = math.sqrt(max(1.0, 20.0 * low / high))
     return low / stretch, high * stretch
-
-
-def _plain(value: float) -> str:
-    """A power of ten as people write it: 0.01, 100, 10\N{SUPERSCRIPT FIVE}."""
-    exponent = round(math.log10(value))
-    if -4 < exponent < 5:
-        return f"{value:.{max(0, -exponent)}f}"
-    return "10" + str(exponent).translate(_SUPERSCRIPTS)
 
 
 def _colour(i: int, curve: AllanCurve, chosen: str | None) -> str:

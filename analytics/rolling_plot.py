@@ -1,6 +1,5 @@
 """The rolling Allan deviation as a surface seen from above: time, averaging time, deviation by colour."""
 
-import io
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +9,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from analytics.allan_marks import INK, SOFT
+from analytics.figure_file import check_suffix, write_figure
 from analytics.plot_fonts import chinese_font, set_fonts
 from analytics.rolling_allan import RollingAllan
 from stream.batch import FloatArray
 from stream.errors import BadInput
 
 _SECONDS_PER_HOUR = 3600.0
-_SUFFIXES = (".png", ".svg")
 _LEAST_SPREAD = 1.5
 
 
@@ -28,8 +27,7 @@ def plot_rolling(surface: RollingAllan, path: Path) -> None:
     BadInput
         If the suffix is another one, no deviation is above 0, or the file cannot be written.
     """
-    if path.suffix.lower() not in _SUFFIXES:
-        raise BadInput(f"plot {path}: plots are written as .png or .svg, choose one of the two")
+    check_suffix(path)
     values = np.array([[np.nan if cell is None or cell <= 0.0 else cell for cell in row] for row in surface.adev])
     if np.isnan(values).all():
         raise BadInput(
@@ -72,13 +70,7 @@ def plot_rolling(surface: RollingAllan, path: Path) -> None:
     )
     figure.text(0.095, 0.893, window, fontsize=8.5, color=SOFT)
     set_fonts(figure)
-    drawn = io.BytesIO()
-    kind = path.suffix.lower()[1:]
-    figure.savefig(drawn, format=kind, dpi=200, metadata={"Date": None} if kind == "svg" else None)
-    try:
-        path.write_bytes(drawn.getvalue())
-    except OSError as error:
-        raise BadInput(f"plot {path}: cannot be written ({error.strerror or error})") from error
+    write_figure(figure, path)
 
 
 def _edges(middles: FloatArray, only: float) -> FloatArray:

@@ -1,6 +1,5 @@
 """A plot of a power spectral density with its lines, for a data sheet or a report: PNG or SVG."""
 
-import io
 import math
 from pathlib import Path
 from typing import Any
@@ -10,17 +9,16 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.markers import CARETDOWN
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from analytics.allan_marks import FLEET, INK, SOFT
+from analytics.figure_file import check_suffix, logarithmic_grid, write_figure
 from analytics.plot_fonts import chinese_font, set_fonts
 from analytics.spectrum import Level, SignalSpectrum, with_error
 from stream.errors import BadInput
 from stream.estimators.spectral_density import FIRST_BIN
 from stream.estimators.spectral_lines import Line
 
-_SUFFIXES = (".png", ".svg")
-_DENSITY, _LINE, _GRID = "#0072b2", "#d55e00", "#dfe3e8"
+_DENSITY, _LINE = "#0072b2", "#d55e00"
 _LEFT, _WIDTH, _WIDTH_BESIDE_LINES = 0.095, 0.875, 0.745
 _BANDS_A_DECADE = 20
 _NAMED_AT_MOST = 11
@@ -31,7 +29,6 @@ _POINTS_PER_INCH = 72.0
 _DOT = "  \N{MIDDLE DOT}  "
 _MOST_OVER = 3.0
 _SECONDS_PER_HOUR = 3600.0
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def plot_spectrum(spectrum: SignalSpectrum, path: Path) -> None:
@@ -46,15 +43,8 @@ def plot_spectrum(spectrum: SignalSpectrum, path: Path) -> None:
     -----
     Every bin is drawn lightly; boldly the mean over a twentieth of a decade without the bins of lines, with its limits.
     """
-    if path.suffix.lower() not in _SUFFIXES:
-        raise BadInput(f"plot {path}: plots are written as .png or .svg, choose one of the two")
-    drawn = io.BytesIO()
-    kind = path.suffix.lower()[1:]
-    _figure(spectrum).savefig(drawn, format=kind, dpi=200, metadata={"Date": None} if kind == "svg" else None)
-    try:
-        path.write_bytes(drawn.getvalue())
-    except OSError as error:
-        raise BadInput(f"plot {path}: cannot be written ({error.strerror or error})") from error
+    check_suffix(path)
+    write_figure(_figure(spectrum), path)
 
 
 def _figure(spectrum: SignalSpectrum) -> Figure:
@@ -99,16 +89,7 @@ def _scales(axes: Axes, spectrum: SignalSpectrum, levels: list[Level]) -> None:
     axes.set_xlim(spectrum.frequency_hz[0] / 1.15, spectrum.frequency_hz[-1] * 1.15)
     axes.set_ylim(_two_decades(low / 2.0, high * (2.5 if spectrum.lines else 1.3)))
     axes.set_axisbelow(True)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(10, numticks=12))
-        axis.set_minor_locator(LogLocator(10, subs=tuple(range(2, 10)), numticks=12))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: _plain(value)))
-        axis.set_minor_formatter(NullFormatter())
-        axis.grid(True, which="major", color=_GRID, linewidth=0.9)
-        axis.grid(True, which="minor", color=_GRID, linewidth=0.35)
-    axes.tick_params(which="both", color=FLEET, labelcolor=INK, labelsize=9, direction="out")
-    for spine in axes.spines.values():
-        spine.set_color(FLEET)
+    logarithmic_grid(axes, most_decades=12)
 
 
 def _mark(axes: Axes, spectrum: SignalSpectrum, named: list[Line]) -> None:
@@ -186,11 +167,3 @@ def _two_decades(low: float, high: float) -> tuple[float, float]:
     """Widen a range that might hold less than two powers of ten to label."""
     stretch = math.sqrt(max(1.0, 100.0 * low / high))
     return low / stretch, high * stretch
-
-
-def _plain(value: float) -> str:
-    """A power of ten as people write it: 0.01, 100, 10\N{SUPERSCRIPT FIVE}."""
-    exponent = round(math.log10(value))
-    if -4 < exponent < 5:
-        return f"{value:.{max(0, -exponent)}f}"
-    return "10" + str(exponent).translate(_SUPERSCRIPTS)
