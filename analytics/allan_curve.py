@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from analytics.block_means import BlockMeans
+from stream.block_means import BlockMeans
 from storage.catalog import Catalog
 from storage.reading import SignalRecord, find_signal, read_signal
 from stream.errors import BadInput, NotFound

@@ -1,18 +1,23 @@
 """The early decisions on one signal: one for each limit of its run, looked at whenever its estimates are published."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import msgspec
 
+from stream.batch import SampleBatch
+from stream.block_means import BlockMeans
 from stream.errors import GyrofleetError
+from stream.estimators.allan_variance import OVERLAP, AllanDeviation
+from stream.estimators.base import NoEstimate
 from stream.estimators.decision import AllanDecision, BiasStabilityDecision, Decision, DecisionPlan, Outcome
+from stream.estimators.snapshot import restore, take_snapshot
 from stream.events import EarlyDecision, EstimatePoint, EstimatePublished, Limit, LimitsApplied
 from stream.quantities import conversion
 
-ALLAN_DEVIATION, BIAS_STABILITY = "allan_deviation", "bias_stability"
-_SAME_TAU = 1e-6
-_STRIDES = 32
+ALLAN_DEVIATION, ANGLE_RANDOM_WALK, BIAS_STABILITY = "allan_deviation", "angle_random_walk", "bias_stability"
+_SAME = 1e-6
+_STEPS = OVERLAP
 
 
 class DecisionLook(NamedTuple):
@@ -38,11 +43,35 @@ class DecisionLook(NamedTuple):
         )
 
 
+class _Exactly:
+    """The Allan deviation at one averaging time, of means over a sixteenth of it: what the octaves do not hold."""
+
+    def __init__(self, tau_s: float) -> None:
+        self._means = BlockMeans(tau_s / _STEPS)
+        self.allan = AllanDeviation()
+
+    def update(self, batch: SampleBatch) -> None:
+        means = self._means.push(batch)
+        if means is not None:
+            self.allan.update(means)
+
+    def export_state(self) -> dict[str, Any]:
+        return {"means": self._means.export_state(), "allan": take_snapshot(self.allan)}
+
+    def import_state(self, state: dict[str, Any]) -> None:
+        self._means.import_state(state["means"])
+        allan = restore(state["allan"])
+        assert isinstance(allan, AllanDeviation)
+        self.allan = allan
+
+
 class EarlyDecisions:
     """Early decisions on the limits that a run sets one signal.
 
-    Limits on the Allan deviation are decided where the estimator has their averaging time, those on the bias stability
-    where it is estimated; an angle random walk is judged at the end.
+    Limits on the Allan deviation and on the angle random walk (at 1 s) are decided at any averaging time of at least 16
+    sample intervals, of means over a sixteenth of it; where such a mean is no whole number of samples, some hold one
+    more than others, which changes the deviation by less than 1e-3. Those on the bias stability are decided where
+    it is estimated.
 
     Parameters
     ----------
@@ -55,6 +84,7 @@ class EarlyDecisions:
         self._planned_s: float | None = None
         self._limits: tuple[Limit, ...] = ()
         self._tests: dict[int, AllanDecision | BiasStabilityDecision] = {}
+        self._exactly: dict[int, _Exactly] = {}
         self._saved: dict[str, Any] = {}
 
     def apply(self, limits: LimitsApplied) -> None:
@@ -62,11 +92,19 @@ class EarlyDecisions:
         if limits.planned_s is None or self._planned_s is not None:
             return
         self._planned_s = limits.planned_s
-        self._limits = tuple(
-            limit
-            for limit in limits.limits
-            if limit.signal == self._signal and limit.characteristic in {ALLAN_DEVIATION, BIAS_STABILITY}
-        )
+        self._set(tuple(limit for limit in limits.limits if limit.signal == self._signal))
+
+    def _set(self, limits: tuple[Limit, ...]) -> None:
+        self._limits = limits
+        self._exactly = {i: _Exactly(_tau_s(limit)) for i, limit in enumerate(limits) if _is_allan(limit)}
+
+    def update(self, batch: SampleBatch) -> None:
+        """Take in the next batch of the signal."""
+        for number, exactly in list(self._exactly.items()):
+            if batch.dt_ns * _STEPS > _tau_s(self._limits[number]) * 1e9 * (1.0 + _SAME):
+                del self._exactly[number]  # too short: one of the octaves, or none
+            else:
+                exactly.update(batch)
 
     def look(self, elapsed_s: float, estimates: Mapping[str, EstimatePublished]) -> list[DecisionLook]:
         """Hold the estimates after `elapsed_s` against each limit; estimates by the key of their estimator."""
@@ -78,22 +116,26 @@ class EarlyDecisions:
     def _look(
         self, number: int, limit: Limit, elapsed_s: float, estimates: Mapping[str, EstimatePublished]
     ) -> Decision:
-        is_allan = limit.characteristic == ALLAN_DEVIATION
-        key = ALLAN_DEVIATION if is_allan else f"{BIAS_STABILITY}_{limit.tau_s:g}s"
+        tau_s = _tau_s(limit)
+        key = ALLAN_DEVIATION if _is_allan(limit) else f"{BIAS_STABILITY}_{tau_s:g}s"
         estimate = estimates.get(key)
-        tau_s = limit.tau_s or 0.0
         if estimate is None:
             return _cannot(f"{key} is not estimated while the signal flows", f"运行中不估计 {key}")
-        point = next((each for each in estimate.points if abs(each.tau_s - tau_s) <= _SAME_TAU * tau_s), None)
+        points = estimate.points
+        exactly = self._exactly.get(number)
+        if exactly is not None:
+            found = exactly.allan.estimate()
+            points = () if isinstance(found, NoEstimate) else found
+        point = next((each for each in points if abs(each.tau_s - tau_s) <= _SAME * tau_s), None)
         try:
+            if point is None and points and points[-1].tau_s > tau_s:
+                near = ", ".join(f"{each.tau_s:g} s" for each in _around(points, tau_s))
+                return _cannot(
+                    f"the estimator has no averaging time of {tau_s:g} s, but {near}; judged at the end",
+                    f"估计器没有 {tau_s:g} s 的平均时间(有 {near});结束时判定",
+                )
             if number not in self._tests:
-                if estimate.points and point is None and estimate.points[-1].tau_s > tau_s:
-                    near = ", ".join(f"{each.tau_s:g} s" for each in _around(estimate.points, tau_s))
-                    return _cannot(
-                        f"the estimator has no averaging time of {tau_s:g} s, but {near}; judged at the end",
-                        f"估计器没有 {tau_s:g} s 的平均时间(有 {near});结束时判定",
-                    )
-                if not estimate.sample_interval_s:
+                if not estimate.unit_of_measure:
                     return _cannot("no sample yet", "尚无样本")
                 self._tests[number] = self._begin(number, limit, estimate)
             return self._tests[number].look(elapsed_s, point)
@@ -101,19 +143,20 @@ class EarlyDecisions:
             return _cannot(str(error), str(error))
 
     def _begin(self, number: int, limit: Limit, estimate: EstimatePublished) -> AllanDecision | BiasStabilityDecision:
-        assert limit.tau_s is not None
         assert self._planned_s is not None
-        factor, offset = conversion(limit.unit_of_measure, estimate.unit_of_measure)
-        windows_per_tau = round(limit.tau_s / estimate.sample_interval_s)
-        while windows_per_tau >= _STRIDES:
-            windows_per_tau //= 2
+        if limit.characteristic == ANGLE_RANDOM_WALK:
+            # Allan deviation at 1 s in deg/h is 60 times the angle random walk in deg/sqrt(h)
+            factor, offset = conversion(limit.unit_of_measure, "deg/sqrt(h)")[0] * 60.0, 0.0
+        else:
+            factor, offset = conversion(limit.unit_of_measure, estimate.unit_of_measure)
+        lag = _STEPS if number in self._exactly else round(_tau_s(limit) / estimate.sample_interval_s)
         plan = DecisionPlan(
-            tau_s=limit.tau_s,
+            tau_s=_tau_s(limit),
             limit=limit.upper * factor + offset,
             duration_s=self._planned_s,
-            windows_per_tau=max(1, windows_per_tau),
+            windows_per_tau=max(1, lag),
         )
-        test = AllanDecision(plan) if limit.characteristic == ALLAN_DEVIATION else BiasStabilityDecision(plan)
+        test = AllanDecision(plan) if _is_allan(limit) else BiasStabilityDecision(plan)
         if str(number) in self._saved:
             test.import_state(self._saved[str(number)])
         return test
@@ -125,16 +168,28 @@ class EarlyDecisions:
             "planned_s": self._planned_s,
             "limits": [msgspec.to_builtins(limit) for limit in self._limits],
             "tests": {**self._saved, **tests},
+            "exactly": {str(number): exactly.export_state() for number, exactly in self._exactly.items()},
         }
 
     @classmethod
-    def from_state(cls, signal: str, state: dict[str, Any]) -> "EarlyDecisions":
+    def from_state(cls, signal: str, state: dict[str, Any]) -> Self:
         """Go on from what another one has exported."""
         decisions = cls(signal)
         decisions._planned_s = state["planned_s"]
-        decisions._limits = tuple(msgspec.convert(limit, Limit) for limit in state["limits"])
+        decisions._set(tuple(msgspec.convert(limit, Limit) for limit in state["limits"]))
         decisions._saved = state["tests"]
+        decisions._exactly = {int(n): decisions._exactly[int(n)] for n in state["exactly"]}
+        for number, saved in state["exactly"].items():
+            decisions._exactly[int(number)].import_state(saved)
         return decisions
+
+
+def _is_allan(limit: Limit) -> bool:
+    return limit.characteristic in {ALLAN_DEVIATION, ANGLE_RANDOM_WALK}
+
+
+def _tau_s(limit: Limit) -> float:
+    return 1.0 if limit.characteristic == ANGLE_RANDOM_WALK or limit.tau_s is None else limit.tau_s
 
 
 def _around(points: tuple[EstimatePoint, ...], tau_s: float) -> list[EstimatePoint]:

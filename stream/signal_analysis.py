@@ -114,6 +114,7 @@ class SignalAnalysis:
             try:
                 for follower in self._followers:
                     follower.update(batch)
+                self._decisions.update(batch)
             except GyrofleetError as error:
                 self.refusal = str(error)
         self.last_ns = batch.last_ns

@@ -12,7 +12,9 @@ from stream.batch import SampleBatch
 from stream.bus import LocalBus
 from stream.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from stream.delivery import DurablePublisher, StreamId, StreamPosition, encode_acknowledgement
+from stream.early_decisions import EarlyDecisions
 from stream.errors import EstimatorError
+from stream.estimators.allan_variance import overlapping_allan_variance
 from stream.events import (
     AnyDocument,
     EarlyDecision,
@@ -36,6 +38,8 @@ LIMITS = (
     Limit(characteristic="allan_deviation", signal="rate", tau_s=2.56, upper=5000.0, unit_of_measure="deg/h"),
     Limit(characteristic="allan_deviation", signal="rate", tau_s=3.0, upper=5000.0, unit_of_measure="deg/h"),
     Limit(characteristic="bias_stability", signal="rate", tau_s=10.0, upper=0.2, unit_of_measure="deg/s"),
+    Limit(characteristic="allan_deviation", signal="rate", tau_s=0.05, upper=5000.0, unit_of_measure="deg/h"),
+    Limit(characteristic="angle_random_walk", signal="rate", tau_s=None, upper=1.0, unit_of_measure="deg/sqrt(h)"),
 )
 
 
@@ -150,16 +154,17 @@ def test_early_decisions_are_given_and_survive(tmp_path: Path) -> None:
     assert {each.rule for each in failing if each.outcome == "FAIL"} == {"curtailed"}
     first_fail = min(each.t_ns for each in failing if each.outcome == "FAIL")
     assert first_fail < 600e9
-    # at 2.56 s it is 225, far below 5000: PASS by the bounds; at 3 s there is no point, and it is said
-    assert {(each.outcome, each.rule) for each in by_limit[LIMITS[1]]} == {("PASS", "bounds")}
+    # at 2.56 and 3 s it is 225 and 208, far below 5000; an angle random walk of 6 is far above 1
+    assert {(each.outcome, each.rule) for limit in LIMITS[1:3] for each in by_limit[limit]} == {("PASS", "bounds")}
+    assert [(each.outcome, each.rule) for each in by_limit[LIMITS[5]]][-1][0] == "FAIL"
+    assert {each.reason for each in by_limit[LIMITS[4]]} == {
+        "no early decision: the estimator has no averaging time of 0.05 s, but 0.04 s, 0.08 s; judged at the end"
+    }
     assert max(each.looked_at_fraction for each in failing) < 1.0
     # a limit that is kept is decided when the planned test has ended, with its last sample
     kept = by_limit[LIMITS[3]]
     assert {each.outcome for each in kept if each.t_ns < max(each.t_ns for each in kept)} == {"UNDECIDED"}
     assert [(each.outcome, each.rule) for each in kept][-1] == ("PASS", "finished")
-    assert {each.reason for each in by_limit[LIMITS[2]]} == {
-        "no early decision: the estimator has no averaging time of 3 s, but 2.56 s, 5.12 s; judged at the end"
-    }
 
 
 def test_a_damaged_checkpoint_is_a_named_error(tmp_path: Path) -> None:
@@ -191,3 +196,16 @@ def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(EstimatorError, match="cannot be written"):
         write_checkpoint(tmp_path / "file" / "c", Checkpoint("s", 10, [], [], []))
+
+
+def test_a_deviation_between_the_octaves_is_that_of_its_averaging_time() -> None:
+    decisions = EarlyDecisions("rate")
+    decisions.apply(LimitsApplied(run="r1", t_ns=0, revision="R", limits=LIMITS[2:3], planned_s=600.0))
+    for start in STARTS:
+        decisions.update(batch(start))
+    points = decisions._exactly[0].allan.estimate()
+    assert isinstance(points, tuple)
+    (point,) = [each for each in points if abs(each.tau_s - 3.0) < 1e-9]
+    expected = 3600.0 * np.sqrt(overlapping_allan_variance(VALUES, 300))
+    # full overlap and sixteenths share all but 0.5 % of their information; the last, unfinished block is left out
+    assert point.value == pytest.approx(expected, rel=4 * np.sqrt(0.005 / (2 * point.edf)) + 1e-3)

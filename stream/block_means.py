@@ -1,6 +1,7 @@
-"""Means of consecutive blocks of time: irregular samples put on a grid."""
+"""Means of consecutive blocks of time: irregular samples put on a grid, or a grid of another interval."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ class BlockMeans:
     """Turns the samples of a signal into means of consecutive blocks of `block_s` seconds.
 
     A block counts if it holds at least 90 % of the samples that its length and the nominal interval let expect;
-    others are gaps.
+    others are gaps. Values that are not finite are missing.
 
     Parameters
     ----------
@@ -46,6 +47,14 @@ class BlockMeans:
         self._count = 0
         self._seq = 0
 
+    def export_state(self) -> dict[str, Any]:
+        """Everything that is kept, in plain values."""
+        return {name: value for name, value in vars(self).items() if name != "_block_ns"}
+
+    def import_state(self, state: dict[str, Any]) -> None:
+        """Take over what another one of the same length has exported."""
+        vars(self).update(state)
+
     def push(self, batch: SampleBatch) -> SampleBatch | None:
         """Take in a batch; the means of the blocks that it completes, if there are any.
 
@@ -63,13 +72,14 @@ class BlockMeans:
             self._t0_ns = int(batch.time_array[0])
         indices = (batch.time_array - self._t0_ns) // self._block_ns
         starts = np.flatnonzero(np.diff(indices, prepend=indices[0] - 1))
-        sums = np.add.reduceat(batch.value_array, starts)
-        counts = np.diff(starts, append=len(indices))
+        is_finite = np.isfinite(batch.value_array)
+        sums = np.add.reduceat(np.where(is_finite, batch.value_array, 0.0), starts)
+        counts = np.add.reduceat(is_finite, starts, dtype=np.int64)
         blocks = indices[starts]
         if blocks[0] == self._index:
             sums[0] += self._sum
             counts[0] += self._count
-        elif self._count:
+        elif self._count > 0:
             blocks = np.concatenate([[self._index], blocks])
             sums = np.concatenate([[self._sum], sums])
             counts = np.concatenate([[self._count], counts])

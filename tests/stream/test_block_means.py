@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analytics.block_means import BlockMeans
 from stream.batch import SampleBatch
+from stream.block_means import BlockMeans
 from stream.errors import BadInput
 
 RNG = np.random.default_rng(3)
@@ -52,3 +52,22 @@ def test_the_cut_does_not_matter_and_the_means_are_right(cuts: list[int], block_
 def test_a_length_that_is_none_is_refused(block_s: float) -> None:
     with pytest.raises(BadInput, match="positive"):
         BlockMeans(block_s)
+
+
+def test_what_is_not_finite_is_missing_and_a_state_goes_on() -> None:
+    values = np.arange(100.0)
+    values[12] = np.nan
+    whole, first = BlockMeans(2.0), BlockMeans(2.0)
+    batches = [
+        SampleBatch("U", "rate", "r", UUID(int=1), i, i * 10**8, 10**8, "deg/s", values=values[i : i + 10])
+        for i in range(0, 100, 10)
+    ]
+    expected = [whole.push(each) for each in batches]
+    found = [first.push(each) for each in batches[:5]]
+    second = BlockMeans(2.0)
+    second.import_state(first.export_state())
+    found += [second.push(each) for each in batches[5:]]
+    assert found == expected
+    means = np.concatenate([each.value_array for each in expected if each is not None])
+    assert means[0] == pytest.approx(np.nanmean(values[:20]))
+    assert len(means) == 4
