@@ -3,6 +3,7 @@
 import functools
 import threading
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,7 +59,7 @@ def estimate(
     point), with --json all.
     """
     from storage.log_tail import LogTail
-    from storage.store import Store, writer_endpoint
+    from storage.store import Store, only_one, writer_endpoint
     from stream.delivery import DurablePublisher
     from stream.errors import BusError
     from stream.estimators.base import default_estimators
@@ -91,6 +92,7 @@ def estimate(
 
     compile_kernels(quiet=as_json)
     with (
+        nullcontext() if checkpoint is None else only_one(checkpoint.with_suffix(".lock"), "gyrofleet estimate"),
         ZenohBus(connect=[connect]) as bus,
         DurablePublisher(bus, timeout_s=10.0) as publisher,
         until_stopped() as stopped,

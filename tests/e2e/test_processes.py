@@ -96,6 +96,9 @@ def test_recorder_estimator_and_source_as_processes(
     estimate = spawn("estimate", "--every", "100", "--average", "5", "--json")  # finds the recorder by its store
     assert estimate.stderr is not None
     assert "estimating" in estimate.stderr.readline()
+    second = gyrofleet("estimate")
+    assert second.code == 1
+    assert "another gyrofleet estimate is at work on this store" in second.err
     source = gyrofleet("import", table(tmp_path / "a.parquet", 50_000), "--unit", "U1", "--connect", endpoint, "--json")
     assert source.code == 0, source.err
     assert [signal["in_lake"] for signal in source.json["files"][0]["signals"]] == [50_000] * 3
