@@ -112,13 +112,13 @@ def allan(
             )
 
         curve = curve_of(unit, run)
-        others = [curve_of(each, curve.run) for each in _fleet(catalog, curve, compare)]
+        others = [curve_of(each, in_run) for each, in_run in _fleet(catalog, curve, compare)]
         found = _noise(catalog, curve) if fit else None
     if plot_path is not None:
         from analytics.allan_plot import plot_allan
         from stream.estimators.base import NoEstimate
 
-        drawn = None if isinstance(found, NoEstimate) else found
+        drawn = None if isinstance(found, NoEstimate) or (found is not None and not found.describes) else found
         plot_allan([*others, curve], plot_path, limits=limits, chosen=unit if others else None, found=drawn)
     _show(curve, found, as_json=as_json)
     if plot_path is not None and not as_json:
@@ -183,14 +183,15 @@ def _noise(catalog: "Catalog", curve: "AllanCurve") -> "NoiseCoefficients | NoEs
     return noise_coefficients(curve, normalised_walk(catalog, record))
 
 
-def _fleet(catalog: "Catalog", curve: "AllanCurve", compare: tuple[str, ...]) -> list[str]:
-    """Units to draw beside a curve: those named, or all that have the signal in its run."""
-    if "all" in compare:
-        sql = "select unit from signals where run = $run and signal = $signal order by unit"
-        units = [str(unit) for (unit,) in catalog.rows(sql, {"run": curve.run, "signal": curve.signal})]
-    else:
-        units = list(dict.fromkeys(compare))
-    return [unit for unit in units if unit != curve.unit]
+def _fleet(catalog: "Catalog", curve: "AllanCurve", compare: tuple[str, ...]) -> list[tuple[str, str | None]]:
+    """Units to draw beside a curve, and of which run: those named, or all that have the signal.
+
+    Of a unit that was not in the run of the curve, as one imported from a file of its own, the last run is taken.
+    """
+    sql = "select unit, bool_or(run = $run) from signals where signal = $signal group by unit order by unit"
+    held = {str(unit): bool(both) for unit, both in catalog.rows(sql, {"run": curve.run, "signal": curve.signal})}
+    units = list(held) if "all" in compare else list(dict.fromkeys(compare))
+    return [(unit, curve.run if held.get(unit) else None) for unit in units if unit != curve.unit]
 
 
 def _curve_table(curve: "AllanCurve") -> Table:
@@ -199,7 +200,7 @@ def _curve_table(curve: "AllanCurve") -> Table:
         title_justify="left",
         caption=f"{curve.samples:,} samples every {curve.sample_interval_s:g} s, {curve.missing:,} missing; "
         f"{curve.overlap} overlap; limits: 95 % confidence, least degrees of freedom of the plausible noises α "
-        "(2 quantization, 0 angle random walk, -1 bias instability, -2 rate random walk)",
+        "(2 quantization, 1 flicker of angle, 0 angle random walk, -1 bias instability, -2 rate random walk)",
         caption_justify="left",
         header_style="bold",
     )

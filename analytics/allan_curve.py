@@ -5,9 +5,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from stream.block_means import BlockMeans
 from storage.catalog import Catalog
 from storage.reading import SignalRecord, find_signal, read_signal
+from stream.block_means import BlockMeans
 from stream.errors import BadInput, NotFound
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate

@@ -20,10 +20,12 @@ _STYLES = {
     "markov_noise": ("#b88600", (0, (5, 1.5, 1, 1.5, 1, 1.5))),
 }
 _PLACES = 200
+_FELT = 0.02
+_MAY_BE_ABSENT = {"en": ", not observable", "zh": "，不可观测"}
 
 
 def draw_fit(axes: Axes, found: NoiseCoefficients, taus_s: tuple[float, ...], language: str, word: str) -> None:
-    """Draw a fitted model over the curve it was fitted to, and a legend of its observable terms.
+    """Draw a fitted model over the curve it was fitted to, and a legend of its terms.
 
     Parameters
     ----------
@@ -42,7 +44,8 @@ def draw_fit(axes: Axes, found: NoiseCoefficients, taus_s: tuple[float, ...], la
     lines = axes.plot(along, found.deviation(along), color=INK, linewidth=0.9, zorder=4, label=word)
     whole = np.geomspace(*axes.get_xlim(), _PLACES)
     for fitted in found.terms:
-        if fitted.coefficient.observable:
+        # what the curve may do without bends the sum all the same where it is not zero
+        if fitted.coefficient.observable or _is_felt(fitted, found, along):
             lines.append(_term(axes, whole, fitted, language))
     legend = axes.legend(
         handles=lines,
@@ -60,13 +63,22 @@ def draw_fit(axes: Axes, found: NoiseCoefficients, taus_s: tuple[float, ...], la
     legend.set_zorder(7)
 
 
+def _is_felt(fitted: FittedTerm, found: NoiseCoefficients, taus_s: FloatArray) -> bool:
+    return bool((fitted.variance(taus_s) > _FELT * found.deviation(taus_s) ** 2).any())
+
+
 def _term(axes: Axes, taus_s: FloatArray, fitted: FittedTerm, language: str) -> Line2D:
     colour, dashes = _STYLES[fitted.term.key]
     deviations = np.sqrt(fitted.variance(taus_s))
+    is_seen = fitted.coefficient.observable
     label = f"{fitted.term.names[language]}  {fitted.term.symbol} = {_amount(fitted)}"
+    if not is_seen:
+        label += _MAY_BE_ABSENT[language]
     if fitted.correlation_s is not None:
         label += f", {fitted.correlation_s:.3g} s"
-    (line,) = axes.plot(taus_s, deviations, color=colour, linewidth=0.95, linestyle=dashes, zorder=3.5, label=label)
+    (line,) = axes.plot(
+        taus_s, deviations, color=colour, linewidth=0.95 if is_seen else 0.6, linestyle=dashes, zorder=3.5, label=label
+    )
     return line
 
 

@@ -1,6 +1,7 @@
 """Noise coefficients of an Allan curve of the store: the fit, its terms, and their JSON."""
 
 import dataclasses
+import math
 from typing import Any
 
 import msgspec
@@ -15,6 +16,7 @@ from stream.events import EstimatePoint
 from stream.quantities import ANGULAR_RATE_UNIT
 
 CONFIDENCE = 0.95
+MOST_MISFIT = 0.25
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,6 +73,24 @@ class NoiseCoefficients:
         """Allan deviation of the fitted model, all terms together, deg/h."""
         total: FloatArray = np.sqrt(np.sum([term.variance(taus_s) for term in self.terms], axis=0))
         return total
+
+    @property
+    def describes(self) -> bool:
+        """Whether the model describes the curve at all, so that it is worth drawing."""
+        return self.fit.misfit <= MOST_MISFIT
+
+    def farthest(self, curve: AllanCurve) -> tuple[float, float]:
+        """Where the model departs most from a curve beyond its limits, and by how much: seconds, and model over curve.
+
+        The ratio is 1 where the model lies within the limits everywhere.
+        """
+        columns = zip(
+            curve.tau_s, self.deviation(np.array(curve.tau_s)).tolist(), curve.adev, curve.lo, curve.hi, strict=True
+        )
+        outside = [
+            (tau_s, model / adev) for tau_s, model, adev, lo, hi in columns if not lo <= model <= hi and adev > 0
+        ]
+        return max(outside, key=lambda each: abs(math.log(each[1])), default=(curve.tau_s[0], 1.0))
 
     def agreeing(self, curve: AllanCurve) -> int:
         """At how many averaging times of a curve the model lies within the limits of its deviation.

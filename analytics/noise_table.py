@@ -23,7 +23,7 @@ def noise_table(curve: AllanCurve, found: NoiseCoefficients) -> Table:
     ...                    tuple(1e4 / tau for tau in taus))
     >>> table = noise_table(curve, noise_coefficients(curve, NoEstimate("sample interval of 0.1 s")))
     >>> list(table.columns[0].cells)[1], list(table.columns[2].cells)[1]
-    ('Angle random walk 角度随机游走', '0.01')
+    ('Angle random walk 角度随机游走', '0.01000')
     """
     table = Table(
         title=f"Noise coefficients (噪声系数) of {curve.unit} {curve.signal}, run {curve.run}",
@@ -59,9 +59,16 @@ def noise_table(curve: AllanCurve, found: NoiseCoefficients) -> Table:
 def _agreement(found: NoiseCoefficients, curve: AllanCurve) -> str:
     if found.fit.misfit == 0.0:
         return "the terms explain the curve (模型与曲线一致)"
+    at_s, ratio = found.farthest(curve)
+    if not found.describes:
+        return (
+            f"these terms do not describe the curve (模型不适用), which departs from them by {found.fit.misfit:.0%}: "
+            "was the unit at rest? `gyrofleet spectrum` and --rolling show more"
+        )
     return (
-        f"misfit (失配) {found.fit.misfit:.1%}: so far the curve departs from the terms beyond its scatter, within its "
-        f"own limits they are at {found.agreeing(curve)} of {len(curve.tau_s)} averaging times; the limits allow for it"
+        f"misfit (失配) {found.fit.misfit:.1%}: the curve is no sum of these terms to its own precision; the model is "
+        f"{abs(ratio - 1):.0%} too {'high' if ratio > 1 else 'low'} at {at_s:g} s, {found.agreeing(curve)} of "
+        f"{len(curve.tau_s)} points agree within their limits; the limits of the coefficients are widened for it"
     )
 
 
@@ -69,4 +76,4 @@ def _cells(coefficient: Coefficient) -> tuple[str, str, str, str, str]:
     unit = coefficient.unit_of_measure
     if not coefficient.observable:
         return _NONE, _NONE, _NONE, unit, f"{_NOT_OBSERVABLE} {coefficient.hi:.3g}"
-    return f"{coefficient.value:.4g}", f"{coefficient.lo:.4g}", f"{coefficient.hi:.4g}", unit, ""
+    return f"{coefficient.value:#.4g}", f"{coefficient.lo:#.4g}", f"{coefficient.hi:#.4g}", unit, ""

@@ -110,6 +110,12 @@ def estimate(
         with worker:
             going_on = f", going on from {checkpoint}" if worker.resumed else ""
             console.print(f"estimating what arrives on {connect}{going_on}; Ctrl-C ends", soft_wrap=True)
+            if log is None:
+                console.print(
+                    f"without a checkpoint, and what is missed is not read again: {folder} is not the store that is "
+                    "recorded to; give --store with the recorder's folder",
+                    soft_wrap=True,
+                )
             told_at, told_samples = time.monotonic(), 0
             while not stopped.wait(0.2) and worker.failure is None:
                 if time.monotonic() - told_at >= 5.0 and worker.counts.samples != told_samples and not as_json:
@@ -152,7 +158,7 @@ def told(document: "AnyDocument") -> str | None:
                 if isinstance(found, dict) and found.get("observable")
             ]
             return f"{document.unit} {document.signal} noise: {', '.join(seen) or 'no term observable'}"
-        case SpectralLinesFound(lines=lines) if lines:
+        case SpectralLinesFound(lines=tuple(lines)) if lines:
             seen = [f"{line['frequency_hz']:.4g} Hz {line['amplitude']:.3g}" for line in lines]
             return f"{document.unit} {document.signal} lines: {', '.join(seen)} {document.unit_of_measure}"
         case EarlyDecision() if document.outcome != "UNDECIDED" and document.looked_at_fraction < 1.0:

@@ -34,7 +34,7 @@ class DecisionLook(NamedTuple):
             limit=self.limit,
             outcome=decision.outcome.value,
             rule=decision.rule.value,
-            error_probability=decision.error_probability,
+            error_probability=None if decision.outcome is Outcome.UNDECIDED else decision.error_probability,
             looked_at_fraction=decision.looked_at_fraction,
             reason=decision.reason_en,
             reason_zh=decision.reason_zh,

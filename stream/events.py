@@ -175,12 +175,19 @@ class NoiseFitted(Document, frozen=True, kw_only=True, tag=True):
 
 
 class SpectralLinesFound(Document, frozen=True, kw_only=True, tag=True):
-    """The sinusoids in the spectrum of a finished run, or a reason why there was no spectrum."""
+    """The sinusoids in the spectrum of a finished run, or a reason why there was no spectrum.
+
+    Searched was from `searched_lo_hz` to `searched_hi_hz`, in bins of `bin_width_hz` of so many segments.
+    """
 
     unit: str
     signal: str
+    lines: tuple[dict[str, float], ...] | None
     unit_of_measure: str = ""
-    lines: tuple[dict[str, float], ...] = ()
+    searched_lo_hz: float | None = None
+    searched_hi_hz: float | None = None
+    bin_width_hz: float | None = None
+    segments: int = 0
     reason: str | None = None
 
 
@@ -192,7 +199,7 @@ class EarlyDecision(Document, frozen=True, kw_only=True, tag=True):
     limit: Limit
     outcome: str
     rule: str
-    error_probability: float
+    error_probability: float | None
     looked_at_fraction: float
     reason: str
     reason_zh: str

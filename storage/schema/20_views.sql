@@ -105,5 +105,6 @@ from lake_estimates;
 
 create view events as
 select
-  make_timestamp_ns(t_ns) as "time", kind, run, unit, document, site, station, t_ns, uid
+  make_timestamp_ns(t_ns) as "time", kind, run, unit, document->>'$.signal' as signal, document, site, station, t_ns,
+  uid
 from lake_documents;

@@ -126,27 +126,48 @@ def test_the_table_is_bilingual_and_says_what_is_not_observable(every_term: Nois
     for each in every_term.terms:
         (line, _) = (line for line in lines if f"{each.term.names['en']} {each.term.names['zh']} " in line)
         assert ("not observable (不可观测): at most 1.1" in line) == (each.term.symbol == "R")
-        assert bool(re.search(rf"│ +{each.coefficient.lo:.4g} │", line)) == each.coefficient.observable
+        assert bool(re.search(rf"│ +{each.coefficient.lo:#.4g} │", line)) == each.coefficient.observable
     normalised = [line for line in lines if "归一化法" in line and "│" in line]
-    assert "0.021 │" in normalised[0]
+    assert "0.02100 │" in normalised[0]
     assert NONE.reason in normalised[1]
 
 
 @pytest.mark.parametrize("language", ["en", "zh"])
-def test_the_model_is_drawn_with_its_observable_terms(every_term: NoiseCoefficients, language: str) -> None:
+def test_the_model_is_drawn_with_its_terms(every_term: NoiseCoefficients, language: str) -> None:
     axes = Figure().add_subplot(xscale="log", yscale="log", xlim=(0.05, 2e4), ylim=(0.01, 20))
     draw_fit(axes, every_term, curve().tau_s, language, "model")
     legend = axes.get_legend()
     assert legend is not None
     labels = [text.get_text() for text in legend.get_texts()]
     assert labels[0] == "model"
-    observable = [each for each in every_term.terms if each.coefficient.observable]
-    assert len(labels) == len(axes.lines) == 1 + len(observable)
-    for label, each in zip(labels[1:], observable, strict=True):
+    # the rate ramp is not observable, but bends the model
+    assert len(labels) == len(axes.lines) == 1 + len(every_term.terms)
+    for label, each in zip(labels[1:], every_term.terms, strict=True):
+        is_told = label.endswith({"en": "not observable", "zh": "不可观测"}[language])
+        assert is_told == (not each.coefficient.observable)
         assert label.startswith(f"{each.term.names[language]}  {each.term.symbol} = {each.coefficient.value:g} (")
     assert "N = 0.02 (0.018 – 0.022) deg/√h" in labels[2]
     assert labels[-1].endswith("deg/h/√h, 20 s")
     assert (axes.get_xlim(), axes.get_ylim()) == ((0.05, 2e4), (0.01, 20))
+
+
+def test_a_model_that_describes_nothing_says_so_and_where_one_departs_is_told() -> None:
+    planted = curve()
+    found = noise_coefficients(planted, NONE)
+    assert isinstance(found, NoiseCoefficients)
+    assert found.describes
+    assert found.farthest(planted) == (planted.tau_s[0], 1.0)
+    bent = replace(planted, adev=(*planted.adev[:9], 2 * planted.adev[9], *planted.adev[10:]),
+                   lo=(*planted.lo[:9], 1.9 * planted.adev[9], *planted.lo[10:]),
+                   hi=(*planted.hi[:9], 2.1 * planted.adev[9], *planted.hi[10:]))  # fmt: skip
+    at_s, ratio = found.farthest(bent)
+    assert at_s == planted.tau_s[9]
+    assert ratio == pytest.approx(0.5, rel=1e-2)
+    departing = NoiseCoefficients(msgspec.structs.replace(found.fit, misfit=0.1), NONE)
+    assert "50% too low at 51.2 s" in str(noise_table(bent, departing).caption)
+    useless = NoiseCoefficients(msgspec.structs.replace(found.fit, misfit=0.5), NONE)
+    assert not useless.describes
+    assert "do not describe the curve (模型不适用)" in str(noise_table(bent, useless).caption)
 
 
 def test_the_plot_carries_the_model_of_the_chosen_unit(tmp_path: Path) -> None:
