@@ -117,7 +117,11 @@ def estimate(
                     soft_wrap=True,
                 )
             told_at, told_samples = time.monotonic(), 0
+            warned = None
             while not stopped.wait(0.2) and worker.failure is None:
+                if worker.warning != warned:
+                    warned = worker.warning
+                    console.print(f"warning: {warned}", soft_wrap=True, markup=False)
                 if time.monotonic() - told_at >= 5.0 and worker.counts.samples != told_samples and not as_json:
                     told_at, told_samples = time.monotonic(), worker.counts.samples
                     console.print(f"{told_samples:,} samples, {worker.counts.estimates:,} estimates published")

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from stream.batch import SampleBatch
+from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import BadInput
 
 LEAST_SHARE = 0.9
@@ -14,8 +14,8 @@ LEAST_SHARE = 0.9
 class BlockMeans:
     """Turns the samples of a signal into means of consecutive blocks of `block_s` seconds.
 
-    A block counts if it holds at least 90 % of the samples that its length and the nominal interval let expect;
-    others are gaps. Values that are not finite are missing.
+    A block counts if it holds at least 90 % of the samples that its length and the nominal interval let expect (of
+    exact times, of those that fall into it); others are gaps. Values that are not finite are missing.
 
     Parameters
     ----------
@@ -55,6 +55,13 @@ class BlockMeans:
         """Take over what another one of the same length has exported."""
         vars(self).update(state)
 
+    def _expected(self, batch: SampleBatch, blocks: IntArray) -> FloatArray:
+        """Samples that each block lets expect."""
+        if batch.times_ns is not None:
+            return np.full(len(blocks), self._block_ns / batch.dt_ns)
+        first, stop = (-(-(blocks + more) * self._block_ns // batch.dt_ns) for more in (0, 1))
+        return np.asarray(stop - first, np.float64)
+
     def push(self, batch: SampleBatch) -> SampleBatch | None:
         """Take in a batch; the means of the blocks that it completes, if there are any.
 
@@ -84,7 +91,7 @@ class BlockMeans:
             sums = np.concatenate([[self._sum], sums])
             counts = np.concatenate([[self._count], counts])
         self._index, self._sum, self._count = int(blocks[-1]), float(sums[-1]), int(counts[-1])
-        whole = np.flatnonzero(counts[:-1] * batch.dt_ns >= LEAST_SHARE * self._block_ns)
+        whole = np.flatnonzero(counts[:-1] >= LEAST_SHARE * self._expected(batch, blocks[:-1]))
         if len(whole) == 0:
             return None
         times_ns = self._t0_ns + blocks[whole] * self._block_ns

@@ -69,7 +69,8 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
             os.close(folder)
     except OSError as error:
         raise EstimatorError(
-            f"the checkpoint {path} cannot be written: {error}; free space or mend the disk, estimating goes on"
+            f"the checkpoint {path} cannot be written: {error}; free space or mend the disk, so that estimating can go "
+            "on from it after a stop"
         ) from error
 
 

@@ -4,6 +4,7 @@ import functools
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,6 +24,7 @@ R = TypeVar("R")
 _json = msgspec.json.Encoder(decimal_format="number")
 
 DEFAULT_STORE = "gyrofleet-data"
+_PATIENCE_S = 3.0
 _INTERRUPTED = "interrupted; what was recorded is kept, and an import is completed by giving the same command again"
 
 store_option = click.option(
@@ -97,11 +99,17 @@ def progress_bar(*, hidden: bool) -> Iterator[Progress]:
 
 @contextmanager
 def until_stopped() -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set, so that a service can end in order."""
+    """An event that SIGINT and SIGTERM set, so that a service can end in order; asked again later, it ends at once."""
     stopped = threading.Event()
+    asked_at: list[float] = []
 
-    def stop(_number: int, _frame: FrameType | None) -> None:
+    def stop(number: int, _frame: FrameType | None) -> None:
         stopped.set()
+        asked_at.append(time.monotonic())
+        if asked_at[-1] - asked_at[0] > _PATIENCE_S:
+            # what is on disk is found again by the next process
+            signal.signal(number, signal.SIG_DFL)
+            signal.raise_signal(number)
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -18,6 +18,7 @@ from stream.quantities import conversion
 ALLAN_DEVIATION, ANGLE_RANDOM_WALK, BIAS_STABILITY = "allan_deviation", "angle_random_walk", "bias_stability"
 _SAME = 1e-6
 _STEPS = OVERLAP
+_EVEN = 6.0
 
 
 class DecisionLook(NamedTuple):
@@ -68,10 +69,10 @@ class _Exactly:
 class EarlyDecisions:
     """Early decisions on the limits that a run sets one signal.
 
-    Limits on the Allan deviation and on the angle random walk (at 1 s) are decided at any averaging time of at least 16
-    sample intervals, of means over a sixteenth of it; where such a mean is no whole number of samples, some hold one
-    more than others, which changes the deviation by less than 1e-3. Those on the bias stability are decided where
-    it is estimated.
+    Limits on the Allan deviation and on the angle random walk (at 1 s) are decided at any averaging time of at least 96
+    sample intervals, and at any multiple of 16, of means over a sixteenth of it; where such a mean is no whole number
+    of samples, some hold one more than others, which raises the deviation by less than 0.3 %. Shorter ones are
+    decided where they are an octave of the interval, limits on the bias stability where it is estimated.
 
     Parameters
     ----------
@@ -101,8 +102,10 @@ class EarlyDecisions:
     def update(self, batch: SampleBatch) -> None:
         """Take in the next batch of the signal."""
         for number, exactly in list(self._exactly.items()):
-            if batch.dt_ns * _STEPS > _tau_s(self._limits[number]) * 1e9 * (1.0 + _SAME):
-                del self._exactly[number]  # too short: one of the octaves, or none
+            samples = _tau_s(self._limits[number]) * 1e9 / _STEPS / batch.dt_ns
+            # means of few samples, now one more and now one less, would have another deviation
+            if samples < _EVEN and (samples < 1.0 - _SAME or abs(samples - round(samples)) > _SAME * samples):
+                del self._exactly[number]  # one of the octaves, or none
             else:
                 exactly.update(batch)
 

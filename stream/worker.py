@@ -126,6 +126,7 @@ class EstimationWorker:
         self._checked_at = time.monotonic()
         self.counts = WorkerCounts()
         self.failure: GyrofleetError | None = None
+        self.warning: str | None = None
         self._signals: dict[tuple[str, str, str], SignalAnalysis] = {}
         self._limits: dict[str, LimitsApplied] = {}
         self._positions: dict[StreamId, int] = {}
@@ -240,7 +241,10 @@ class EstimationWorker:
 
     def _save_if_due(self) -> None:
         if time.monotonic() - self._checked_at >= self._checkpoint_every_s:
-            self._save()
+            try:
+                self._save()
+            except EstimatorError as error:
+                self.warning = str(error)  # the one before still stands, and the next is tried in its turn
 
     def _save(self, *, is_last: bool = False) -> None:
         """Write a checkpoint, once what was published before it is in the log."""

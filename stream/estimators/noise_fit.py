@@ -158,12 +158,20 @@ def fit_noise(points: Sequence[EstimatePoint], *, confidence: float = 0.95) -> N
             f"{LEAST_POINTS} averaging times with a deviation above zero needed, "
             f"{len({point.tau_s for point in usable})} given"
         )
-    return _fitted(
-        np.array([point.tau_s for point in usable]),
-        np.array([point.value for point in usable]),
-        np.array([point.edf for point in usable]),
-        confidence,
-    )
+    try:
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            fit = _fitted(
+                np.array([point.tau_s for point in usable]),
+                np.array([point.value for point in usable]),
+                np.array([point.edf for point in usable]),
+                confidence,
+            )
+    except (ValueError, ArithmeticError) as error:
+        return NoEstimate(f"the curve spans more decades than can be fitted ({error}); check the source")
+    terms = [getattr(fit, term.key) for term in TERMS]
+    if not all(math.isfinite(number) for term in terms for number in (term.value, term.lo, term.hi)):
+        return NoEstimate("the curve spans more decades than can be fitted; check the source")
+    return fit
 
 
 def _is_usable(point: EstimatePoint) -> bool:
@@ -190,8 +198,8 @@ def _fitted(taus_s: FloatArray, deviations: FloatArray, edf: FloatArray, confide
         markov = Markov(
             amplitude=found.pop(MARKOV_NOISE.key),
             correlation_s=offer.correlation_s,
-            correlation_lo_s=offer.lo_s,
-            correlation_hi_s=offer.hi_s,
+            correlation_lo_s=min(offer.lo_s, offer.correlation_s),
+            correlation_hi_s=max(offer.hi_s, offer.correlation_s),
         )
     misfit = math.sqrt(float(np.mean(likelihoods[0].excess))) / 2.0
     return NoiseFit(**found, markov=markov, confidence=confidence, points=len(taus_s), misfit=misfit)

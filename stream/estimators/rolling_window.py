@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stream.batch import SampleBatch
+from stream.clock import MAX_SPAN_NS
 from stream.errors import EstimatorError
 from stream.estimators.base import Estimator, NoEstimate
 from stream.events import EstimatePoint
@@ -70,6 +71,8 @@ class RollingWindow:
                 f"a window of {window_s:g} s in steps of {step_s:g} s: it takes a whole number of steps, "
                 f"1 to {MOST_PANES:,}"
             )
+        if not 1 <= round(step_s * 1e9) <= window_s * 1e9 <= MAX_SPAN_NS:
+            raise EstimatorError(f"a window of {window_s:g} s in steps of {step_s:g} s: steps take 1 ns to 146 years")
         self._make = make
         self._panes = panes
         self._step_ns = round(step_s * 1e9)
@@ -99,6 +102,11 @@ class RollingWindow:
         """
         times_ns = np.maximum.accumulate(batch.time_array)
         if self._first_ns is None:
+            if self._step_ns < batch.dt_ns:
+                raise EstimatorError(
+                    f"run {batch.run}, unit {batch.unit}, signal {batch.signal}: steps of {self._step_ns / 1e9:g} s "
+                    f"are shorter than the sample interval of {batch.dt_ns / 1e9:g} s; take longer ones"
+                )
             self._first_ns = int(times_ns[0])
         panes = np.maximum((times_ns - self._first_ns) // self._step_ns, self._pane)
         edges = [0, *(np.flatnonzero(np.diff(panes)) + 1).tolist(), len(batch)]

@@ -71,3 +71,12 @@ def test_what_is_not_finite_is_missing_and_a_state_goes_on() -> None:
     means = np.concatenate([each.value_array for each in expected if each is not None])
     assert means[0] == pytest.approx(np.nanmean(values[:20]))
     assert len(means) == 4
+
+
+def test_blocks_of_no_whole_number_of_samples_hold_what_falls_into_them() -> None:
+    values = np.arange(100.0)
+    batch = SampleBatch("U", "rate", "r", UUID(int=1), 0, 0, 10**8, "deg/s", values=values)
+    means = BlockMeans(0.15).push(batch)
+    assert means is not None
+    expected = [values[[i for i in range(100) if b * 15 <= i * 10 < (b + 1) * 15]].mean() for b in range(66)]
+    assert means.value_array.tolist() == expected

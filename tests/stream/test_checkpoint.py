@@ -1,5 +1,6 @@
 """A worker's checkpoint: written whole, refused when damaged, gone on from to the last bit."""
 
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -167,6 +168,15 @@ def test_early_decisions_are_given_and_survive(tmp_path: Path) -> None:
     assert [(each.outcome, each.rule) for each in kept][-1] == ("PASS", "finished")
 
 
+@pytest.mark.parametrize("samples", [6.25, 6.5, 9.37, 40.1])
+def test_uneven_means_raise_the_deviation_by_less_than_three_thousandths(samples: float) -> None:
+    """White noise: the variance of a mean over 16 blocks is the mean of 1/n over them, by 16."""
+    edges = np.ceil(np.arange(17 * 50) * samples)
+    counts = np.diff(edges).reshape(-1, 1)[: 16 * 49].reshape(49, 16)
+    found = np.mean(np.sum(1.0 / counts, axis=1) / 256)
+    assert 0.0 <= np.sqrt(found * 16 * samples) - 1.0 < 0.003
+
+
 def test_a_damaged_checkpoint_is_a_named_error(tmp_path: Path) -> None:
     path = tmp_path / "c"
     assert read_checkpoint(path) is None
@@ -209,3 +219,25 @@ def test_a_deviation_between_the_octaves_is_that_of_its_averaging_time() -> None
     expected = 3600.0 * np.sqrt(overlapping_allan_variance(VALUES, 300))
     # full overlap and sixteenths share all but 0.5 % of their information; the last, unfinished block is left out
     assert point.value == pytest.approx(expected, rel=4 * np.sqrt(0.005 / (2 * point.edf)) + 1e-3)
+
+
+def test_a_checkpoint_that_cannot_be_written_is_told_and_estimating_goes_on(tmp_path: Path) -> None:
+    bus = LocalBus()
+    log = MemoryLog(bus)
+    path = tmp_path / "folder" / "c"
+    with DurablePublisher(bus) as publisher:
+        worker = EstimationWorker(bus, publisher, log=log, checkpoint=path, checkpoint_every_s=0.01)
+        path.unlink()
+        path.parent.rmdir()
+        path.parent.write_text("no folder")
+        deadline = time.monotonic() + 10
+        for start in STARTS:
+            bus.publish(KEY, encode_batch(batch(start)))
+        while worker.warning is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert "cannot be written" in str(worker.warning)
+        assert worker.failure is None
+        path.parent.unlink()
+        worker.close()
+        assert worker.counts.samples == 60_000
+        assert path.exists()

@@ -80,3 +80,11 @@ def test_windows_inside_a_gap_are_left_out_and_those_beside_it_are_right() -> No
 def test_a_window_that_steps_do_not_fill_is_refused(window_s: float, step_s: float) -> None:
     with pytest.raises(EstimatorError, match="it takes a whole number of steps, 1 to 100,000"):
         RollingWindow(AllanDeviation, window_s, step_s)
+
+
+def test_steps_that_cannot_be_taken_are_refused() -> None:
+    for window_s, step_s in ((1e-300, 1e-300), (2e10, 2e10), (4e-10, 4e-10)):
+        with pytest.raises(EstimatorError, match="steps take 1 ns to 146 years"):
+            RollingWindow(AllanDeviation, window_s, step_s)
+    with pytest.raises(EstimatorError, match=r"steps of 0.05 s are shorter than the sample interval of 0.1 s"):
+        RollingWindow(AllanDeviation, 0.1, 0.05).update(batches(np.zeros(10), 10)[0])
