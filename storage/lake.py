@@ -167,13 +167,17 @@ def build_part(store: Store, segment: Path) -> None:
     channels: dict[int, _Channel] = {}
     events: list[dict[str, object]] = []
     estimates: list[dict[str, object]] = []
+    seen: set[str] = set()
     for record in read_segment(segment):
         if record.schema == SAMPLES:
             _gather(channels, record)
         elif record.schema == EVENTS:
             message = decode_event(record.data)
             if isinstance(message.document, EstimatePublished):
-                estimates += _estimate_rows(record, message.document)
+                # two estimators of one signal say the same, under the same identity
+                if message.document.uid not in seen:
+                    estimates += _estimate_rows(record, message.document)
+                seen.add(message.document.uid)
             else:
                 events.append(_event_row(record, message))
     fresh = store.tmp / f"lake-{segment.stem}"

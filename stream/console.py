@@ -3,7 +3,6 @@
 import functools
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -97,23 +96,41 @@ def progress_bar(*, hidden: bool) -> Iterator[Progress]:
         yield progress
 
 
-@contextmanager
-def until_stopped() -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set, so that a service can end in order; asked again later, it ends at once."""
-    stopped = threading.Event()
-    asked_at: list[float] = []
+class Stop:
+    """Whether the process was asked to stop.
 
-    def stop(number: int, _frame: FrameType | None) -> None:
-        stopped.set()
-        asked_at.append(time.monotonic())
-        if asked_at[-1] - asked_at[0] > _PATIENCE_S:
+    Not a `threading.Event`: a signal handler that sets one can come while the main thread holds its lock, and then
+    waits for itself.
+    """
+
+    def __init__(self) -> None:
+        self.asked_at: float | None = None
+
+    def wait(self, seconds: float) -> bool:
+        """Wait so long, or until asked; whether it was."""
+        until = time.monotonic() + seconds
+        while self.asked_at is None and (left_s := until - time.monotonic()) > 0.0:
+            time.sleep(min(left_s, 0.05))
+        return self.asked_at is not None
+
+
+@contextmanager
+def until_stopped() -> Iterator[Stop]:
+    """Let SIGINT and SIGTERM ask a service to end in order; asked again some seconds later, it ends at once."""
+    stop = Stop()
+
+    def ask(number: int, _frame: FrameType | None) -> None:
+        now = time.monotonic()
+        if stop.asked_at is None:
+            stop.asked_at = now
+        elif now - stop.asked_at > _PATIENCE_S:
             # what is on disk is found again by the next process
             signal.signal(number, signal.SIG_DFL)
             signal.raise_signal(number)
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield stopped
+        yield stop
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
