@@ -1,5 +1,6 @@
 """The command `gyrofleet allan`: deviations of a recorded signal, its noise coefficients, how they change with time."""
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -97,7 +98,7 @@ def allan(
         _rolling(folder, (unit, signal, run), (window_h, step_h), int(points_per_octave), plot_path, as_json=as_json)
         return
     limits = () if limits_path is None else read_limits(limits_path).limits
-    with Catalog(Store.open(folder)) as catalog:
+    with _working(as_json=as_json), Catalog(Store.open(folder)) as catalog:
 
         def curve_of(unit: str, run: str | None) -> "AllanCurve":
             return allan_curve(
@@ -123,6 +124,10 @@ def allan(
     _show(curve, found, as_json=as_json)
     if plot_path is not None and not as_json:
         notes().print(f"plot: {plot_path}")
+
+
+def _working(*, as_json: bool) -> AbstractContextManager[object]:
+    return nullcontext() if as_json else notes().status("evaluating (some seconds longer the first time)")
 
 
 def _show(curve: "AllanCurve", found: "NoiseCoefficients | NoEstimate | None", *, as_json: bool) -> None:
@@ -154,7 +159,7 @@ def _rolling(
     from storage.store import Store
 
     window_h, step_h = hours
-    with Catalog(Store.open(folder)) as catalog:
+    with _working(as_json=as_json), Catalog(Store.open(folder)) as catalog:
         surface = rolling_allan(
             catalog,
             *which,

@@ -9,13 +9,14 @@ import numpy.typing as npt
 from numba import njit
 
 from stream.batch import FloatArray, IntArray
+from stream.estimators.kernel_part import kernel_part
 from stream.estimators.prefix_kernel import Record
 
 SUM_ROW, COUNT_ROW, WITHIN, BLOCK = 0, 1, 2, 3
 _VIEWS = 4
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def _lay(
     record: Record, first: int, stop: int, factor: int, windows: int, place: IntArray, base: FloatArray, held: IntArray
 ) -> int:
@@ -40,7 +41,7 @@ def _lay(
     return length
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def _is_full(record: Record, place: IntArray, windows: int, length: int, factor: int) -> bool:
     """Whether no slot is missing in any of the windows while they move on by `length`."""
     last = place[windows, WITHIN] + length - 1
@@ -50,7 +51,7 @@ def _is_full(record: Record, place: IntArray, windows: int, length: int, factor:
     return bool(held == length - 1 + windows * factor)
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def _full_base(record: Record, place: IntArray, base: FloatArray, weights: FloatArray) -> float:
     """What the blocks add to a difference of full windows, and the mean's part within the blocks, always the same."""
     total = 0.0
@@ -61,7 +62,7 @@ def _full_base(record: Record, place: IntArray, base: FloatArray, weights: Float
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def _means(
     early: FloatArray,
     late: FloatArray,
@@ -81,7 +82,7 @@ def _means(
         out[i] = total / count if count >= needed else np.nan
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def _all_means(
     record: Record, place: IntArray, base: FloatArray, held: IntArray, length: int, needed: float, out: FloatArray
 ) -> None:
@@ -101,13 +102,13 @@ def _all_means(
         )
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def _view(record: Record, place: IntArray, j: int, length: int) -> FloatArray:
     start = place[j, WITHIN]
     return record.sums[place[j, SUM_ROW], start : start + length]
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@kernel_part("reassoc", "contract")
 def _sums_of_second(a: FloatArray, b: FloatArray, c: FloatArray, base: float) -> tuple[float, float]:
     """Sum of the second differences, and of their squares."""
     total = squares = 0.0
@@ -118,7 +119,7 @@ def _sums_of_second(a: FloatArray, b: FloatArray, c: FloatArray, base: float) ->
     return total, squares
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@kernel_part("reassoc", "contract")
 def _squares_of_third(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, base: float) -> float:
     squares = 0.0
     for i in range(a.shape[0]):
@@ -127,7 +128,7 @@ def _squares_of_third(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray
     return squares
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@kernel_part("reassoc", "contract")
 def _sums_with_gaps(
     means: FloatArray, weights: FloatArray, length: int, step: int, factor: float
 ) -> tuple[float, float, int]:
@@ -209,7 +210,7 @@ def differences(
     return total, squares, found
 
 
-@njit(cache=True, nogil=True)
+@kernel_part()
 def _run_full(
     a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, base: float, total: float, scale: float
 ) -> tuple[float, float]:
