@@ -1,5 +1,6 @@
 """Commands of what comes in: `gyrofleet import`."""
 
+import shlex
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -8,8 +9,18 @@ from typing import TYPE_CHECKING
 import click
 from rich.table import Table
 
-from stream.console import compile_kernels, notes, print_json, progress_bar, reporting, results, store_option
+from stream.console import (
+    DEFAULT_STORE,
+    compile_kernels,
+    notes,
+    print_json,
+    progress_bar,
+    reporting,
+    results,
+    store_option,
+)
 from stream.errors import BadInput
+from stream.quantities import is_angular_rate
 
 if TYPE_CHECKING:
     from ingest.importer import FileImport
@@ -99,6 +110,7 @@ def import_files(
     else:
         for each in imported:
             _tell(each, folder)
+        _tell_next(imported[-1], folder)
 
 
 def _moment_ns(text: str) -> int:
@@ -134,6 +146,18 @@ def _tell(imported: "FileImport", folder: Path) -> None:
         )
     results().print(table)
     results().print(_conclusion(imported, folder))
+
+
+def _tell_next(imported: "FileImport", folder: Path) -> None:
+    """What to ask of the last file, in words that can be copied."""
+    here = [signal for signal in imported.signals if signal.in_lake is not None]
+    if not here:
+        return
+    signal = next((each for each in here if is_angular_rate(each.unit_of_measure)), here[0])
+    which = f"--unit {shlex.quote(signal.unit)} --signal {shlex.quote(signal.signal)} --run {shlex.quote(signal.run)}"
+    store = "" if str(folder) == DEFAULT_STORE else f" --store {shlex.quote(str(folder))}"
+    fit = " --fit" if is_angular_rate(signal.unit_of_measure) else ""
+    notes().print(f"Ask it: gyrofleet allan {which}{fit}{store}", soft_wrap=True, markup=False)
 
 
 def _conclusion(imported: "FileImport", folder: Path) -> str:

@@ -1,6 +1,7 @@
 """Importing as a user does: counted to the last sample, repeated without harm, refused without a trace."""
 
 import hashlib
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -220,3 +221,13 @@ def test_the_interval_of_rounded_times_is_not_that_of_the_rounding(
     curve = gyrofleet("allan", "--unit", "U1", "--signal", "rate", "--json").json
     assert (curve["samples"], curve["missing"]) == (20_000, 0)
     assert curve["tau_s"][0] == pytest.approx(1 / 102.4, rel=1e-5)
+
+
+def test_it_ends_with_what_to_ask_next(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:
+    path = tmp_path / "a(day).csv"
+    path.write_text("time[s],temperature[degC],rate[deg/s]\n" + "".join(f"{i / 10},20,{i % 7}\n" for i in range(200)))
+    done = gyrofleet("import", path, "--unit", "FOG-1", "--store", "s")
+    assert done.code == 0
+    asked = done.err.splitlines()[-1]
+    assert asked == "Ask it: gyrofleet allan --unit FOG-1 --signal rate --run 'a(day)' --fit --store s"
+    assert gyrofleet(*shlex.split(asked)[3:]).code == 0
