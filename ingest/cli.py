@@ -20,7 +20,6 @@ from stream.console import (
     store_option,
 )
 from stream.errors import BadInput
-from stream.quantities import is_angular_rate
 
 if TYPE_CHECKING:
     from ingest.importer import FileImport
@@ -150,6 +149,8 @@ def _tell(imported: "FileImport", folder: Path) -> None:
 
 def _tell_next(imported: "FileImport", folder: Path) -> None:
     """What to ask of the last file, in words that can be copied."""
+    from stream.quantities import is_angular_rate
+
     here = [signal for signal in imported.signals if signal.in_lake is not None]
     if not here:
         return
