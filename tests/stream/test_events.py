@@ -14,6 +14,9 @@ from stream.events import AnyDocument, EstimatePoint, EstimatePublished, StepSta
 KINDS = typing.get_args(AnyDocument)
 text = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 numbers = st.floats(allow_nan=False, allow_infinity=False)
+LIMITS = st.builds(
+    events.Limit, characteristic=text, signal=text, tau_s=st.none() | numbers, upper=numbers, unit_of_measure=text
+)
 
 
 def of(kind: type) -> st.SearchStrategy[typing.Any]:
@@ -24,6 +27,7 @@ def of(kind: type) -> st.SearchStrategy[typing.Any]:
         bool: st.booleans(),
         float: numbers,
         str | None: st.none() | text,
+        float | None: st.none() | numbers,
     }
     fields = {field.name: by_type[field.type] for field in msgspec.structs.fields(kind) if field.type in by_type}
     nested: dict[type, dict[str, st.SearchStrategy[typing.Any]]] = {
@@ -42,7 +46,11 @@ def of(kind: type) -> st.SearchStrategy[typing.Any]:
                 max_size=3,
             ).map(tuple)
         },
-        events.LimitsApplied: {"limits": st.just(())},
+        events.LimitsApplied: {"limits": st.lists(LIMITS, max_size=3).map(tuple)},
+        events.EarlyDecision: {"limit": LIMITS, "error_probability": st.none() | numbers},
+        events.SpectralLinesFound: {
+            "lines": st.none() | st.lists(st.dictionaries(text, numbers, max_size=3), max_size=3).map(tuple)
+        },
         events.VerdictGiven: {"verdict": st.sampled_from(events.Verdict)},
     }
     return st.builds(kind, **fields, **nested.get(kind, {}))
