@@ -47,7 +47,7 @@ def of(kind: type) -> st.SearchStrategy[typing.Any]:
             ).map(tuple)
         },
         events.LimitsApplied: {"limits": st.lists(LIMITS, max_size=3).map(tuple)},
-        events.EarlyDecision: {"limit": LIMITS, "error_probability": st.none() | numbers},
+        events.EarlyDecision: {"limit": LIMITS},
         events.SpectralLinesFound: {
             "lines": st.none() | st.lists(st.dictionaries(text, numbers, max_size=3), max_size=3).map(tuple)
         },
