@@ -16,7 +16,7 @@ from stream.errors import BadInput, NotFound
 from stream.estimators.base import NoEstimate
 from stream.estimators.confidence import deviation_limits
 from stream.estimators.spectral_density import FEWEST_SAMPLES, FIRST_BIN, SpectralDensity
-from stream.estimators.spectral_lines import GUARD_BINS, REACH_BINS, Line, background_edf, hann_response
+from stream.estimators.spectral_lines import GUARD_BINS, Line, background_edf, hann_response
 
 CONFIDENCE = 0.95
 FALSE_ALARM_PROBABILITY = 0.01
@@ -232,7 +232,7 @@ def _result(record: SignalRecord, spectral: SpectralDensity) -> SignalSpectrum:
         raise NotFound(
             f"unit {record.unit}, signal {record.signal}, run {record.run}: no power spectral density: {reason}"
         )
-    width_hz = 1.0 / (spectral.segment_samples * spectral.sample_interval_s)
+    lo_hz, hi_hz = spectral.searched_hz
     return SignalSpectrum(
         unit=record.unit,
         signal=record.signal,
@@ -251,10 +251,10 @@ def _result(record: SignalRecord, spectral: SpectralDensity) -> SignalSpectrum:
         segments=spectrum.segments,
         segments_left_out=spectral.segments_left_out,
         segment_samples=spectral.segment_samples,
-        bin_width_hz=width_hz,
+        bin_width_hz=spectral.bin_width_hz,
         false_alarm_probability=FALSE_ALARM_PROBABILITY,
-        searched_lo_hz=(FIRST_BIN + REACH_BINS) * width_hz,
-        searched_hi_hz=(spectral.segment_samples // 2 - 1 - REACH_BINS) * width_hz,
+        searched_lo_hz=lo_hz,
+        searched_hi_hz=hi_hz,
         lines=lines,
     )
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 from uuid import UUID
 
 import numpy as np
@@ -15,6 +16,8 @@ FloatArray = npt.NDArray[np.float64]
 CountArray = npt.NDArray[np.int32]
 FlagArray = npt.NDArray[np.uint8]
 BoolArray = npt.NDArray[np.bool_]
+
+Number = TypeVar("Number", np.float64, np.int64)
 
 INT64_MAX = np.iinfo(np.int64).max
 
@@ -146,9 +149,8 @@ class SampleBatch:
 
     @cached_property
     def own_values(self) -> FloatArray:
-        """The values as a contiguous array that may be written: a copy where theirs is not, as off the wire."""
-        values = self.value_array
-        return values if values.flags.c_contiguous and values.flags.writeable else values.copy()
+        """The values as machine code takes them, see `writable`."""
+        return writable(self.value_array)
 
     @cached_property
     def finite(self) -> int:
@@ -169,6 +171,15 @@ class SampleBatch:
             return self.values
         assert self.counts is not None
         return np.asarray(self.counts * self.scale + self.offset, np.float64)
+
+
+def writable(array: npt.NDArray[Number]) -> npt.NDArray[Number]:
+    """The array, copied unless it is contiguous and writeable.
+
+    Arrays off the wire are read-only, which numba takes for another type and would compile its code for once more.
+    """
+    flags = array.flags
+    return array if flags.c_contiguous and flags.writeable else array.copy()
 
 
 @njit(cache=True, nogil=True)

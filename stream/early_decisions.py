@@ -104,10 +104,15 @@ class EarlyDecisions:
         for number, exactly in list(self._exactly.items()):
             samples = _tau_s(self._limits[number]) * 1e9 / _STEPS / batch.dt_ns
             # means of few samples, now one more and now one less, would have another deviation
-            if samples < _EVEN and (samples < 1.0 - _SAME or abs(samples - round(samples)) > _SAME * samples):
-                del self._exactly[number]  # one of the octaves, or none
+            is_uneven = samples < 1.0 - _SAME or abs(samples - round(samples)) > _SAME * samples
+            if (samples < _EVEN and is_uneven) or self._decided(number) is not None:
+                del self._exactly[number]  # it is one of the octaves, or none; or nothing is left to be known
             else:
                 exactly.update(batch)
+
+    def _decided(self, number: int) -> Decision | None:
+        test = self._tests.get(number)
+        return None if test is None else test.decision
 
     def look(self, elapsed_s: float, estimates: Mapping[str, EstimatePublished]) -> list[DecisionLook]:
         """Hold the estimates after `elapsed_s` against each limit; estimates by the key of their estimator."""
@@ -119,6 +124,9 @@ class EarlyDecisions:
     def _look(
         self, number: int, limit: Limit, elapsed_s: float, estimates: Mapping[str, EstimatePublished]
     ) -> Decision:
+        decided = self._decided(number)
+        if decided is not None:
+            return decided
         tau_s = _tau_s(limit)
         key = ALLAN_DEVIATION if _is_allan(limit) else f"{BIAS_STABILITY}_{tau_s:g}s"
         estimate = estimates.get(key)

@@ -14,8 +14,7 @@ from stream.estimators.base import Estimator, NoEstimate
 from stream.estimators.follower import Follower
 from stream.estimators.noise_fit import fit_noise
 from stream.estimators.snapshot import restore, take_snapshot
-from stream.estimators.spectral_density import FIRST_BIN, SpectralDensity
-from stream.estimators.spectral_lines import REACH_BINS
+from stream.estimators.spectral_density import SpectralDensity
 from stream.events import (
     AnyDocument,
     EstimatePublished,
@@ -178,15 +177,14 @@ class SignalAnalysis:
         lines = NoEstimate(self.refusal) if self.refusal else spectral.lines()
         if isinstance(lines, NoEstimate):
             return SpectralLinesFound(**head, lines=None, reason=lines.reason)
-        bin_width_hz = 1.0 / (spectral.segment_samples * spectral.sample_interval_s)
-        first, last = FIRST_BIN + REACH_BINS, spectral.segment_samples // 2 - 1 - REACH_BINS
+        lo_hz, hi_hz = spectral.searched_hz
         return SpectralLinesFound(
             **head,
             unit_of_measure=spectral.unit_of_measure,
             lines=tuple(msgspec.to_builtins(line) for line in lines),
-            searched_lo_hz=first * bin_width_hz,
-            searched_hi_hz=last * bin_width_hz,
-            bin_width_hz=bin_width_hz,
+            searched_lo_hz=lo_hz,
+            searched_hi_hz=hi_hz,
+            bin_width_hz=spectral.bin_width_hz,
             segments=spectral.segments,
         )
 

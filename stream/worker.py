@@ -130,8 +130,9 @@ class EstimationWorker:
         self._signals: dict[tuple[str, str, str], SignalAnalysis] = {}
         self._limits: dict[str, LimitsApplied] = {}
         self._positions: dict[StreamId, int] = {}
-        # documents that wait until it is known which of them are in the log already
+        # while the log is read: documents that wait until it is known which of them it holds already, and those
         self._held: list[tuple[str, AnyDocument]] | None = None
+        self._known: set[str] = set()
         self.resumed = self._resume()
         self._incoming: deque[tuple[str, bytes]] = deque()
         self._incoming_bytes = 0
@@ -274,18 +275,14 @@ class EstimationWorker:
     def _recall(self) -> None:
         """Take in what the log holds beyond what was seen; documents that it holds as well are not sent again."""
         assert self._log is not None
-        held: list[tuple[str, AnyDocument]] = []
-        known: set[str] = set()
-        self._held = held
+        self._held, self._known = [], set()
         before = self.counts.samples
         for message in self._log.since(dict(self._positions)):
-            if "/estimate/" in message.stream.key:
-                known.add(decode_event(message.payload).document.uid)
             self._take(message.stream.key, message.payload)
-        self._held = None
+        held, self._held = self._held, None
         self.counts.recalled += self.counts.samples - before
         for key, document in held:
-            if document.uid not in known:
+            if document.uid not in self._known:
                 self._send(key, document)
 
     def _take(self, key: str, payload: bytes) -> None:
@@ -300,9 +297,11 @@ class EstimationWorker:
         except GyrofleetError:
             self.counts.rejected += 1  # the recorder keeps it aside and reports it
             return
-        if first > self._positions.get(stream, first) and self._held is None:
+        # with a log it is known which streams were there before; without, one may be joined in its middle
+        unknown = first if self._log is None else 0
+        if first > self._positions.get(stream, unknown) and self._held is None:
             self._fill(stream, first)
-        expected = self._positions.get(stream, first)
+        expected = self._positions.get(stream, unknown)
         if first < expected:
             if isinstance(parsed, SampleKey):
                 self.counts.duplicates += 1
@@ -313,6 +312,8 @@ class EstimationWorker:
             self._update(parsed.place, batch)
         elif isinstance(parsed, EventKey):
             self._follow(parsed.place, message.document)
+        elif self._held is not None:
+            self._known.add(message.document.uid)
 
     def _fill(self, stream: StreamId, first: int) -> None:
         """Read from the log what is missing before number `first` of a stream."""

@@ -18,7 +18,6 @@ from stream.estimators.follower import (
     NoEstimate,
     contiguous_runs,
     first_finite,
-    for_kernel,
 )
 from stream.events import EstimatePoint
 
@@ -33,7 +32,6 @@ __all__ = [
     "estimator_classes",
     "first_finite",
     "follower_classes",
-    "for_kernel",
     "warm_up",
 ]
 

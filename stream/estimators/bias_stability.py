@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from stream.batch import FloatArray, SampleBatch
+from stream.batch import FloatArray, SampleBatch, writable
 from stream.clock import Piece
 from stream.errors import EstimatorError
 from stream.estimators.averages_kernel import (
@@ -26,7 +26,7 @@ from stream.estimators.averages_kernel import (
     first_slot_of,
     merge_averages,
 )
-from stream.estimators.base import Estimator, NoEstimate, first_finite, for_kernel
+from stream.estimators.base import Estimator, NoEstimate, first_finite
 from stream.estimators.confidence import deviation_limits
 from stream.estimators.raw_averages_kernel import take_samples
 from stream.events import EstimatePoint
@@ -129,7 +129,7 @@ class BiasStability(Estimator):
 
     def _take_timed(self, batch: SampleBatch, pieces: list[Piece]) -> None:
         tracker = self._tracker
-        times_ns, values = for_kernel(batch.time_array), for_kernel(batch.value_array)
+        times_ns, values = writable(batch.time_array), batch.own_values
         for _, start, stop in pieces:
             self._refer_to(values[start:stop])
             average_times(

@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, Self
 
 import msgspec
 import numpy as np
@@ -15,8 +15,6 @@ from stream.errors import EstimatorError
 from stream.quantities import report_unit
 
 _JOINED_SPAN = 8
-
-Number = TypeVar("Number", np.float64, np.int64)
 
 
 class NoEstimate(msgspec.Struct, frozen=True):
@@ -254,15 +252,6 @@ def contiguous_runs(batch: SampleBatch, pieces: list[Piece]) -> list[tuple[int, 
     for slot, start, stop in pieces:
         joined[slot - origin : slot - origin + stop - start] = values[start:stop]
     return [(origin, joined)]
-
-
-def for_kernel(array: npt.NDArray[Number]) -> npt.NDArray[Number]:
-    """The array, copied unless it is contiguous and writeable.
-
-    Arrays off the wire are read-only, which numba takes for another type and would compile its code for once more.
-    """
-    flags = array.flags
-    return array if flags.c_contiguous and flags.writeable else array.copy()
 
 
 def first_finite(values: FloatArray) -> float:

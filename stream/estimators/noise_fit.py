@@ -158,20 +158,12 @@ def fit_noise(points: Sequence[EstimatePoint], *, confidence: float = 0.95) -> N
             f"{LEAST_POINTS} averaging times with a deviation above zero needed, "
             f"{len({point.tau_s for point in usable})} given"
         )
-    try:
-        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            fit = _fitted(
-                np.array([point.tau_s for point in usable]),
-                np.array([point.value for point in usable]),
-                np.array([point.edf for point in usable]),
-                confidence,
-            )
-    except (ValueError, ArithmeticError) as error:
-        return NoEstimate(f"the curve spans more decades than can be fitted ({error}); check the source")
-    terms = [getattr(fit, term.key) for term in TERMS]
-    if not all(math.isfinite(number) for term in terms for number in (term.value, term.lo, term.hi)):
-        return NoEstimate("the curve spans more decades than can be fitted; check the source")
-    return fit
+    return _fitted(
+        np.array([point.tau_s for point in usable]),
+        np.array([point.value for point in usable]),
+        np.array([point.edf for point in usable]),
+        confidence,
+    )
 
 
 def _is_usable(point: EstimatePoint) -> bool:

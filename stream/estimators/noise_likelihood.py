@@ -11,7 +11,7 @@ _MOST_ROUNDS = 50
 _TOLERANCE = 1e-8
 _ROOT_TOLERANCE = 1e-6
 _NEGLIGIBLE = 1e-9
-_LEAST_MODEL = 1e-200
+_LEAST_MODEL = 1e-100
 _MOST_EXPONENT = 100.0
 
 
@@ -90,8 +90,9 @@ class CurveLikelihood:
         )
 
     def deviance(self, model: FloatArray) -> float:
-        """D of a model, given relative to the curve."""
-        return float(np.sum(self.degrees * (1.0 / model - 1.0 + np.log(model))))
+        """D of a model, given relative to the curve; infinite for one too far from it."""
+        with np.errstate(over="ignore"):
+            return float(np.sum(self.degrees * (1.0 / model - 1.0 + np.log(model))))
 
     def constant(self) -> float:
         """What twice the negative log likelihood has beside D: it tells apart degrees of freedom."""
@@ -122,7 +123,7 @@ class CurveLikelihood:
 
     def _descend(self, theta: FloatArray, free: npt.NDArray[np.bool_]) -> tuple[FloatArray, float]:
         fixed = self.columns[:, ~free] @ theta[~free]
-        model = self.columns @ theta
+        model = np.maximum(self.columns @ theta, _LEAST_MODEL)
         least = self.deviance(model)
         for _ in range(_MOST_ROUNDS):
             step = np.zeros_like(theta)
@@ -146,6 +147,7 @@ class CurveLikelihood:
         weights = np.sqrt(self.degrees) / model
         weighted: FloatArray = self.columns[:, free] * weights[:, np.newaxis]
         norms = np.sqrt(np.einsum("ij,ij->j", weighted, weighted))
+        norms[norms == 0.0] = 1.0  # a term so far below the others that its squares vanish stays 0
         found: FloatArray = nnls(weighted / norms, (1.0 - fixed) * weights, maxiter=1000)[0]
         scaled: FloatArray = found / norms
         return scaled

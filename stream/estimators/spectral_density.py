@@ -11,7 +11,7 @@ from stream.batch import FloatArray
 from stream.errors import EstimatorError
 from stream.estimators.confidence import deviation_limits
 from stream.estimators.follower import Follower, NoEstimate, first_finite
-from stream.estimators.spectral_lines import Line, Spectrum, WelchAverage, find_lines, welch_edf
+from stream.estimators.spectral_lines import REACH_BINS, Line, Spectrum, WelchAverage, find_lines, welch_edf
 from stream.estimators.spectral_segments import (
     PAIRS,
     SEGMENTS,
@@ -111,6 +111,17 @@ class SpectralDensity(Follower):
         first = -(-int(self._state.places[START]) // half)
         return max(0, ended - first) - self.segments
 
+    @property
+    def bin_width_hz(self) -> float:
+        """Distance of neighbouring bins, Hz; from the first batch on."""
+        return 1.0 / (self.segment_samples * self.sample_interval_s)
+
+    @property
+    def searched_hz(self) -> tuple[float, float]:
+        """From and up to where `lines` searches, Hz: the bins that have neighbours on both sides."""
+        last = self.segment_samples // 2 - 1 - REACH_BINS
+        return (FIRST_BIN + REACH_BINS) * self.bin_width_hz, last * self.bin_width_hz
+
     def _take_run(self, first_slot: int, values: FloatArray) -> None:
         if self._tracker.irregular:
             return
@@ -200,11 +211,10 @@ class SpectralDensity(Follower):
             is_finite = bool(np.isfinite(density.sum() * widest**2))
         if not is_finite:
             return NoEstimate(f"unit {unit}, signal {signal}: values too large to be squared; check the source")
-        bin_width_hz = 1.0 / (self.segment_samples * self.sample_interval_s)
         return WelchAverage(
             density=density,
             first_bin=FIRST_BIN,
-            bin_width_hz=bin_width_hz,
+            bin_width_hz=self.bin_width_hz,
             segments=self.segments,
             pairs=pairs,
         )

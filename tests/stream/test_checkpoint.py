@@ -145,6 +145,14 @@ def test_what_came_while_nobody_listened_is_read_in_the_log(tmp_path: Path) -> N
     assert sum(worker.counts.recalled for worker in workers) >= 5 * 500
 
 
+def test_a_run_whose_first_samples_came_only_to_the_log_is_begun_at_its_beginning(tmp_path: Path) -> None:
+    whole, _ = run(None, [STARTS])
+    found, (worker,) = run(tmp_path / "c", [STARTS], deaf=frozenset(STARTS[:3]))
+    assert sorted_documents(found) == sorted_documents(whole)
+    assert worker.counts.lost == 0
+    assert worker.counts.recalled >= 3 * 500
+
+
 def test_early_decisions_are_given_and_survive(tmp_path: Path) -> None:
     found, _ = run(tmp_path / "c", [STARTS[:60], STARTS[60:]])
     looks = [each for each in found if isinstance(each, EarlyDecision)]
