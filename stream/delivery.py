@@ -39,20 +39,24 @@ class StreamPosition(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Acknowledgement(msgspec.Struct, frozen=True, array_like=True):
-    """Positions of the streams that moved since the last acknowledgement, and the store that holds them."""
+    """Positions of the streams that moved since the last acknowledgement, and the store that holds them.
+
+    `paused` says why the recorder takes nothing at the moment; it is empty while it records.
+    """
 
     schema: int
     store: str
     positions: tuple[StreamPosition, ...]
+    paused: str = ""
 
 
 ACKNOWLEDGEMENT_SCHEMA = 1
 _decoder = msgspec.msgpack.Decoder(Acknowledgement)
 
 
-def encode_acknowledgement(store: str, positions: tuple[StreamPosition, ...]) -> bytes:
+def encode_acknowledgement(store: str, positions: tuple[StreamPosition, ...], paused: str = "") -> bytes:
     """Put positions into their wire form."""
-    return msgspec.msgpack.encode(Acknowledgement(ACKNOWLEDGEMENT_SCHEMA, store, positions))
+    return msgspec.msgpack.encode(Acknowledgement(ACKNOWLEDGEMENT_SCHEMA, store, positions, paused))
 
 
 def decode_acknowledgement(payload: bytes) -> Acknowledgement:

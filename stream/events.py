@@ -241,6 +241,17 @@ class RunResumed(Document, frozen=True, kw_only=True, tag=True):
     reason: str = ""
 
 
+class StoreNoted(Document, frozen=True, kw_only=True, tag=True):
+    """Something that a store did or suffered: what it was in one word, in a sentence, and in numbers.
+
+    It belongs to no run; `run` is empty.
+    """
+
+    what: str
+    text: str
+    details: dict[str, Any] = {}
+
+
 class StreamTotal(msgspec.Struct, frozen=True, kw_only=True):
     """How many samples of one signal and epoch were sent in all."""
 
@@ -272,6 +283,7 @@ AnyDocument = (
     | VerdictGiven
     | ModelActivated
     | RunResumed
+    | StoreNoted
     | RunEnded
 )
 
