@@ -6,8 +6,13 @@ from analytics.allan_cli import allan
 from analytics.cli import demo
 from analytics.spectrum_cli import spectrum
 from ingest.cli import import_files
-from storage.cli import record, sql
+from ingest.replay_cli import replay
+from ingest.run_cli import run
+from storage.cli import sql
 from storage.estimate_cli import estimate
+from storage.lake_cli import lake, rebuild, retain
+from storage.record_cli import record, router
+from storage.verify_cli import recover, verify
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -16,7 +21,23 @@ def main() -> None:
     """Screen many gyroscopes for hours or weeks: record, estimate while it flows, ask in SQL."""
 
 
-for command in (demo, import_files, record, estimate, sql, allan, spectrum):
+for command in (
+    demo,
+    import_files,
+    run,
+    record,
+    router,
+    estimate,
+    replay,
+    lake,
+    rebuild,
+    retain,
+    verify,
+    recover,
+    sql,
+    allan,
+    spectrum,
+):
     main.add_command(command)
 
 if __name__ == "__main__":

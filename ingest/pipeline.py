@@ -3,15 +3,20 @@
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from types import TracebackType
 from typing import Self
 
-from storage.event_log import EventLog, Recovery
+from storage.event_log import EventLog
+from storage.log_tail import LogTail
 from storage.recorder import Recorder
+from storage.recovery import Recovery
 from storage.store import Store, WriterLock
 from stream.batch import SampleBatch
+from stream.console import notes
 from stream.delivery import DurablePublisher
 from stream.errors import GyrofleetError
 from stream.events import AnyDocument
+from stream.spool import Spool
 from stream.worker import EstimationWorker
 from stream.zenoh_bus import ZenohBus
 
@@ -36,6 +41,10 @@ class EmbeddedPipeline:
         Payload after which a segment of the log is sealed.
     on_document : callable, optional
         Called with every estimate and decision, in the worker's thread.
+    on_warning : callable, optional
+        Called with what the recorder warns of, such as a full disk, for which it waits; by default it is printed.
+    spool : Spool, optional
+        Keeps on disk what the source sends; what it holds from before is sent first.
 
     Raises
     ------
@@ -52,6 +61,8 @@ class EmbeddedPipeline:
         listen: Sequence[str] = (),
         rotate_bytes: int = EMBEDDED_ROTATE_BYTES,
         on_document: Callable[[AnyDocument], None] | None = None,
+        on_warning: Callable[[str], None] | None = None,
+        spool: Spool | None = None,
     ) -> None:
         with ExitStack() as stack:
             self.store = Store.create(folder)
@@ -59,16 +70,29 @@ class EmbeddedPipeline:
             log = EventLog(self.store, rotate_bytes=rotate_bytes)
             self.recovered: list[Recovery] = log.recovered
             bus = stack.enter_context(ZenohBus(listen=listen))
-            publishers = [stack.enter_context(DurablePublisher(bus)) for _ in range(2)]
+            self._estimates = stack.enter_context(DurablePublisher(bus))
+            publishers = [self._estimates]
 
             def give_up(failure: GyrofleetError) -> None:
                 for publisher in publishers:
                     publisher.fail(str(failure))
 
-            self._publisher, self._estimates = publishers
             # the worker listens first: what the recorder acknowledges, the worker has
-            self.worker = EstimationWorker(bus, self._estimates, every_s=estimate_every_s, on_document=on_document)
-            self.recorder = stack.enter_context(Recorder(self.store, bus, log, on_failure=give_up))
+            self.worker = EstimationWorker(
+                bus,
+                self._estimates,
+                every_s=estimate_every_s,
+                on_document=on_document,
+                log=LogTail(self.store),  # a run that was begun before is estimated from its beginning
+            )
+            self.recorder = stack.enter_context(
+                Recorder(self.store, bus, log, on_warning=on_warning or _print, on_failure=give_up)
+            )
+            # the source comes last: with a spool it sends at once
+            self.publisher = stack.enter_context(DurablePublisher(bus, spool=spool))
+            publishers.append(self.publisher)
+            if self.recorder.failure is not None:
+                give_up(self.recorder.failure)
             self._stack = stack.pop_all()
 
     def send_batch(self, key: str, batch: SampleBatch) -> None:
@@ -80,11 +104,11 @@ class EmbeddedPipeline:
             If nothing is acknowledged for a minute.
         """
         self.worker.wait_for_room()
-        self._publisher.send_batch(key, batch)
+        self.publisher.send_batch(key, batch)
 
     def send_event(self, key: str, document: AnyDocument) -> None:
         """Send a run document; waits and raises like `send_batch`."""
-        self._publisher.send_event(key, document)
+        self.publisher.send_event(key, document)
 
     def complete_estimates(self) -> None:
         """Wait until everything sent is in the log and the estimates of the runs that have ended are published.
@@ -94,7 +118,7 @@ class EmbeddedPipeline:
         GyrofleetError
             If any part failed.
         """
-        self._publisher.drain()
+        self.publisher.drain()
         self.worker.close()
         self._estimates.drain()
 
@@ -107,11 +131,17 @@ class EmbeddedPipeline:
             If any part failed.
         """
         self.complete_estimates()
-        self._publisher.drain()
+        self.publisher.drain()
         self.recorder.close()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, traceback)
+
+
+def _print(warning: str) -> None:
+    notes().print(f"warning: {warning}", soft_wrap=True, markup=False)

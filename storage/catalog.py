@@ -1,24 +1,19 @@
 """SQL over a store: DuckDB views on the lake, for reading only."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from importlib.resources import files
 from typing import Any
 
 import duckdb
 import pyarrow as pa
 
-from storage.lake import REMAKE, TABLES, parts
+from storage.lake_manifest import Part, read_manifest
+from storage.lake_tables import TABLES
 from storage.store import Store
 from stream.errors import QueryError, StoreError
 
-VIEWS = ("samples", "signals", "runs", "steps", "estimates", "events")
+VIEWS = ("samples", "signals", "runs", "steps", "estimates", "events", "rollup_1s", "rollup_10s", "clocks")
 
-_SOURCES = {
-    "samples": "lake_samples",
-    "channels": "lake_channel_parts",
-    "events": "lake_events",
-    "estimates": "lake_estimates",
-}
 _READING = {duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN}
 _SQL_TYPES = {
     pa.int64(): "bigint",
@@ -31,7 +26,7 @@ _SQL_TYPES = {
 
 
 class Catalog:
-    """The views of a store: ``samples``, ``signals``, ``runs``, ``steps``, ``estimates``, ``events``.
+    """The views of a store: ``samples``, ``signals``, ``runs``, ``steps``, ``estimates``, ``events``, and others.
 
     It sees what has reached the lake when it is opened.
 
@@ -39,6 +34,11 @@ class Catalog:
     ----------
     store : Store
         Which store.
+
+    Attributes
+    ----------
+    parts : tuple of Part
+        Parts of the lake that it sees, in the order of their segments.
 
     Raises
     ------
@@ -50,27 +50,40 @@ class Catalog:
         self.store = store
         self._connection = duckdb.connect()
         self._connection.execute("set timezone = 'UTC'")
-        folders = parts(store)
-        for table, source in _SOURCES.items():
-            self._attach(source, table, [str(folder / f"{table}.parquet") for folder in folders])
+        self.parts = read_manifest(store).parts
+        for table in ("samples", "events", "estimates", "rollup_1s", "rollup_10s", "clocks"):
+            self._attach(f"lake_{table}", table, self.parts)
+        self._attach("lake_channels_kept", "channels", [part for part in self.parts if part.dropped is None])
+        self._attach("lake_channels_dropped", "channels", [part for part in self.parts if part.dropped is not None])
         for script in sorted(files("storage").joinpath("schema").iterdir(), key=lambda each: each.name):
             if script.name.endswith(".sql"):
-                self._connection.execute(script.read_text())
+                self._run(script.read_text())
         lake = str(store.lake.resolve()).replace("'", "''")
         self._connection.execute(f"set allowed_directories = ['{lake}']")
         self._connection.execute("set enable_external_access = false")
         self._connection.execute("set lock_configuration = true")
 
-    def _attach(self, source: str, table: str, paths: list[str]) -> None:
+    def _attach(self, source: str, table: str, parts: Iterable[Part]) -> None:
+        """A view of a table over the parts that have it; DuckDB opens the first file now, the others when asked."""
+        file = f"{table}.parquet"
+        paths = [
+            str(self.store.lake / part.name / file) for part in parts if file in part.files and part.files[file].rows
+        ]
         if not paths:
             columns = ", ".join(f'"{column.name}" {_SQL_TYPES[column.type]}' for column in TABLES[table])
-            self._connection.execute(f"create table {source} ({columns})")
+            self._connection.execute(f"create table {source} ({columns}, filename varchar)")
             return
         listed = ", ".join("'" + path.replace("'", "''") + "'" for path in paths)
+        self._run(f"create view {source} as select *, filename from read_parquet([{listed}])")  # noqa: S608
+
+    def _run(self, sql: str) -> None:
         try:
-            self._connection.execute(f"create view {source} as select * from read_parquet([{listed}])")  # noqa: S608
+            self._connection.execute(sql)
         except duckdb.Error as error:
-            raise StoreError(f"the lake of {self.store.folder} cannot be read ({_told(error)}); {REMAKE}") from error
+            raise StoreError(
+                f"the lake of {self.store.folder} cannot be read ({_told(error)}); `gyrofleet verify` says what is "
+                f"damaged, `gyrofleet recover` makes it anew from the log"
+            ) from error
 
     def reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
         """The result of one statement that reads, to be taken piece by piece through `guarded`.

@@ -1,9 +1,8 @@
-"""Commands of the store: `gyrofleet record` and `gyrofleet sql`."""
+"""The command `gyrofleet sql`."""
 
 import csv
 import itertools
 import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +16,6 @@ from stream.console import (
     reporting,
     results,
     store_option,
-    until_stopped,
 )
 
 if TYPE_CHECKING:
@@ -25,90 +23,7 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
-    from storage.recorder import Recorder
-
 _SHOWN_ROWS = 200
-_SHOWN_REJECTIONS = 5
-
-
-@click.command("record")
-@store_option
-@click.option(
-    "--listen",
-    default="tcp/127.0.0.1:7447",
-    show_default=True,
-    help="Where sources connect to; loopback unless you say otherwise.",
-)
-@click.option(
-    "--rotate-mb",
-    type=click.IntRange(min=1),
-    default=128,
-    show_default=True,
-    help="Payload of a segment of the log before it is sealed.",
-)
-@click.option(
-    "--rotate-s",
-    type=click.FloatRange(min=1),
-    default=300.0,
-    show_default=True,
-    help="Age of a segment in seconds before it is sealed and reaches the lake.",
-)
-@reporting
-def record(folder: Path, listen: str, rotate_mb: int, rotate_s: float, *, as_json: bool) -> None:
-    """Record everything that sources send to `--listen`, until stopped."""
-    from storage.event_log import EventLog
-    from storage.recorder import Recorder
-    from storage.store import Store, WriterLock
-    from stream.zenoh_bus import ZenohBus
-
-    console = notes()
-    store = Store.create(folder)
-    with WriterLock(store, "gyrofleet record", listen), until_stopped() as stopped:
-        log = EventLog(store, rotate_bytes=rotate_mb << 20, rotate_s=rotate_s)
-        for recovery in log.recovered:
-            console.print(
-                f"recovered {recovery.records:,} messages of {recovery.segment}, left open by an earlier process; "
-                f"{recovery.damaged_chunks} damaged chunks; the file as it was: {recovery.kept_aside}"
-            )
-        with ZenohBus(listen=[listen]) as bus, Recorder(store, bus, log) as recorder:
-            if as_json:
-                print_json({"event": "recording", "store": str(folder), "listen": listen})
-            else:
-                console.print(f"recording from {listen} to {folder}; Ctrl-C ends")
-            told_at, told_samples = time.monotonic(), 0
-            while not stopped.wait(0.2) and recorder.failure is None:
-                if time.monotonic() - told_at >= 5.0 and recorder.counts.samples != told_samples and not as_json:
-                    rate = (recorder.counts.samples - told_samples) / (time.monotonic() - told_at)
-                    told_at, told_samples = time.monotonic(), recorder.counts.samples
-                    console.print(f"{told_samples:,} samples, {rate:,.0f}/s")
-            if not as_json:
-                console.print("stopping: writing what has arrived, sources keep the rest")
-    _tell_counts(recorder, as_json=as_json)
-
-
-def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
-    counts = recorder.counts
-    if as_json:
-        print_json(
-            {
-                "event": "ended",
-                "messages": counts.messages,
-                "samples": counts.samples,
-                "segments": counts.segments,
-                "duplicates": counts.duplicates,
-                "out_of_order": counts.out_of_order,
-                "rejected": counts.rejected,
-                "rejections": list(counts.rejections),
-            }
-        )
-        return
-    console = notes()
-    console.print(
-        f"{counts.samples:,} samples in {counts.segments} segments; {counts.duplicates} messages came twice, "
-        f"{counts.rejected} could not be read"
-    )
-    for rejection in list(counts.rejections)[-_SHOWN_REJECTIONS:]:
-        console.print(f"  kept aside, among the last: {rejection}", markup=False, soft_wrap=True)
 
 
 @click.command("sql")

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     type=click.FloatRange(min=0.001),
     default=60.0,
     show_default=True,
-    help="Seconds of a signal's time between estimates.",
+    help="Seconds of a signal's time between estimates; signals that it goes on with keep theirs.",
 )
 @reporting
 def estimate(
@@ -117,11 +117,11 @@ def estimate(
                     soft_wrap=True,
                 )
             told_at, told_samples = time.monotonic(), 0
-            warned = None
+            warned = 0
             while not stopped.wait(0.2) and worker.failure is None:
-                if worker.warning != warned:
-                    warned = worker.warning
-                    console.print(f"warning: {warned}", soft_wrap=True, markup=False)
+                for warning in worker.warnings[warned:]:
+                    warned += 1
+                    console.print(f"warning: {warning}", soft_wrap=True, markup=False)
                 if time.monotonic() - told_at >= 5.0 and worker.counts.samples != told_samples and not as_json:
                     told_at, told_samples = time.monotonic(), worker.counts.samples
                     console.print(f"{told_samples:,} samples, {worker.counts.estimates:,} estimates published")

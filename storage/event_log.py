@@ -1,35 +1,28 @@
-"""The event log: append-only segments, and how far every stream has come in it."""
+"""The event log: append-only segments, and how far every stream has come in it.
+
+What `sync` has returned for is on disk. After an error of the disk the open segment is abandoned, under a name that
+says how much of it is durable, the positions go back to that, and the next message begins a new segment.
+"""
 
 import time
-from dataclasses import dataclass
+from contextlib import suppress
 from pathlib import Path
 
-from storage.mcap_segments import (
-    EVENTS,
-    SAMPLES,
-    LogRecord,
-    SegmentWriter,
-    read_marks,
-    salvage_segment,
-)
-from storage.store import Store, sync_folder
+from storage.disk import DISK, Disk
+from storage.log_manifest import ManifestWriter, SegmentEntry
+from storage.mcap_records import LogRecord
+from storage.recovery import Recovery, abandoned_name, left_open, recover_segment, take_in
+from storage.segment_reader import SegmentScan, read_marks
+from storage.segment_tally import SegmentTally
+from storage.segment_writer import SegmentWriter
+from storage.sequence import Place, place_of, stream_of
+from storage.store import Store
 from stream.delivery import StreamId
 from stream.errors import StoreError
-from stream.events import decode_event
-from stream.wire import decode_batch
 
 DEFAULT_ROTATE_BYTES = 128 << 20
 DEFAULT_ROTATE_S = 300.0
-
-
-@dataclass(frozen=True)
-class Recovery:
-    """What was found of a segment that an earlier process left open."""
-
-    segment: str
-    records: int
-    damaged_chunks: int
-    kept_aside: Path
+_MOST_CHANNELS = 60_000  # of 65,535 that a segment has room for
 
 
 class EventLog:
@@ -43,6 +36,8 @@ class EventLog:
         Payload after which a segment is sealed.
     rotate_s : float
         Age after which a segment is sealed, in seconds.
+    disk : Disk
+        Where to.
 
     Attributes
     ----------
@@ -50,108 +45,160 @@ class EventLog:
         Number that each stream expects next, from the log itself.
     recovered : list of Recovery
         Segments that an earlier process had left open.
+    warnings : list of str
+        What was found that is not as it should be, and does not hinder recording.
     """
 
     def __init__(
-        self, store: Store, *, rotate_bytes: int = DEFAULT_ROTATE_BYTES, rotate_s: float = DEFAULT_ROTATE_S
+        self,
+        store: Store,
+        *,
+        rotate_bytes: int = DEFAULT_ROTATE_BYTES,
+        rotate_s: float = DEFAULT_ROTATE_S,
+        disk: Disk = DISK,
     ) -> None:
         self._store = store
+        self._disk = disk
         self._rotate_bytes = rotate_bytes
         self._rotate_s = rotate_s
         self._segment: SegmentWriter | None = None
-        self._segment_streams: set[StreamId] = set()
+        self._tally = SegmentTally()
         self._opened_at = 0.0
+        self._unsynced: dict[StreamId, int] = {}  # streams with messages that are not durable, and where they stood
+        self._unnamed: tuple[Path, Path] | None = None
+        self._unlisted: list[SegmentEntry] = []
         self.marks: dict[StreamId, int] = {}
         self.recovered: list[Recovery] = []
+        self.warnings: list[str] = []
+        self._manifest = ManifestWriter(store, disk)
+        if self._manifest.found.damage:
+            lines = ", ".join(str(each.line) for each in self._manifest.found.damage)
+            self.warnings.append(f"the log's manifest is damaged in line {lines}; see `gyrofleet verify`")
         for sealed in sorted(store.log.glob("*.mcap")):
-            for stream, next_seq in read_marks(sealed).items():
-                self._advance(stream_of(stream), int(next_seq))
-        for left_open in sorted(store.log.glob("*.mcap.open")):
-            self._recover(left_open)
+            self._read_marks(sealed)
+        self.recover()
 
-    def append(self, stream: StreamId, next_seq: int, record: LogRecord) -> None:
-        """Append a message that takes `stream` to `next_seq`; durable after the next `sync`."""
+    def append(self, place: Place, record: LogRecord) -> None:
+        """Append a message that stands at `place` of its stream; durable after the next `sync`."""
         self._writer().append(record)
-        self._advance(stream, next_seq)
-        self._segment_streams.add(stream)
+        stream = place.stream
+        before = self.marks.get(stream, 0)
+        self._unsynced.setdefault(stream, before)
+        self.marks[stream] = max(before, place.next_seq)
+        self._tally.add(record, place)
 
     def append_aside(self, record: LogRecord) -> None:
         """Append a message that belongs to no numbered stream."""
         self._writer().append(record)
+        self._tally.add(record, None)
 
     def sync(self) -> None:
         """Bring everything appended to the disk."""
         if self._segment is not None:
             self._segment.sync()
+        self._unsynced.clear()
 
     @property
     def due(self) -> bool:
         """Whether the open segment has reached its size or age."""
         segment = self._segment
         return segment is not None and (
-            segment.payload_bytes >= self._rotate_bytes or time.monotonic() - self._opened_at >= self._rotate_s
+            segment.payload_bytes >= self._rotate_bytes
+            or segment.channels >= _MOST_CHANNELS
+            or time.monotonic() - self._opened_at >= self._rotate_s
         )
 
     def seal(self) -> Path | None:
-        """Seal the open segment; None where there is none."""
+        """Seal the open segment, and return it if there was one; what it holds is durable whatever becomes of that."""
         if self._segment is None:
             return None
-        segment, self._segment = self._segment, None
-        marks = {f"{s.key} {s.epoch}": str(self.marks[s]) for s in self._segment_streams}
-        self._segment_streams = set()
-        return segment.seal(marks)
+        self.sync()
+        sealed = self._segment.seal(self._tally.marks)
+        self._segment = None
+        self._list(self._tally.entry(sealed, "recorded"))
+        return sealed.path
 
-    def abandon(self) -> None:
-        """Leave the open segment for recovery at the next start."""
-        if self._segment is not None:
-            self._segment.abandon()
-            self._segment = None
+    def abandon(self) -> dict[StreamId, int]:
+        """Give the open segment up after an error of the disk; returns by how many numbers streams have gone back."""
+        before, self._unsynced = self._unsynced, {}
+        undone = {stream: self.marks[stream] - next_seq for stream, next_seq in before.items()}
+        self.marks.update(before)
+        segment, self._segment = self._segment, None
+        if segment is None:
+            return undone
+        with suppress(OSError):
+            segment.abandon()
+        self._unnamed = (segment.open_path, abandoned_name(segment.path, segment.durable_bytes))
+        with suppress(OSError):
+            self._name_abandoned()
+        return undone
+
+    def recover(self) -> list[Recovery]:
+        """Seal what lies there unfinished, from an earlier process or after an error of the disk.
+
+        Raises
+        ------
+        OSError
+            As the disk has it; what is left can be tried again.
+        """
+        found = []
+        self._name_abandoned()
+        mine = None if self._segment is None else self._segment.open_path
+        for path in left_open(self._store):
+            if path == mine:
+                continue
+            recovery = recover_segment(self._store, path, dict(self.marks), self._disk)
+            for stream, next_seq in recovery.positions.items():
+                self.marks[stream] = max(self.marks.get(stream, 0), next_seq)
+            found.append(recovery)
+            if recovery.entry is not None:
+                self._list(recovery.entry)
+        self.recovered += found
+        return found
 
     def _writer(self) -> SegmentWriter:
         if self._segment is None:
+            self._name_abandoned()
             taken = [int(path.name.split(".")[0]) for path in self._store.log.glob("*.mcap*")]
-            self._segment = SegmentWriter(self._store.log / f"{max(taken, default=0) + 1:08d}.mcap")
+            path = self._store.log / f"{max(taken, default=0) + 1:08d}.mcap"
+            segment = SegmentWriter(path, disk=self._disk)
+            self._tally = SegmentTally()
             self._opened_at = time.monotonic()
-            sync_folder(self._store.log)
+            self._segment = segment
+            self._disk.sync_folder(self._store.log)
         return self._segment
 
-    def _advance(self, stream: StreamId, next_seq: int) -> None:
-        self.marks[stream] = max(self.marks.get(stream, 0), next_seq)
+    def _name_abandoned(self) -> None:
+        """Before anything new is written: by its name the durable part of an abandoned segment is known."""
+        if self._unnamed is None:
+            return
+        path, name = self._unnamed
+        if path.exists():  # else it was sealed, and only its name was not yet durable
+            self._disk.rename(path, name)
+        self._disk.sync_folder(self._store.log)
+        self._unnamed = None
 
-    def _recover(self, left_open: Path) -> None:
-        # The copy is sealed before the original is moved, so that a crash in between loses nothing.
-        salvage = salvage_segment(left_open)
-        sealed = left_open.with_suffix("")
-        if salvage.records and not sealed.exists():
-            sealed.with_name(sealed.name + ".recovering").unlink(missing_ok=True)
-            self._segment = SegmentWriter(sealed, ".recovering")
-            for record in salvage.records:
-                stream, next_seq = position_of(record)
-                if stream is None:
-                    self.append_aside(record)
-                elif next_seq > self.marks.get(stream, 0):
-                    self.append(stream, next_seq, record)
-            self.seal()
-        self._store.aside.mkdir(exist_ok=True)
-        aside = self._store.aside / f"{left_open.name}.{time.time_ns()}"
-        left_open.rename(aside)
-        self.recovered.append(Recovery(left_open.name, len(salvage.records), salvage.damaged_chunks, aside))
+    def _list(self, entry: SegmentEntry) -> None:
+        """Take an entry into the manifest; one that cannot be written now is written with the next."""
+        self._unlisted.append(entry)
+        with suppress(OSError):
+            self._disk.sync_folder(self._store.log)
+            while self._unlisted:
+                self._manifest.add(self._unlisted[0])
+                self._unlisted.pop(0)
 
-
-def stream_of(text: str) -> StreamId:
-    """Read a stream as it stands in the marks of a segment."""
-    key, separator, epoch = text.rpartition(" ")
-    if not separator:
-        raise StoreError(f"stream position {text!r} in the log cannot be read; was it written by gyrofleet?")
-    return StreamId(key, epoch)
-
-
-def position_of(record: LogRecord) -> tuple[StreamId | None, int]:
-    """Return the stream of a message and the number that follows it; None for one that is not numbered."""
-    if record.schema == SAMPLES:
-        batch = decode_batch(record.data)
-        return StreamId(record.topic, batch.epoch.hex), batch.next_seq
-    if record.schema == EVENTS:
-        message = decode_event(record.data)
-        return StreamId(record.topic, message.epoch), message.seq + 1
-    return None, 0
+    def _read_marks(self, sealed: Path) -> None:
+        try:
+            found = {stream_of(text): int(next_seq) for text, next_seq in read_marks(sealed).items()}
+            if sealed.name not in self._manifest.found.entries:
+                entry, found = take_in(sealed)
+                self._list(entry)
+        except StoreError as error:
+            self.warnings.append(str(error))
+            found = {}
+            for record in SegmentScan(sealed, sealed=True):
+                place = place_of(record)
+                if place is not None:
+                    found[place.stream] = place.next_seq
+        for stream, next_seq in found.items():
+            self.marks[stream] = max(self.marks.get(stream, 0), next_seq)

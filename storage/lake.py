@@ -1,342 +1,296 @@
-"""The lake: columnar Parquet, one folder for each sealed segment of the log.
+"""The lake: columnar Parquet, made from sealed segments of the log and from nothing else.
 
-A folder is written under ``tmp/`` and renamed into place, so it is there once and whole, or not at all. Counts
-stay counts; scale and offset stand in the channels table; ``value`` is made in the views.
+A part is written under ``tmp/`` and renamed into place, so it is there once and whole, or not at all; the manifest
+says which parts are in force. Whatever is no longer in force stays for its readers for a while.
 """
 
-import hashlib
-import os
 import shutil
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import msgspec
-import numpy as np
-import numpy.typing as npt
-import pyarrow as pa
-import pyarrow.parquet as pq
 
-from storage.mcap_segments import EVENTS, SAMPLES, LogRecord, read_segment
-from storage.store import Store, sync_folder
-from stream.batch import SampleBatch
+from storage.compaction import FAN_IN, compact
+from storage.lake_manifest import (
+    MANIFEST,
+    PART,
+    Manifest,
+    Part,
+    Replaced,
+    found_parts,
+    in_order,
+    read_manifest,
+    read_part,
+    write_manifest,
+    write_part,
+)
+from storage.lake_switch import NEW_LAKE, finish_switch
+from storage.lake_tables import SAMPLES_FILE
+from storage.segment_part import BuiltPart, build_part, noted_drops, without_samples
+from storage.store import Store, only_one, sync_folder
 from stream.errors import StoreError
-from stream.events import EstimatePublished, EventMessage, decode_event
-from stream.identity import EstimateKey, EventKey, parse_key
-from stream.wire import decode_batch
 
-SAMPLE_COLUMNS = pa.schema(
-    [
-        ("channel", pa.int64()),
-        ("seq", pa.int64()),
-        ("t_ns", pa.int64()),
-        ("counts", pa.int32()),
-        ("value", pa.float64()),
-        ("flags", pa.uint8()),
-    ]
-)
-CHANNEL_COLUMNS = pa.schema(
-    [
-        ("channel", pa.int64()),
-        ("site", pa.string()),
-        ("station", pa.string()),
-        ("unit", pa.string()),
-        ("signal", pa.string()),
-        ("run", pa.string()),
-        ("epoch", pa.string()),
-        ("unit_of_measure", pa.string()),
-        ("is_counts", pa.bool_()),
-        ("scale", pa.float64()),
-        ("offset", pa.float64()),
-        ("dt_ns", pa.int64()),
-        ("irregular", pa.bool_()),
-        ("samples", pa.int64()),
-        ("t_first_ns", pa.int64()),
-        ("t_last_ns", pa.int64()),
-        ("arrival_first_ns", pa.int64()),
-        ("arrival_last_ns", pa.int64()),
-    ]
-)
-EVENT_COLUMNS = pa.schema(
-    [
-        ("site", pa.string()),
-        ("station", pa.string()),
-        ("kind", pa.string()),
-        ("run", pa.string()),
-        ("unit", pa.string()),
-        ("uid", pa.string()),
-        ("t_ns", pa.int64()),
-        ("arrival_ns", pa.int64()),
-        ("document", pa.string()),
-    ]
-)
-ESTIMATE_COLUMNS = pa.schema(
-    [
-        ("site", pa.string()),
-        ("station", pa.string()),
-        ("run", pa.string()),
-        ("unit", pa.string()),
-        ("signal", pa.string()),
-        ("estimator", pa.string()),
-        ("t_ns", pa.int64()),
-        ("arrival_ns", pa.int64()),
-        ("final", pa.bool_()),
-        ("tau_s", pa.float64()),
-        ("value", pa.float64()),
-        ("lo", pa.float64()),
-        ("hi", pa.float64()),
-        ("confidence", pa.float64()),
-        ("edf", pa.float64()),
-        ("n", pa.int64()),
-        ("unit_of_measure", pa.string()),
-        ("samples", pa.int64()),
-        ("missing", pa.int64()),
-        ("sample_interval_s", pa.float64()),
-        ("reason", pa.string()),
-        ("uid", pa.string()),
-    ]
-)
-TABLES = {
-    "samples": SAMPLE_COLUMNS,
-    "channels": CHANNEL_COLUMNS,
-    "events": EVENT_COLUMNS,
-    "estimates": ESTIMATE_COLUMNS,
-}
-REMAKE = "remove that folder: it is made anew from the log by the next import or record"
-
-_ROW_GROUP = 1_000_000
-_ESTIMATE_FIELDS = (
-    *("run", "unit", "signal", "estimator", "t_ns", "final", "confidence", "unit_of_measure"),
-    *("samples", "missing", "sample_interval_s", "reason", "uid"),
-)
+GRACE_S = 3600.0
+_TOGETHER_S = 0.5
 
 
-@dataclass
-class _Channel:
-    """Samples of one channel within a segment, gathered message by message."""
-
-    batch: SampleBatch
-    site: str
-    station: str
-    arrival_first_ns: int
-    arrival_last_ns: int = 0
-    irregular: bool = False
-    batches: list[SampleBatch] = field(default_factory=list)
+class LakeBusy(StoreError):
+    """Somebody else is at work on the lake."""
 
 
-def build_missing(store: Store) -> Iterator[str]:
-    """Bring every sealed segment that is not in the lake into it; yields their names.
+@contextmanager
+def builder_lock(store: Store, *, patience_s: float = 0.0) -> Iterator[None]:
+    """Held by whoever changes the lake of a store; waits so long for one who holds it.
+
+    Raises
+    ------
+    LakeBusy
+        If another process, or another part of this one, still holds it.
+    """
+    until = time.monotonic() + patience_s
+    with ExitStack() as stack:
+        while True:
+            try:
+                stack.enter_context(only_one(store.folder / "lake.lock", "builder of the lake"))
+                break
+            except StoreError as error:
+                if not isinstance(error.__context__, BlockingIOError):
+                    raise
+                if time.monotonic() >= until:
+                    raise LakeBusy(str(error)) from None
+            time.sleep(0.1)
+        yield
+
+
+def build_missing(store: Store, *, compacts: bool = True) -> Iterator[str]:
+    """Bring every sealed segment that is not in the lake into it; yields their names. The caller holds `builder_lock`.
+
+    Parameters
+    ----------
+    store : Store
+        Whose.
+    compacts : bool
+        Whether to put small parts together on the way, and to remove what has been replaced for an hour.
 
     Raises
     ------
     StoreError
         If a segment is damaged; the others are brought there first.
     """
-    damaged: StoreError | None = None
-    for segment in sorted(store.log.glob("*.mcap")):
-        if (store.lake / segment.stem).exists():
-            continue
-        try:
-            build_part(store, segment)
-        except StoreError as error:
-            damaged = damaged or error
-            continue
-        yield segment.stem
-    if damaged is not None:
-        raise damaged
+    lake = Lake(store)
+    failed: dict[str, StoreError] = {}
+    for number, segment in enumerate(lake.bring(lake.missing(), failed), start=1):
+        yield segment
+        if compacts and number % FAN_IN == 0:
+            deque(compact(lake), maxlen=0)
+    if compacts:
+        deque(compact(lake), maxlen=0)
+        lake.purge()
+    for error in failed.values():
+        raise error
 
 
-def parts(store: Store) -> list[Path]:
-    """Folders of the lake in the order of their segments; whatever else lies there is left alone.
+class Lake:
+    """The lake of a store, open for changes. The caller holds `builder_lock`.
+
+    What an earlier process left half done is put in order first: a whole part that the manifest does not name yet is
+    taken in, what it was made from in part is removed, and a part whose folder has gone is made anew.
+
+    Parameters
+    ----------
+    store : Store
+        Whose.
+
+    Attributes
+    ----------
+    manifest : Manifest
+        What is in force now.
 
     Raises
     ------
-    StoreError
-        If a folder is not whole.
+    LakeManifestDamaged
+        If it is damaged or lost.
     """
-    found = sorted(path for path in store.lake.iterdir() if path.name.isdecimal() and path.is_dir())
-    for part in found:
-        missing = [table for table in TABLES if not (part / f"{table}.parquet").is_file()]
-        if missing:
-            raise StoreError(f"{part} lacks {', '.join(f'{table}.parquet' for table in missing)}; {REMAKE}")
-    return found
 
+    def __init__(self, store: Store) -> None:
+        self.store = store
+        if store.lake.name != NEW_LAKE:
+            finish_switch(store)
+        store.lake.mkdir(exist_ok=True)
+        self.manifest = read_manifest(store)
+        for left in store.tmp.glob("lake-*"):
+            shutil.rmtree(left, ignore_errors=True)
+        if not (store.lake / MANIFEST).exists():
+            write_manifest(store, self.manifest)
+        self._take_in_left_over()
+        self._apply_dropped()
 
-def build_part(store: Store, segment: Path) -> None:
-    """Make the lake's folder of one sealed segment; the same segment gives the same rows."""
-    channels: dict[int, _Channel] = {}
-    events: list[dict[str, object]] = []
-    estimates: list[dict[str, object]] = []
-    seen: set[str] = set()
-    for record in read_segment(segment):
-        if record.schema == SAMPLES:
-            _gather(channels, record)
-        elif record.schema == EVENTS:
-            message = decode_event(record.data)
-            if isinstance(message.document, EstimatePublished):
-                # two estimators of one signal say the same, under the same identity
-                if message.document.uid not in seen:
-                    estimates += _estimate_rows(record, message.document)
-                seen.add(message.document.uid)
+    def missing(self) -> list[str]:
+        """Sealed segments that are not in the lake."""
+        return sorted({path.stem for path in self.store.log.glob("*.mcap")} - self.manifest.segments)
+
+    def bring(self, segments: Iterable[str], failed: dict[str, StoreError]) -> Iterator[str]:
+        """Bring sealed segments to the lake; yields each that is there, notes in `failed` each that is damaged.
+
+        What is made within half a second is put in force together; a kill before leaves whole parts, which the next
+        one takes in.
+        """
+        built: list[BuiltPart] = []
+        since = time.monotonic()
+        for segment in segments:
+            try:
+                built.append(self._built(segment))
+            except StoreError as error:
+                failed[segment] = error
+            if time.monotonic() - since > _TOGETHER_S:
+                yield from self._put_in_force(built)
+                built, since = [], time.monotonic()
+        yield from self._put_in_force(built)
+
+    def swap(self, old: Iterable[str], new: Iterable[BuiltPart]) -> None:
+        """Put parts in force, in the place of others if there are any; the manifest is where it takes effect."""
+        gone, new = set(old), list(new)
+        for each in new:
+            each.folder.rename(self.store.lake / each.part.name)
+        sync_folder(self.store.lake)
+        now_ns = time.time_ns()
+        noted = {segment: document for each in new for segment, document in each.dropped.items()}
+        kept = [part for part in self.manifest.parts if part.name not in gone]
+        self.commit(
+            parts=tuple(in_order([*kept, *(each.part for each in new)])),
+            replaced=(*self.manifest.replaced, *(Replaced(name, now_ns) for name in sorted(gone))),
+            dropped={**noted, **self.manifest.dropped},
+        )
+        if noted:
+            self._apply_dropped()
+
+    def commit(self, **changes: object) -> None:
+        """Put a changed manifest in force."""
+        manifest = msgspec.structs.replace(self.manifest, number=self.manifest.number + 1, **changes)
+        write_manifest(self.store, manifest)
+        self.manifest = manifest
+
+    def drop_raw(self, dropped: Mapping[str, str]) -> None:
+        """Let go of the raw rows of segments; `dropped` names the document of each, which must be in the log."""
+        self.commit(dropped={**dropped, **self.manifest.dropped})
+        self._apply_dropped()
+
+    def remake(self, name: str, *, aside: bool = False) -> None:
+        """Make a part anew from the log, one for each of its segments; the old one is kept `aside`, or removed later.
+
+        Raises
+        ------
+        StoreError
+            If a segment of it is damaged; the part stays as it was.
+        """
+        part = self.manifest.part(name)
+        self.swap([name], [self._built(segment) for segment in part.segments])
+        if aside and (self.store.lake / name).is_dir():
+            self.set_aside(name)
+
+    def free_name(self, wanted: str) -> str:
+        """`wanted`, or the next like it that no folder of the lake has."""
+        name, number = wanted, 1
+        while (self.store.lake / name).exists():
+            number += 1
+            name = f"{wanted}-{number}"
+        return name
+
+    def purge(self, grace_s: float = GRACE_S) -> list[str]:
+        """Remove what has been out of force for so long; returns its paths within the lake."""
+        before_ns = time.time_ns() - round(grace_s * 1e9)
+        due = [each for each in self.manifest.replaced if each.at_ns <= before_ns]
+        for each in due:
+            path = self.store.lake / each.path
+            if path.is_dir():
+                shutil.rmtree(path)
             else:
-                events.append(_event_row(record, message))
-    fresh = store.tmp / f"lake-{segment.stem}"
-    shutil.rmtree(fresh, ignore_errors=True)
-    fresh.mkdir(parents=True)
-    rows = [_channel_row(channel, gathered) for channel, gathered in sorted(channels.items())]
-    _write(fresh / "channels.parquet", rows, CHANNEL_COLUMNS)
-    _write_samples(fresh / "samples.parquet", channels)
-    _write(fresh / "events.parquet", events, EVENT_COLUMNS)
-    _write(fresh / "estimates.parquet", estimates, ESTIMATE_COLUMNS)
-    sync_folder(fresh)
-    fresh.rename(store.lake / segment.stem)
-    sync_folder(store.lake)
+                path.unlink(missing_ok=True)
+        if due:
+            self.commit(replaced=tuple(each for each in self.manifest.replaced if each.at_ns > before_ns))
+        return [each.path for each in due]
+
+    def set_aside(self, name: str) -> Path:
+        """Move a folder or file of the lake out of it, to be looked at; where it is then."""
+        aside = self.store.folder / "lake-aside"
+        aside.mkdir(exist_ok=True)
+        target = aside / f"{name}.{time.time_ns()}"
+        (self.store.lake / name).rename(target)
+        sync_folder(aside)
+        sync_folder(self.store.lake)
+        return target
+
+    def _put_in_force(self, built: list[BuiltPart]) -> list[str]:
+        if built:
+            self.swap((), built)
+        return [segment for each in built for segment in each.part.segments]
+
+    def _built(self, segment: str) -> BuiltPart:
+        return build_part(
+            self.store.log / f"{segment}.mcap",
+            self.store.tmp / f"lake-{segment}",
+            self.free_name(segment),
+            without_raw=self.manifest.dropped.get(segment),
+        )
+
+    def _take_in_left_over(self) -> None:
+        known = {part.name for part in self.manifest.parts} | {each.path for each in self.manifest.replaced}
+        covered = self.manifest.segments
+        found, dropped = [], dict(self.manifest.dropped)
+        for path in sorted(self.store.lake.iterdir()):
+            if path.name in known or not path.is_dir():
+                continue
+            if not (path / PART).exists() and not path.name.isdecimal():
+                continue  # not ours
+            try:
+                part = read_part(path)
+            except StoreError:
+                self.set_aside(path.name)
+                continue
+            if covered.isdisjoint(part.segments) and all((path / name).is_file() for name in part.files):
+                found.append(part)
+                covered |= set(part.segments)
+                dropped |= noted_drops(path)
+            else:
+                shutil.rmtree(path)
+        lost = {part.name for part in self.manifest.parts if not (self.store.lake / part.name / PART).exists()}
+        if found or lost:
+            kept = [part for part in self.manifest.parts if part.name not in lost]
+            self.commit(parts=tuple(in_order([*kept, *found])), dropped=dropped)
+
+    def _apply_dropped(self) -> None:
+        """Let go of raw rows that documents say are dropped; a part that they are only a share of is split first."""
+        for part in self.manifest.parts:
+            due = [segment for segment in part.segments if segment in self.manifest.dropped]
+            if part.dropped is not None or not due:
+                continue
+            if len(due) == len(part.segments):
+                self._drop_raw_of(part, self.manifest.dropped[due[-1]])
+            else:
+                with suppress(StoreError):  # of a damaged segment: it keeps its rows until that is mended
+                    self.remake(part.name)
+
+    def _drop_raw_of(self, part: Part, document: str) -> None:
+        without = without_samples(part, document)
+        write_part(self.store.lake / part.name, without)
+        parts = tuple(without if each.name == part.name else each for each in self.manifest.parts)
+        gone = Replaced(f"{part.name}/{SAMPLES_FILE}", time.time_ns())
+        self.commit(parts=parts, replaced=(*self.manifest.replaced, gone))
 
 
-def channel_id(key: str, batch: SampleBatch) -> int:
-    """Identity of a channel: the same samples' origin and meaning give the same number anywhere."""
-    kind = "counts" if batch.counts is not None else "values"
-    text = "\0".join(
-        [key, batch.run, batch.epoch.hex, kind, batch.unit_of_measure, repr(batch.scale), repr(batch.offset)]
-    )
-    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "big", signed=True)
+def remade_manifest(store: Store) -> Manifest:
+    """A manifest made from what the parts say of themselves, for one that is lost or damaged."""
+    parts = found_parts(store)
+    dropped: dict[str, str] = {}
+    for part in parts:
+        with suppress(StoreError):  # a damaged part is made anew, and what it says comes again
+            dropped |= noted_drops(store.lake / part.name)
+    return Manifest(parts=tuple(parts), dropped=dropped)
 
 
-def _gather(channels: dict[int, _Channel], record: LogRecord) -> None:
-    batch = decode_batch(record.data)
-    identity = channel_id(record.topic, batch)
-    channel = channels.get(identity)
-    if channel is None:
-        place = parse_key(record.topic).place
-        channel = channels[identity] = _Channel(batch, place.site, place.station, record.arrival_ns)
-    channel.batches.append(batch)
-    channel.arrival_last_ns = record.arrival_ns
-    channel.irregular |= batch.irregular
-
-
-def _channel_row(identity: int, channel: _Channel) -> dict[str, object]:
-    batch = channel.batch
-    return {
-        "channel": identity,
-        "site": channel.site,
-        "station": channel.station,
-        "unit": batch.unit,
-        "signal": batch.signal,
-        "run": batch.run,
-        "epoch": str(batch.epoch),
-        "unit_of_measure": batch.unit_of_measure,
-        "is_counts": batch.counts is not None,
-        "scale": batch.scale,
-        "offset": batch.offset,
-        "dt_ns": batch.dt_ns,
-        "irregular": channel.irregular,
-        "samples": sum(len(each) for each in channel.batches),
-        "t_first_ns": min(each.t0_ns for each in channel.batches),
-        "t_last_ns": max(each.last_ns for each in channel.batches),
-        "arrival_first_ns": channel.arrival_first_ns,
-        "arrival_last_ns": channel.arrival_last_ns,
-    }
-
-
-def _event_row(record: LogRecord, message: EventMessage) -> dict[str, object]:
-    parsed = parse_key(record.topic)
-    assert isinstance(parsed, EventKey | EstimateKey)
-    document = message.document
-    return {
-        "site": parsed.place.site,
-        "station": parsed.place.station,
-        "kind": type(document).__name__,
-        "run": document.run,
-        "unit": getattr(document, "unit", None),
-        "uid": document.uid,
-        "t_ns": document.t_ns,
-        "arrival_ns": record.arrival_ns,
-        "document": msgspec.json.encode(document).decode(),
-    }
-
-
-def _estimate_rows(record: LogRecord, document: EstimatePublished) -> list[dict[str, object]]:
-    parsed = parse_key(record.topic)
-    common: dict[str, object] = {name: getattr(document, name) for name in _ESTIMATE_FIELDS}
-    common |= {"site": parsed.place.site, "station": parsed.place.station, "arrival_ns": record.arrival_ns}
-    return [common | msgspec.structs.asdict(point) for point in document.points] or [common]
-
-
-def _write(path: Path, rows: list[dict[str, object]], schema: pa.Schema) -> None:
-    table = pa.Table.from_pylist(rows, schema=schema)
-    with path.open("wb") as file:
-        pq.write_table(table, file, compression="zstd", compression_level=3)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _write_samples(path: Path, channels: dict[int, _Channel]) -> None:
-    with (
-        path.open("wb") as file,
-        pq.ParquetWriter(
-            file,
-            SAMPLE_COLUMNS,
-            compression="zstd",
-            compression_level=3,
-            use_dictionary=["channel", "flags"],
-            column_encoding={
-                "seq": "DELTA_BINARY_PACKED",
-                "t_ns": "DELTA_BINARY_PACKED",
-                "counts": "DELTA_BINARY_PACKED",
-                "value": "BYTE_STREAM_SPLIT",
-            },
-        ) as writer,
-    ):
-        for identity in sorted(channels):
-            writer.write_table(_sample_table(identity, channels.pop(identity).batches), row_group_size=_ROW_GROUP)
-        writer.close()
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _sample_table(identity: int, batches: list[SampleBatch]) -> pa.Table:
-    n = sum(len(batch) for batch in batches)
-    seq = np.empty(n, np.int64)
-    t_ns = np.empty(n, np.int64)
-    at = 0
-    for stretch in _stretches(batches):
-        first = stretch[0]
-        end = at + stretch[-1].next_seq - first.seq
-        seq[at:end] = np.arange(first.seq, stretch[-1].next_seq)
-        if first.times_ns is None:
-            t_ns[at:end] = first.t0_ns + first.dt_ns * np.arange(end - at)
-        else:
-            np.concatenate([batch.times_ns for batch in stretch if batch.times_ns is not None], out=t_ns[at:end])
-        at = end
-    counts = _joined([batch.counts for batch in batches], pa.int32(), n)
-    value = _joined([batch.values for batch in batches], pa.float64(), n)
-    if any(batch.flags is not None for batch in batches):
-        zeros = [np.zeros(len(batch), np.uint8) if batch.flags is None else batch.flags for batch in batches]
-        flags = pa.array(np.concatenate(zeros))
-    else:
-        flags = pa.nulls(n, pa.uint8())
-    channel = pa.array(np.full(n, identity, np.int64))
-    return pa.Table.from_arrays([channel, pa.array(seq), pa.array(t_ns), counts, value, flags], schema=SAMPLE_COLUMNS)
-
-
-def _stretches(batches: list[SampleBatch]) -> Iterator[list[SampleBatch]]:
-    """Batches that follow each other in number and, where their times are computed, in time."""
-    stretch: list[SampleBatch] = []
-    for batch in batches:
-        if stretch and not _follows(stretch[-1], batch):
-            yield stretch
-            stretch = []
-        stretch.append(batch)
-    yield stretch
-
-
-def _follows(before: SampleBatch, batch: SampleBatch) -> bool:
-    if batch.seq != before.next_seq or (batch.times_ns is None) != (before.times_ns is None):
-        return False
-    is_timed = batch.times_ns is not None
-    return is_timed or (batch.dt_ns == before.dt_ns and batch.t0_ns == before.last_ns + batch.dt_ns)
-
-
-def _joined(arrays: list[npt.NDArray[np.generic] | None], kind: pa.DataType, n: int) -> pa.Array:
-    present = [array for array in arrays if array is not None]
-    return pa.array(np.concatenate(present)) if present else pa.nulls(n, kind)
+def parts(store: Store) -> list[Part]:
+    """Parts of the lake that are in force, in the order of their segments."""
+    return list(read_manifest(store).parts)

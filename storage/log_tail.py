@@ -1,12 +1,18 @@
 """What a store's log holds beyond given positions: for whoever has to catch up with it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
-from storage.event_log import position_of, stream_of
-from storage.mcap_segments import LogRecord, read_marks, read_segment, salvage_segment
+from storage.log_runs import RunScan, first_to_read
+from storage.mcap_records import LogRecord
+from storage.recovery import left_open
+from storage.segment_reader import SegmentScan, read_marks, read_segment
+from storage.sequence import place_of, position_of, stream_of
 from storage.store import Store
 from stream.delivery import StreamId
+from stream.errors import BadInput
+from stream.events import decode_event
+from stream.identity import EstimateKey, parse_key
 
 
 class LoggedMessage(NamedTuple):
@@ -15,6 +21,13 @@ class LoggedMessage(NamedTuple):
     stream: StreamId
     next_seq: int
     payload: bytes
+
+
+class Beginning(NamedTuple):
+    """Where to begin so that the runs that are to be estimated are taken whole, and the runs to be left out then."""
+
+    positions: dict[StreamId, int]
+    ended: frozenset[str]
 
 
 class LogTail:
@@ -35,21 +48,34 @@ class LogTail:
         """Identity of the store."""
         return self._store.identity
 
-    def positions(self) -> dict[StreamId, int]:
-        """How far every stream has come in what is on disk.
+    def beginning(self, *, thorough: bool = False) -> Beginning:
+        """Where one begins who knows nothing: runs that go on from their first message, all else from its end.
+
+        Parameters
+        ----------
+        thorough : bool
+            Read the whole log, and begin also the runs that have ended while their last estimates are not there.
 
         Raises
         ------
         StoreError
-            If a sealed segment is damaged.
+            If a sealed segment that is needed is damaged.
         """
-        found: dict[StreamId, int] = {}
-        for name in self._sealed():
+        sealed = _sealed(self._store)
+        start = 0 if thorough else first_to_read(self._store, sealed)
+        positions: dict[StreamId, int] = {}
+        for name in sealed[:start]:
             for stream, next_seq in self._marks_of(name).items():
-                found[stream] = max(found.get(stream, 0), next_seq)
-        for message in self._numbered(self._open_records()):
-            found[message.stream] = max(found.get(message.stream, 0), message.next_seq)
-        return found
+                positions[stream] = max(positions.get(stream, 0), next_seq)
+        scan = RunScan()
+        for name in sealed[start:]:
+            for record in read_segment(self._store.log / name):
+                scan.follow(record, place_of(record))
+        # what is sealed meanwhile is read as what lies beyond these positions
+        for record in open_records(self._store):
+            scan.follow(record, place_of(record))
+        runs = scan.open_runs | (scan.unfinished_runs if thorough else set())
+        return Beginning({**positions, **scan.positions(runs)}, frozenset(scan.runs - runs))
 
     def since(self, positions: Mapping[StreamId, int]) -> Iterator[LoggedMessage]:
         """Messages that lie beyond `positions`, in the order of the log; a stream not named counts from 0.
@@ -59,22 +85,28 @@ class LogTail:
         StoreError
             If a sealed segment that is needed is damaged.
         """
-        done: set[str] = set()
-        while True:
-            fresh = [name for name in self._sealed() if name not in done]
-            for name in fresh:
-                done.add(name)
-                if any(next_seq > positions.get(stream, 0) for stream, next_seq in self._marks_of(name).items()):
-                    yield from self._beyond(read_segment(self._store.log / name), positions)
-            if fresh:
-                continue
-            left_open = list(self._open_records())
-            if done.issuperset(self._sealed()):  # none was sealed while it was read
-                yield from self._beyond(iter(left_open), positions)
-                return
+        return self._since(positions, lambda _key: True)
 
-    def _sealed(self) -> list[str]:
-        return sorted(path.name for path in self._store.log.glob("*.mcap"))
+    def published(self, positions: Mapping[StreamId, int]) -> Iterator[str]:
+        """Identities of the estimates and decisions that lie beyond `positions`.
+
+        Raises
+        ------
+        StoreError
+            If a sealed segment that is needed is damaged.
+        """
+        for message in self._since(positions, _is_estimate):
+            yield decode_event(message.payload).document.uid
+
+    def _since(self, positions: Mapping[StreamId, int], wanted: Callable[[str], bool]) -> Iterator[LoggedMessage]:
+        def is_needed(segment: str) -> bool:
+            marks = self._marks_of(segment).items()
+            return any(next_seq > positions.get(stream, 0) and wanted(stream.key) for stream, next_seq in marks)
+
+        for record in records_of(self._store, is_needed, wanted):
+            stream, next_seq = position_of(record)
+            if stream is not None and next_seq > positions.get(stream, 0):
+                yield LoggedMessage(stream, next_seq, record.data)
 
     def _marks_of(self, name: str) -> dict[StreamId, int]:
         if name not in self._marks:
@@ -82,22 +114,55 @@ class LogTail:
             self._marks[name] = {stream_of(text): int(next_seq) for text, next_seq in written.items()}
         return self._marks[name]
 
-    def _open_records(self) -> Iterator[LogRecord]:
-        for path in sorted(self._store.log.glob("*.mcap.open")):
-            try:
-                salvage = salvage_segment(path)
-            except FileNotFoundError:
-                continue  # sealed in between
-            yield from salvage.records
 
-    def _beyond(self, records: Iterator[LogRecord], positions: Mapping[StreamId, int]) -> Iterator[LoggedMessage]:
-        for message in self._numbered(records):
-            if message.next_seq > positions.get(message.stream, 0):
-                yield message
+def open_records(store: Store) -> Iterator[LogRecord]:
+    """What can be read of the segments that are not sealed, in their order."""
+    for path in left_open(store):
+        _, _, durable = path.name.partition(".abandoned-")
+        try:
+            yield from SegmentScan(path, int(durable) if durable else None)
+        except FileNotFoundError:
+            continue  # sealed in between
 
-    @staticmethod
-    def _numbered(records: Iterator[LogRecord]) -> Iterator[LoggedMessage]:
-        for record in records:
-            stream, next_seq = position_of(record)
-            if stream is not None:
-                yield LoggedMessage(stream, next_seq, record.data)
+
+def records_of(store: Store, is_needed: Callable[[str], bool], wanted: Callable[[str], bool]) -> Iterator[LogRecord]:
+    """Messages of the log in their order, while another process may be writing it.
+
+    Parameters
+    ----------
+    store : Store
+        Whose log.
+    is_needed : callable
+        Whether a sealed segment of that name is to be read.
+    wanted : callable
+        Whether messages under that key expression are.
+
+    Raises
+    ------
+    StoreError
+        If a sealed segment that is needed is damaged.
+    """
+    done: set[str] = set()
+    while True:
+        fresh = [name for name in _sealed(store) if name not in done]
+        for name in fresh:
+            done.add(name)
+            if is_needed(name):
+                yield from (record for record in read_segment(store.log / name) if wanted(record.topic))
+        if fresh:
+            continue
+        left = [record for record in open_records(store) if wanted(record.topic)]
+        if done.issuperset(_sealed(store)):  # none was sealed while it was read
+            yield from left
+            return
+
+
+def _sealed(store: Store) -> list[str]:
+    return sorted(path.name for path in store.log.glob("*.mcap"))
+
+
+def _is_estimate(key: str) -> bool:
+    try:
+        return isinstance(parse_key(key), EstimateKey)
+    except BadInput:
+        return False  # kept aside, or a preview

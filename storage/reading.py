@@ -1,12 +1,18 @@
-"""Samples of one signal read back from the lake, in the order of their time."""
+"""Samples of one signal read back from the lake, in the order of their time; all of them, or an error."""
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
 from uuid import UUID
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from storage.catalog import Catalog
+from storage.lake_tables import SAMPLES_FILE, damaged, open_table
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import NotFound
 
@@ -23,6 +29,7 @@ class SignalRecord:
     unit_of_measure: str
     samples: int
     irregular: bool
+    kept_raw: int | None = None
 
 
 def find_signal(catalog: Catalog, unit: str, signal: str, run: str | None = None) -> SignalRecord:
@@ -38,12 +45,12 @@ def find_signal(catalog: Catalog, unit: str, signal: str, run: str | None = None
     if run is not None:
         _check_held(catalog, "run", run, f" of unit {unit}, signal {signal}", {"unit": unit, "signal": signal})
     row = catalog.rows(
-        "select run, unit_of_measure, samples, irregular from signals "
+        "select run, unit_of_measure, samples, irregular, kept_raw from signals "
         "where unit = $unit and signal = $signal and (run = $run or $run is null) "
         "order by arrival_first_ns desc, t_first_ns desc limit 1",
         {"unit": unit, "signal": signal, "run": run},
     )[0]
-    return SignalRecord(unit, signal, str(row[0]), str(row[1]), int(str(row[2])), bool(row[3]))
+    return SignalRecord(unit, signal, str(row[0]), str(row[1]), int(row[2]), bool(row[3]), int(row[4]))
 
 
 def _check_held(catalog: Catalog, column: str, wanted: str, of: str, given: dict[str, str]) -> None:
@@ -56,50 +63,113 @@ def _check_held(catalog: Catalog, column: str, wanted: str, of: str, given: dict
 
 
 def read_signal(catalog: Catalog, record: SignalRecord) -> Iterator[SampleBatch]:
-    """Batches of a signal in the order of time, read piece by piece."""
+    """Batches of a signal in the order of time, read piece by piece.
+
+    Raises
+    ------
+    NotFound
+        If raw rows of it were dropped: a part of a signal is not the signal.
+    StoreError
+        If a file of the lake is damaged.
+    """
+    if record.kept_raw is not None and record.kept_raw < record.samples:
+        raise _gone(catalog, record.unit, record.signal, record.run, record.samples - record.kept_raw, record.samples)
     channels = catalog.rows(
         'select channel, epoch, dt_ns, is_counts, scale, "offset", irregular from lake_channels '
         "where unit = $unit and signal = $signal and run = $run order by t_first_ns",
         {"unit": record.unit, "signal": record.signal, "run": record.run},
     )
     for channel, epoch, dt_ns, is_counts, scale, offset, irregular in channels:
-        column = "counts" if is_counts else "value"
-        # the lake's files are in the order of the log and each channel's rows in that of its numbers: no sort needed
-        sql = f"select seq, t_ns, {column} from lake_samples where channel = $channel"  # noqa: S608
-        for table in catalog.batches(sql, {"channel": channel}, _ROWS):
-            if table.num_rows == 0:
-                continue
+        for table in _channel_rows(catalog, channel, "counts" if is_counts else "value"):
             t_ns = table.column(1).to_numpy()
             data = table.column(2).to_numpy()
-            dt = int(str(dt_ns))
-            is_exact = not irregular and bool(np.all(np.diff(t_ns) == dt))
+            is_exact = not irregular and bool(np.all(np.diff(t_ns) == dt_ns))
             yield SampleBatch(
                 unit=record.unit,
                 signal=record.signal,
                 run=record.run,
-                epoch=UUID(str(epoch)),
-                seq=int(table.column(0)[0].as_py()),
+                epoch=UUID(epoch),
+                seq=table.column(0)[0].as_py(),
                 t0_ns=int(t_ns[0]),
-                dt_ns=dt,
+                dt_ns=dt_ns,
                 unit_of_measure=record.unit_of_measure,
                 counts=data if is_counts else None,
                 values=None if is_counts else data,
                 times_ns=None if is_exact else t_ns,
-                irregular=bool(irregular),
-                scale=float(str(scale)),
-                offset=float(str(offset)),
+                irregular=irregular,
+                scale=scale,
+                offset=offset,
             )
+
+
+class _Stretch(NamedTuple):
+    seq_first: int
+    seq_next: int
+    folder: Path
+
+
+def _channel_rows(catalog: Catalog, channel: int, column: str) -> Iterator[pa.RecordBatch]:
+    """Numbers, times and data of a channel in the order of its numbers."""
+    rows = catalog.rows(
+        "select seq_first, seq_next, filename from lake_channel_parts where channel = $channel order by seq_first",
+        {"channel": channel},
+    )
+    stretches = [_Stretch(first, after, Path(path).parent) for first, after, path in rows]
+    if all(before.seq_next <= after.seq_first for before, after in itertools.pairwise(stretches)):
+        for stretch in stretches:
+            yield from _part_rows(stretch.folder / SAMPLES_FILE, channel, column)
+        return
+    # a segment that was mended later holds numbers between those of another part
+    sql = "select seq, t_ns, base + above as counts, value from lake_samples where channel = $channel order by seq"
+    for batch in catalog.batches(sql, {"channel": channel}, _ROWS):
+        yield batch.select(["seq", "t_ns", column])
+
+
+def _part_rows(path: Path, channel: int, column: str) -> Iterator[pa.RecordBatch]:
+    columns = ["base", "above"] if column == "counts" else ["value"]
+    with open_table(path) as file:
+        own = [i for i in range(file.num_row_groups) if file.metadata.row_group(i).column(0).statistics.min == channel]
+        try:
+            for batch in file.iter_batches(_ROWS, row_groups=own, columns=["seq", "t_ns", *columns]):
+                data = batch.column(2)
+                if column == "counts":
+                    data = pc.add(data, batch.column(3))
+                yield pa.RecordBatch.from_arrays([batch.column(0), batch.column(1), data], ["seq", "t_ns", column])
+        except (pa.ArrowException, OSError) as error:
+            raise damaged(path, error) from error
+
+
+def _gone(catalog: Catalog, unit: str, signal: str, run: str, gone: int, of: int) -> NotFound:
+    return NotFound(
+        f"unit {unit}, signal {signal}, run {run}: raw samples were dropped from {catalog.store.folder} to make room "
+        f"({gone:,} of {of:,}; the documents raw_rows_dropped in the view events say when and why); what is kept of "
+        f"them stands in rollup_1s, rollup_10s and estimates, and in the log: `gyrofleet replay {run}`"
+    )
 
 
 def stored_between(
     catalog: Catalog, unit: str, signal: str, run: str, first_ns: int, last_ns: int
 ) -> tuple[IntArray, FloatArray]:
-    """Times (ns, ascending) and values of a signal's samples between two moments, both inclusive."""
+    """Times (ns, ascending) and values of a signal's samples between two moments, both inclusive.
+
+    Raises
+    ------
+    NotFound
+        If raw rows of that time were dropped.
+    """
+    where: dict[str, Any] = {"unit": unit, "signal": signal, "run": run, "first": first_ns, "last": last_ns}
+    (dropped,) = catalog.rows(
+        "select coalesce(sum(samples), 0)::bigint, count(*) from lake_channels_dropped where unit = $unit and "
+        "signal = $signal and run = $run and t_first_ns <= $last and t_last_ns >= $first",
+        where,
+    )
+    if dropped[1]:
+        raise _gone(catalog, unit, signal, run, dropped[0], dropped[0])
     table = catalog.reader(
-        'select s.t_ns, coalesce(s.value, s.counts * c.scale + c."offset") as value '
+        'select s.t_ns, coalesce(s.value, (s.base + s.above) * c.scale + c."offset") as value '
         "from lake_samples s join lake_channels c using (channel) "
         "where c.unit = $unit and c.signal = $signal and c.run = $run and s.t_ns between $first and $last "
         "order by s.t_ns",
-        {"unit": unit, "signal": signal, "run": run, "first": first_ns, "last": last_ns},
+        where,
     ).read_all()
     return table.column(0).to_numpy(), table.column(1).to_numpy()

@@ -1,42 +1,37 @@
-"""The recorder: bus -> event log -> acknowledgement, and sealed segments -> lake."""
+"""The recorder: bus -> event log -> acknowledgement, and sealed segments -> lake.
 
-import queue
+It never ends for an error of the disk: the segment that suffered it is given up, what was not durable is left to the
+sources, and a new segment is begun; while the disk takes nothing, or has no room, recording is paused and says so.
+"""
+
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Self
+from typing import Any, Self
+from uuid import uuid4
 
+from storage.disk import DISK, Disk
+from storage.disk_watch import DiskWatch, monotonic_and_wall_ns
 from storage.event_log import EventLog
-from storage.lake import build_missing
-from storage.mcap_segments import EVENTS, PREVIEW, REJECTED, SAMPLES, LogRecord
+from storage.intake import Intake, RecorderCounts
+from storage.lake_builder import LakeBuilder
+from storage.mcap_records import EVENTS, LogRecord
+from storage.recovery import Recovery
+from storage.sequence import Place as Position
 from storage.store import Store
-from stream.batch import SampleBatch
 from stream.bus import Bus
 from stream.delivery import StreamId, StreamPosition, encode_acknowledgement
-from stream.errors import GyrofleetError, StoreError, WireError
-from stream.events import RunEnded, decode_event
-from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING, SampleKey, parse_key
-from stream.wire import decode_batch, encode_preview
+from stream.errors import GyrofleetError, StoreError
+from stream.events import StoreNoted, encode_event
+from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING, Place, event_key
 
-_QUEUE_BYTES = 256 << 20
-_PREVIEW_INTERVAL_NS = 1_000_000_000
-_REWIND_INTERVAL_S = 0.2
+_QUEUE_BYTES = 64 << 20
+_ROOM_PATIENCE_S = 2.0  # of a callback of the bus, far below the 60 s after which a stalled transport is closed
 _SEAL_GRACE_S = 1.0  # the last estimates of a run come just after its end
-
-
-@dataclass
-class RecorderCounts:
-    """What a recorder has done since it started."""
-
-    messages: int = 0
-    samples: int = 0
-    duplicates: int = 0
-    out_of_order: int = 0
-    rejected: int = 0
-    segments: int = 0
-    rejections: deque[str] = field(default_factory=lambda: deque(maxlen=20))
+_RETRY_S = 1.0
+_CLOCK_STEP_NS = 100_000_000
+_NOTES_KEY = event_key(Place("store", "recorder"))
 
 
 class Recorder:
@@ -56,10 +51,16 @@ class Recorder:
         The store's log.
     sync_interval_s : float
         How often data are brought to the disk and acknowledged.
+    builds_lake : bool
+        Whether to make the lake here; else another process does.
     on_lake : callable, optional
         Called with the name of each segment that has reached the lake.
+    on_warning : callable, optional
+        Called with what a person should know: pauses, errors of the disk, little room.
     on_failure : callable, optional
         Called once, when nothing can be recorded any more.
+    disk : Disk
+        Where the log is written, for its room.
     """
 
     def __init__(
@@ -68,34 +69,41 @@ class Recorder:
         bus: Bus,
         log: EventLog,
         *,
-        sync_interval_s: float = 0.2,
+        sync_interval_s: float = 0.1,
+        builds_lake: bool = True,
         on_lake: Callable[[str], None] | None = None,
+        on_warning: Callable[[str], None] | None = None,
         on_failure: Callable[[GyrofleetError], None] | None = None,
+        disk: Disk = DISK,
     ) -> None:
         self._store = store
         self._bus = bus
         self._log = log
         self._sync_interval_s = sync_interval_s
-        self._on_lake = on_lake
+        self._on_warning = on_warning
         self._on_failure = on_failure
-        self.counts = RecorderCounts()
+        self._intake = Intake(log)
+        self._watch = DiskWatch(store.folder, disk)
         self.failure: GyrofleetError | None = None
+        self.paused: str | None = None
         self._incoming: deque[tuple[str, bytes, int]] = deque()
         self._incoming_bytes = 0
         self._state = threading.Condition()
         self._closing = False
-        self._moved: set[StreamId] = set()
-        self._rewinds: dict[StreamId, float] = {}
-        self._previewed: dict[str, int] = {}
+        self._epoch = uuid4().hex
+        self._ended_runs = self._noted_recoveries = 0
         self._seal_at: float | None = None
-        self._sealed: queue.Queue[bool] = queue.Queue()
-        self._caught_up = threading.Event()
+        self._synced_at = self._troubled_at = time.monotonic()
+        self._wall_ahead_ns: int | None = None
+        self._builder = LakeBuilder(store, on_lake=on_lake, on_warning=self._warn) if builds_lake else None
         self._writer = threading.Thread(target=self._write_loop, name="gyrofleet-recorder", daemon=True)
-        self._builder = threading.Thread(target=self._build_loop, name="gyrofleet-lake", daemon=True)
-        self._sealed.put(True)  # whatever an earlier process sealed and did not bring to the lake
-        self._builder.start()
         self._writer.start()
         bus.subscribe(EVERYTHING, self._on_message)
+
+    @property
+    def counts(self) -> RecorderCounts:
+        """What it has done."""
+        return self._intake.counts
 
     def close(self) -> None:
         """Write what has arrived, seal, bring everything to the lake, and stop.
@@ -103,14 +111,14 @@ class Recorder:
         Raises
         ------
         StoreError
-            If writing failed.
+            If not everything could be written.
         """
         with self._state:
             self._closing = True
             self._state.notify_all()
         self._writer.join()
-        self._sealed.put(False)
-        self._builder.join()
+        if self._builder is not None:
+            self._builder.close()
         if self.failure is not None:
             raise self.failure
 
@@ -122,9 +130,8 @@ class Recorder:
         StoreError
             If it cannot be brought there.
         """
-        self._caught_up.wait()
-        if self.failure is not None:
-            raise self.failure
+        if self._builder is not None:
+            self._builder.wait_until_caught_up()
 
     def __enter__(self) -> Self:
         return self
@@ -134,9 +141,14 @@ class Recorder:
 
     def _on_message(self, key: str, payload: bytes) -> None:
         with self._state:
-            while self._incoming_bytes > _QUEUE_BYTES and not self._closing and self.failure is None:
-                self._state.wait(0.1)
-            if self._closing:
+            until = time.monotonic() + _ROOM_PATIENCE_S
+            while self._incoming_bytes > _QUEUE_BYTES and not self._closing and self.paused is None:
+                left_s = until - time.monotonic()
+                if left_s <= 0.0:
+                    break
+                self._state.wait(left_s)
+            if self._closing or self.paused is not None or self._incoming_bytes > _QUEUE_BYTES or self.failure:
+                self.counts.left_to_sources += 1
                 return  # not acknowledged: its source keeps it
             self._incoming.append((key, payload, time.time_ns()))
             self._incoming_bytes += len(payload)
@@ -144,28 +156,46 @@ class Recorder:
                 self._state.notify_all()
 
     def _write_loop(self) -> None:
+        trouble: OSError | None = None
         try:
-            synced_at = time.monotonic()
             while True:
-                taken, is_last = self._next_messages()
-                for key, payload, arrival_ns in taken:
-                    self._take(key, payload, arrival_ns)
-                now = time.monotonic()
-                if is_last or now - synced_at >= self._sync_interval_s:
-                    self._sync()
-                    synced_at = now
-                if is_last or self._log.due or (self._seal_at is not None and now >= self._seal_at):
-                    self._seal()
-                if is_last:
-                    return
+                try:
+                    if trouble is not None:
+                        error, trouble = trouble, None
+                        self._interrupt(error)
+                    elif self._pass():
+                        return
+                except OSError as error:
+                    trouble = error
         except Exception as error:  # noqa: BLE001  whatever it is, a recorder that stopped must say so
             self._log.abandon()
             self._fail(
-                StoreError(
-                    f"recording to {self._store.folder} stopped: {error}; what is acknowledged is safe, sources "
-                    f"keep the rest; free space or mend the disk and start again"
+                error
+                if isinstance(error, GyrofleetError)
+                else StoreError(
+                    f"recording to {self._store.folder} stopped ({type(error).__name__}: {error}); what is "
+                    f"acknowledged is safe, sources keep the rest; start again"
                 )
             )
+
+    def _pass(self) -> bool:
+        """Write what is there; whether that was the end."""
+        self._note_recoveries()
+        taken, is_last = self._next_messages()
+        for key, payload, arrival_ns in taken:
+            self._intake.take(key, payload, arrival_ns)
+        now = time.monotonic()
+        if self._intake.ended_runs > self._ended_runs:
+            self._ended_runs = self._intake.ended_runs
+            self._seal_at = now + _SEAL_GRACE_S
+        self._ask_rewinds()
+        if is_last or now - self._synced_at >= self._sync_interval_s:
+            self._sync()
+            self._synced_at = now
+            self._look_around(now)
+        if is_last or self._log.due or (self._seal_at is not None and now >= self._seal_at):
+            self._seal()
+        return is_last
 
     def _next_messages(self) -> tuple[list[tuple[str, bytes, int]], bool]:
         with self._state:
@@ -177,97 +207,132 @@ class Recorder:
             self._state.notify_all()
             return taken, self._closing and not self._incoming
 
-    def _take(self, key: str, payload: bytes, arrival_ns: int) -> None:
-        self.counts.messages += 1
-        try:
-            parsed = parse_key(key)
-            if isinstance(parsed, SampleKey):
-                batch = decode_batch(payload)
-                if (batch.unit, batch.signal) != (parsed.unit, parsed.signal):
-                    raise WireError(f"it holds samples of {batch.unit}/{batch.signal}")
-                stream = StreamId(key, batch.epoch.hex)
-                record = LogRecord(key, SAMPLES, arrival_ns, batch.t0_ns, payload)
-                if self._append(stream, batch.seq, batch.next_seq, record):
-                    self.counts.samples += len(batch)
-                    self._preview(key, batch, arrival_ns)
-            else:
-                event = decode_event(payload)
-                stream = StreamId(key, event.epoch)
-                record = LogRecord(key, EVENTS, arrival_ns, event.document.t_ns, payload)
-                is_new = self._append(stream, event.seq, event.seq + 1, record)
-                if is_new and isinstance(event.document, RunEnded):
-                    self._seal_at = time.monotonic() + _SEAL_GRACE_S
-        except GyrofleetError as error:
-            self.counts.rejected += 1
-            self.counts.rejections.append(f"{key}: {error}")
-            self._log.append_aside(LogRecord(key, REJECTED, arrival_ns, arrival_ns, payload))
+    def _ask_rewinds(self) -> None:
+        if self._intake.rewinds:
+            asked, self._intake.rewinds = self._intake.rewinds, []
+            self._acknowledge(
+                tuple(StreamPosition(s.key, s.epoch, self._log.marks.get(s, 0), rewind=True) for s in asked)
+            )
 
-    def _append(self, stream: StreamId, seq: int, next_seq: int, record: LogRecord) -> bool:
-        expected = self._log.marks.get(stream, 0)
-        if seq == expected:
-            self._log.append(stream, next_seq, record)
-            self._moved.add(stream)
-            return True
-        if next_seq <= expected:
-            self.counts.duplicates += 1
-            self._moved.add(stream)  # its source missed the acknowledgement
-        elif seq < expected:
-            raise WireError(f"numbers {seq} to {next_seq - 1} overlap what is recorded up to {expected - 1}")
-        else:
-            self.counts.out_of_order += 1
-            self._ask_rewind(stream, expected)
-        return False
-
-    def _ask_rewind(self, stream: StreamId, expected: int) -> None:
-        now = time.monotonic()
-        if now - self._rewinds.get(stream, 0.0) >= _REWIND_INTERVAL_S:
-            self._rewinds[stream] = now
-            position = StreamPosition(stream.key, stream.epoch, expected, rewind=True)
-            self._bus.publish(ACKNOWLEDGEMENT_KEY, encode_acknowledgement(self._store.identity, (position,)))
-
-    def _preview(self, key: str, batch: SampleBatch, arrival_ns: int) -> None:
-        last_ns = self._previewed.get(key)
-        if last_ns is None or abs(batch.t0_ns - last_ns) >= _PREVIEW_INTERVAL_NS:
-            self._previewed[key] = batch.t0_ns
-            data = encode_preview(float(batch.value_array[0]), batch.unit_of_measure)
-            self._log.append_aside(LogRecord(f"{key}/preview", PREVIEW, arrival_ns, batch.t0_ns, data))
+    def _acknowledge(self, positions: tuple[StreamPosition, ...]) -> None:
+        payload = encode_acknowledgement(self._store.identity, positions, self.paused or "")
+        self._bus.publish(ACKNOWLEDGEMENT_KEY, payload)
 
     def _sync(self) -> None:
-        if not self._moved:
-            return
         self._log.sync()
-        moved, self._moved = self._moved, set()
-        positions = tuple(StreamPosition(s.key, s.epoch, self._log.marks[s]) for s in moved)
-        self._bus.publish(ACKNOWLEDGEMENT_KEY, encode_acknowledgement(self._store.identity, positions))
+        moved, self._intake.moved = self._intake.moved, set()
+        if moved:
+            self._acknowledge(tuple(StreamPosition(s.key, s.epoch, self._log.marks.get(s, 0)) for s in moved))
 
     def _seal(self) -> None:
         self._seal_at = None
-        if self._log.seal() is not None:
-            self.counts.segments += 1
-            self._sync()
-            self._sealed.put(True)
+        self._log.recover()  # segments that were abandoned since
+        self._note_recoveries()
+        self._sync()
+        if self._log.seal() is None:
+            return
+        self.counts.segments += 1
+        if self._builder is not None:
+            self._builder.wake()
 
-    def _build_loop(self) -> None:
-        try:
-            while self._sealed.get():
-                for name in build_missing(self._store):
-                    if self._on_lake is not None:
-                        self._on_lake(name)
-                self._caught_up.set()
-        except GyrofleetError as error:
-            self._fail(StoreError(str(error)))
-        except Exception as error:  # noqa: BLE001  as above
-            self._fail(
-                StoreError(
-                    f"the lake of {self._store.folder} cannot be written: {error}; the log is complete, "
-                    f"the lake is made from it at the next start"
-                )
-            )
+    def _look_around(self, now: float) -> None:
+        """What is to be noticed beside the samples: room on the disk, and the clocks."""
+        full, warning = self._watch.look(now)
+        if warning is not None:
+            self._warn(warning)
+            self._note("disk_low", warning, {})
+        if full is not None:
+            self._seal()
+            self._pause(full, self._watch.has_room_again)
+        steps, self._intake.clock_steps = self._intake.clock_steps, []
+        for step in steps[:100]:
+            text = f"{step.key}: the source's clock went back by {step.back_ns / 1e9:.9g} s at sample {step.seq}"
+            self._note("source_clock_back", text, {"run": step.run, "seq": step.seq, "back_ns": step.back_ns})
+        monotonic_ns, wall_ns = monotonic_and_wall_ns()
+        ahead_ns = wall_ns - monotonic_ns
+        before_ns, self._wall_ahead_ns = self._wall_ahead_ns, ahead_ns
+        if before_ns is not None and abs(ahead_ns - before_ns) > _CLOCK_STEP_NS:
+            step_ns = ahead_ns - before_ns
+            text = f"the recorder's clock, which gives arrival times, was set by {step_ns / 1e9:+.3f} s"
+            self._warn(text)
+            self._note("arrival_clock_step", text, {"step_ns": step_ns})
 
-    def _fail(self, failure: StoreError) -> None:
+    def _interrupt(self, error: OSError) -> None:
+        """After an error of the disk: back to what is durable, and on in a new segment."""
+        self.counts.interruptions += 1
+        undone = self._log.abandon()
+        self._intake.undo(undone)
+        is_again = time.monotonic() - self._troubled_at < _RETRY_S
+        self._troubled_at = time.monotonic()
+        text = f"writing to {self._store.folder} failed: {error}; the segment is given up, sources keep what it lacks"
+        self._warn(text)
+        if self._closing:
+            raise StoreError(f"{text}; start again to go on")
+        full, _ = self._watch.look(time.monotonic(), again=True)
+        if full is not None:
+            self._pause(full, self._watch.has_room_again)
+        elif is_again:
+            until = time.monotonic() + _RETRY_S
+            self._pause(text, lambda: time.monotonic() >= until)
+        else:
+            self._note("disk_error", text, {"error": str(error)})
+        # what was undone is asked for at once, and not only when its source has waited in vain
+        self._acknowledge(tuple(StreamPosition(s.key, s.epoch, self._log.marks.get(s, 0), rewind=True) for s in undone))
+
+    def _pause(self, reason: str, is_over: Callable[[], bool]) -> None:
+        """Take nothing until it is over; sources hear why every second, and keep what they have."""
+        self._warn(f"recording is paused: {reason}")
+        began = time.monotonic()
+        with self._state:
+            self.paused = reason
+            self.counts.left_to_sources += len(self._incoming)
+            self._incoming.clear()
+            self._incoming_bytes = 0
+            self._state.notify_all()
+        while not self._closing and not is_over():
+            self._acknowledge(())
+            with self._state:
+                self._state.wait(_RETRY_S)
+        if self._closing:
+            raise StoreError(f"recording ended while it was paused: {reason}; sources keep what is not acknowledged")
+        self.paused = None
+        paused_s = time.monotonic() - began
+        text = f"recording goes on after a pause of {paused_s:.1f} s: {reason}"
+        self._warn(text)
+        self._note("recording_paused", text, {"paused_s": paused_s, "reason": reason})
+
+    def _note_recoveries(self) -> None:
+        while self._noted_recoveries < len(self._log.recovered):
+            self._note_recovery(self._log.recovered[self._noted_recoveries])
+            self._noted_recoveries += 1
+
+    def _note_recovery(self, recovery: Recovery) -> None:
+        text = f"{recovery.segment} was not finished: {recovery.records:,} messages recovered"
+        if recovery.damaged_chunks:
+            text += f", {recovery.damaged_bytes:,} bytes in {recovery.damaged_chunks} pieces could not be read"
+        lost = [str(each) for each in recovery.lost]
+        if lost:
+            text += f"; lost: {'; '.join(lost[:5])}" + (f" and {len(lost) - 5} more" if len(lost) > 5 else "")
+        kept = None if recovery.kept_aside is None else recovery.kept_aside.name
+        details = {"segment": recovery.segment, "lost": [vars(each) for each in recovery.lost], "kept_aside": kept}
+        self._note("segment_recovered", text, details)
+
+    def _note(self, what: str, text: str, details: dict[str, Any]) -> None:
+        """Put a document of our own into the log."""
+        now_ns = time.time_ns()
+        stream = StreamId(_NOTES_KEY, self._epoch)
+        seq = self._log.marks.get(stream, 0)
+        document = StoreNoted(run="", t_ns=now_ns, what=what, text=text, details=details)
+        record = LogRecord(_NOTES_KEY, EVENTS, now_ns, now_ns, encode_event(document, self._epoch, seq))
+        self._log.append(Position(stream, seq, seq + 1, now_ns, now_ns, ""), record)
+
+    def _warn(self, text: str) -> None:
+        if self._on_warning is not None:
+            self._on_warning(text)
+
+    def _fail(self, failure: GyrofleetError) -> None:
         with self._state:
             is_first, self.failure = self.failure is None, self.failure or failure
             self._state.notify_all()
-        self._caught_up.set()
         if is_first and self._on_failure is not None:
             self._on_failure(failure)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Self
+from typing import IO, Self
 from uuid import uuid4
 
 from stream.errors import StoreError
@@ -15,6 +15,7 @@ from stream.errors import StoreError
 STORE_FORMAT = 1
 _MARKER = "store.json"
 _LOCK = "writer.lock"
+_LOCK_ATTEMPTS = 5
 
 
 class Store:
@@ -124,9 +125,7 @@ class WriterLock:
 
     def __init__(self, store: Store, role: str, endpoint: str = "") -> None:
         self._file = (store.folder / _LOCK).open("a+")
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if not _locked(self._file):
             self._file.close()
             holder = _holder(store.folder)
             where = f" (--connect {holder['endpoint']})" if holder.get("endpoint") else ""
@@ -172,16 +171,33 @@ def only_one(path: Path, what: str) -> Iterator[None]:
         yield
 
 
-def writer_endpoint(folder: Path) -> str | None:
-    """Where the process listens that writes the store in `folder` now; None if there is none."""
+def writer_is_active(folder: Path) -> bool:
+    """Whether a process writes the store in `folder` now."""
     try:
         with (folder / _LOCK).open() as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
-        return _holder(folder).get("endpoint") or None
+        return True
     except OSError:
-        return None
-    return None
+        return False
+    return False
+
+
+def writer_endpoint(folder: Path) -> str | None:
+    """Where the process listens that writes the store in `folder` now; None if there is none."""
+    return (_holder(folder).get("endpoint") or None) if writer_is_active(folder) else None
+
+
+def _locked(file: IO[str]) -> bool:
+    """Take a lock; who only looks whether it is held (`writer_is_active`) holds it for a moment."""
+    for attempt in range(_LOCK_ATTEMPTS):
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(0.02 if attempt + 1 < _LOCK_ATTEMPTS else 0.0)
+        else:
+            return True
+    return False
 
 
 def _holder(folder: Path) -> dict[str, str]:

@@ -4,11 +4,14 @@ import math
 from typing import Any
 
 import numpy as np
+from numba import njit
 
-from stream.batch import FloatArray, IntArray, SampleBatch
+from stream.batch import FloatArray, IntArray, SampleBatch, checked_batch
 from stream.errors import BadInput
 
 LEAST_SHARE = 0.9
+
+_NO_TIMES = np.empty(0, np.int64)
 
 
 class BlockMeans:
@@ -55,13 +58,6 @@ class BlockMeans:
         """Take over what another one of the same length has exported."""
         vars(self).update(state)
 
-    def _expected(self, batch: SampleBatch, blocks: IntArray) -> FloatArray:
-        """Samples that each block lets expect."""
-        if batch.times_ns is not None:
-            return np.full(len(blocks), self._block_ns / batch.dt_ns)
-        first, stop = (-(-(blocks + more) * self._block_ns // batch.dt_ns) for more in (0, 1))
-        return np.asarray(stop - first, np.float64)
-
     def push(self, batch: SampleBatch) -> SampleBatch | None:
         """Take in a batch; the means of the blocks that it completes, if there are any.
 
@@ -76,36 +72,81 @@ class BlockMeans:
                 f"shorter than the sample interval of {batch.dt_ns / 1e9:g} s"
             )
         if self._t0_ns is None:
-            self._t0_ns = int(batch.time_array[0])
-        indices = (batch.time_array - self._t0_ns) // self._block_ns
-        starts = np.flatnonzero(np.diff(indices, prepend=indices[0] - 1))
-        is_finite = np.isfinite(batch.value_array)
-        sums = np.add.reduceat(np.where(is_finite, batch.value_array, 0.0), starts)
-        counts = np.add.reduceat(is_finite, starts, dtype=np.int64)
-        blocks = indices[starts]
-        if blocks[0] == self._index:
-            sums[0] += self._sum
-            counts[0] += self._count
-        elif self._count > 0:
-            blocks = np.concatenate([[self._index], blocks])
-            sums = np.concatenate([[self._sum], sums])
-            counts = np.concatenate([[self._count], counts])
-        self._index, self._sum, self._count = int(blocks[-1]), float(sums[-1]), int(counts[-1])
-        whole = np.flatnonzero(counts[:-1] >= LEAST_SHARE * self._expected(batch, blocks[:-1]))
-        if len(whole) == 0:
-            return None
-        times_ns = self._t0_ns + blocks[whole] * self._block_ns
-        seq = self._seq
-        self._seq += len(whole)
-        return SampleBatch(
-            unit=batch.unit,
-            signal=batch.signal,
-            run=batch.run,
-            epoch=batch.epoch,
-            seq=seq,
-            t0_ns=int(times_ns[0]),
-            dt_ns=self._block_ns,
-            unit_of_measure=batch.unit_of_measure,
-            values=sums[whole] / counts[whole],
-            times_ns=times_ns,
+            self._t0_ns = batch.t0_ns if batch.times_ns is None else int(batch.times_ns[0])
+        n = len(batch)
+        blocks, means = np.empty(n, np.int64), np.empty(n)
+        self._index, self._sum, self._count, found, is_even = _close_blocks(
+            self._block_ns,
+            batch.t0_ns - self._t0_ns,
+            batch.dt_ns,
+            _NO_TIMES if batch.times_ns is None else batch.times_ns - self._t0_ns,
+            batch.own_values,
+            self._index,
+            self._sum,
+            self._count,
+            blocks,
+            means,
         )
+        if found == 0:
+            return None
+        seq = self._seq
+        self._seq += found
+        return checked_batch(
+            {
+                "unit": batch.unit,
+                "signal": batch.signal,
+                "run": batch.run,
+                "epoch": batch.epoch,
+                "seq": seq,
+                "t0_ns": self._t0_ns + int(blocks[0]) * self._block_ns,
+                "dt_ns": self._block_ns,
+                "unit_of_measure": batch.unit_of_measure,
+                "counts": None,
+                "values": means[:found],
+                "times_ns": None if is_even else self._t0_ns + blocks[:found] * self._block_ns,
+                "irregular": False,
+                "scale": 1.0,
+                "offset": 0.0,
+                "flags": None,
+            }
+        )
+
+
+@njit(cache=True, nogil=True)
+def _close_blocks(
+    block_ns: int,
+    first_ns: int,
+    dt_ns: int,
+    times_ns: IntArray,
+    values: FloatArray,
+    index: int,
+    total: float,
+    count: int,
+    blocks: IntArray,
+    means: FloatArray,
+) -> tuple[int, float, int, int, bool]:
+    """Take in values; the block being filled, its sum and count, how many means were written, and if without a gap.
+
+    Times are relative to the beginning of block 0; without any they are exact.
+    """
+    is_timed = times_ns.shape[0] > 0
+    begin, end = index * block_ns, (index + 1) * block_ns
+    found = 0
+    is_even = True
+    for i in range(values.shape[0]):
+        t_ns = times_ns[i] if is_timed else first_ns + i * dt_ns
+        if t_ns < begin or t_ns >= end:
+            expected = block_ns / dt_ns if is_timed else float((-begin // dt_ns) - (-end // dt_ns))
+            if count > 0 and count >= LEAST_SHARE * expected:
+                is_even = is_even and (found == 0 or blocks[found - 1] == index - 1)
+                blocks[found] = index
+                means[found] = total / count
+                found += 1
+            index = t_ns // block_ns
+            begin, end = index * block_ns, (index + 1) * block_ns
+            total = 0.0
+            count = 0
+        if values[i] - values[i] == 0.0:
+            total += values[i]
+            count += 1
+    return index, total, count, found, is_even

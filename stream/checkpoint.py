@@ -1,19 +1,24 @@
-"""A worker's checkpoint: what it knows of every signal, in one file that is there whole or not at all."""
+"""A worker's checkpoint: what it knows of every signal, in one file that is there whole or not at all.
 
+Two generations are kept. One that is damaged is moved aside, and the one before it is as good: it only takes more out
+of the log.
+"""
+
+import hashlib
 import os
 import struct
-import zlib
+import time
 from pathlib import Path
 
 import msgspec
 
-from stream.errors import EstimatorError
+from stream.errors import CheckpointDamaged, EstimatorError
 from stream.events import LimitsApplied
 from stream.signal_analysis import SignalState
 
-CHECKPOINT_VERSION = 1
+CHECKPOINT_VERSION = 2
 
-_HEAD = struct.Struct("<4sII")  # mark, version, CRC-32 of version and content
+_HEAD = struct.Struct("<4sI32s")  # mark, version, SHA-256 of version and content
 _MARK = b"GFCP"
 
 
@@ -24,10 +29,10 @@ class Checkpoint(msgspec.Struct, frozen=True):
     ----------
     store : str
         Identity of the store whose log goes on where the checkpoint ends.
-    every_ns : int
-        Interval between estimates, nanoseconds.
     positions : list of (key, epoch, next number)
         How far every stream was taken in.
+    ended : list of str
+        Runs whose messages beyond those positions are left out.
     limits : list of LimitsApplied
         Those of the runs that go on.
     signals : list of SignalState
@@ -35,8 +40,8 @@ class Checkpoint(msgspec.Struct, frozen=True):
     """
 
     store: str
-    every_ns: int
     positions: list[tuple[str, str, int]]
+    ended: list[str]
     limits: list[LimitsApplied]
     signals: list[SignalState]
 
@@ -44,16 +49,28 @@ class Checkpoint(msgspec.Struct, frozen=True):
 _decoder = msgspec.msgpack.Decoder(Checkpoint)
 
 
+def generations(path: Path) -> tuple[Path, Path]:
+    """Files of the newest checkpoint and of the one before it.
+
+    Examples
+    --------
+    >>> [each.name for each in generations(Path("estimate.checkpoint"))]
+    ['estimate.checkpoint', 'estimate.checkpoint.previous']
+    """
+    return path, path.with_name(path.name + ".previous")
+
+
 def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
-    """Put a checkpoint in the place of the one before.
+    """Put a checkpoint in the place of the newest, which becomes the previous one.
 
     Raises
     ------
     EstimatorError
-        If it cannot be written; the one before is then still there.
+        If it cannot be written; those before are then still there.
     """
     content = msgspec.msgpack.encode(checkpoint)
-    head = _HEAD.pack(_MARK, CHECKPOINT_VERSION, zlib.crc32(content, CHECKPOINT_VERSION))
+    head = _HEAD.pack(_MARK, CHECKPOINT_VERSION, _digest(CHECKPOINT_VERSION, content))
+    newest, previous = generations(path)
     fresh = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -61,7 +78,9 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
             file.write(head + content)
             file.flush()
             os.fsync(file.fileno())
-        fresh.replace(path)
+        if newest.exists():
+            newest.replace(previous)
+        fresh.replace(newest)
         folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
         try:
             os.fsync(folder)
@@ -75,31 +94,56 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
 
 
 def read_checkpoint(path: Path) -> Checkpoint | None:
-    """The last checkpoint; None where there is none.
+    """The checkpoint in a file; None where there is none.
 
     Raises
     ------
+    CheckpointDamaged
+        If it is not what was written, or of an older version.
     EstimatorError
-        If it is damaged, or of another version.
+        If it cannot be read, or is of a newer version.
     """
     try:
         content = path.read_bytes()
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise EstimatorError(f"the checkpoint {path} cannot be read: {error}") from error
-    remedy = f"remove {path} to begin anew"
+        raise EstimatorError(f"the checkpoint {path} cannot be read: {error}; mend the disk or move it away") from error
     if len(content) < _HEAD.size or content[:4] != _MARK:
-        raise EstimatorError(f"{path} is no checkpoint; {remedy}")
-    _, version, checksum = _HEAD.unpack_from(content)
-    if version != CHECKPOINT_VERSION:
+        raise CheckpointDamaged(f"the checkpoint {path} is damaged: it does not begin as one")
+    _, version, digest = _HEAD.unpack_from(content)
+    packed = content[_HEAD.size :]
+    is_whole = digest == _digest(version, packed)
+    if is_whole and version > CHECKPOINT_VERSION:
         raise EstimatorError(
-            f"checkpoint {path} of version {version}, this gyrofleet reads {CHECKPOINT_VERSION}; use the gyrofleet "
-            f"that wrote it, or {remedy}"
+            f"checkpoint {path} of version {version}, this gyrofleet reads {CHECKPOINT_VERSION}: use the one that "
+            "wrote it, or move it away to begin anew from the log"
+        )
+    if not is_whole or version < CHECKPOINT_VERSION:
+        raise CheckpointDamaged(
+            f"the checkpoint {path} is damaged, or of an older gyrofleet: its SHA-256 does not hold"
         )
     try:
-        if checksum != zlib.crc32(content[_HEAD.size :], version):
-            raise EstimatorError(f"the checkpoint {path} is damaged; {remedy}")
-        return _decoder.decode(content[_HEAD.size :])
+        return _decoder.decode(packed)
     except msgspec.MsgspecError as error:
-        raise EstimatorError(f"the checkpoint {path} cannot be read ({error}); {remedy}") from error
+        raise CheckpointDamaged(f"the checkpoint {path} cannot be read: {error}") from error
+
+
+def keep_aside(path: Path) -> Path:
+    """Move a checkpoint that cannot be used out of the way; where it is then.
+
+    Raises
+    ------
+    EstimatorError
+        If it cannot be moved.
+    """
+    aside = path.with_name(f"{path.name}.damaged-{time.time_ns()}")
+    try:
+        path.rename(aside)
+    except OSError as error:
+        raise EstimatorError(f"the checkpoint {path} cannot be moved aside: {error}; move it away yourself") from error
+    return aside
+
+
+def _digest(version: int, content: bytes) -> bytes:
+    return hashlib.sha256(version.to_bytes(4, "little") + content).digest()

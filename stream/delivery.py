@@ -7,70 +7,38 @@ when a recorder acknowledges it after its data are on disk. At least once on the
 
 import threading
 import time
-from collections import deque
-from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, Self
+from collections.abc import Callable
+from types import TracebackType
+from typing import Protocol, Self
 from uuid import uuid4
 
-import msgspec
-
+from stream.acknowledgement import (
+    Acknowledgement,
+    StreamId,
+    StreamPosition,
+    decode_acknowledgement,
+    encode_acknowledgement,
+)
 from stream.batch import SampleBatch
 from stream.bus import Bus
-from stream.errors import DeliveryError, WireError
+from stream.errors import DeliveryError, GyrofleetError, WireError
 from stream.events import AnyDocument, encode_event
 from stream.identity import ACKNOWLEDGEMENT_KEY
-from stream.wire import encode_batch
+from stream.outbox import BITE_BYTES, Due, Outbox
+from stream.outgoing import Held, OutgoingStream
+from stream.spool import Spool, SpoolError, SpoolFull
 
+__all__ = [
+    "Acknowledgement",
+    "DurablePublisher",
+    "Sender",
+    "StreamId",
+    "StreamPosition",
+    "decode_acknowledgement",
+    "encode_acknowledgement",
+]
 
-class StreamId(NamedTuple):
-    """What is numbered without a gap: one key expression within one epoch of its source."""
-
-    key: str
-    epoch: str
-
-
-class StreamPosition(msgspec.Struct, frozen=True, array_like=True):
-    """How far a recorder has a stream on disk; with `rewind` it asks for what comes next once more."""
-
-    key: str
-    epoch: str
-    next_seq: int
-    rewind: bool = False
-
-
-class Acknowledgement(msgspec.Struct, frozen=True, array_like=True):
-    """Positions of the streams that moved since the last acknowledgement, and the store that holds them.
-
-    `paused` says why the recorder takes nothing at the moment; it is empty while it records.
-    """
-
-    schema: int
-    store: str
-    positions: tuple[StreamPosition, ...]
-    paused: str = ""
-
-
-ACKNOWLEDGEMENT_SCHEMA = 1
-_decoder = msgspec.msgpack.Decoder(Acknowledgement)
-
-
-def encode_acknowledgement(store: str, positions: tuple[StreamPosition, ...], paused: str = "") -> bytes:
-    """Put positions into their wire form."""
-    return msgspec.msgpack.encode(Acknowledgement(ACKNOWLEDGEMENT_SCHEMA, store, positions, paused))
-
-
-def decode_acknowledgement(payload: bytes) -> Acknowledgement:
-    """Read positions from their wire form.
-
-    Raises
-    ------
-    WireError
-        If it is none.
-    """
-    try:
-        return _decoder.decode(payload)
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise WireError(f"not an acknowledgement: {error}") from error
+_TICK_S = 0.25
 
 
 class Sender(Protocol):
@@ -83,186 +51,300 @@ class Sender(Protocol):
         """Send a run document under `key`."""
 
 
-class _Held(NamedTuple):
-    next_seq: int
-    payload: bytes
-
-
-@dataclass
-class _Outstanding:
-    held: deque[_Held] = field(default_factory=deque)
-    store: str | None = None
-    resend: bool = False
-
-
 class DurablePublisher:
     """Sends samples and documents, and keeps them until they are acknowledged.
+
+    Messages of a stream are sent in their order. If the recorder asks for one once more, the stream goes back to it
+    and on from there, in an amount that grows with what is acknowledged. Where nothing is answered, the first and
+    the last message of the stream are sent again: the recorder then says what it has, or what it lacks.
 
     Parameters
     ----------
     bus : Bus
         Where to send.
     window_bytes : int
-        How much may be unacknowledged; beyond it, `send_batch` waits. It bounds the memory of the source and
-        of the recorder's queue alike.
+        How much may be unacknowledged in memory. Beyond it `send_batch` waits, or, with a spool, leaves it on disk.
+        It bounds the memory of the source and of the recorder's queue alike.
     resend_after_s : float
-        Silence after which everything unacknowledged is sent again; doubled each time, up to 30 s.
+        Silence of a stream after which the recorder is asked; doubled each time, up to 10 s.
     timeout_s : float
-        Silence after which waiting is given up with an error.
+        Silence after which waiting is given up with an error. A recorder that says why it pauses is not silent.
+    spool : Spool, optional
+        Keeps messages on disk. What it holds from before is sent first. The caller closes it after the publisher.
     """
 
     def __init__(
-        self, bus: Bus, *, window_bytes: int = 32 << 20, resend_after_s: float = 2.0, timeout_s: float = 60.0
+        self,
+        bus: Bus,
+        *,
+        window_bytes: int = 32 << 20,
+        resend_after_s: float = 2.0,
+        timeout_s: float = 60.0,
+        spool: Spool | None = None,
     ) -> None:
         self._bus = bus
         self._window_bytes = window_bytes
         self._resend_after_s = resend_after_s
         self._timeout_s = timeout_s
+        self._spool = spool
+        self._out = Outbox(window_bytes, resend_after_s, spool)
         self._epoch = uuid4().hex
         self._event_seq: dict[str, int] = {}
-        self._streams: dict[StreamId, _Outstanding] = {}
-        self._bytes = 0
-        self._progress_at = time.monotonic()
-        self._broken: str | None = None
+        self._by_key: dict[str, OutgoingStream] = {}
+        self._is_told = False
+        self._is_loading = False
         self._closed = False
-        self._state = threading.Condition()
-        self.resent = 0
+        self._numbering = threading.Lock()
+        self._lock = threading.Lock()
+        self._state = threading.Condition(self._lock)
         bus.subscribe(ACKNOWLEDGEMENT_KEY, self._on_acknowledgement)
-        self._resender = threading.Thread(target=self._resend_loop, name="gyrofleet-resend", daemon=True)
-        self._resender.start()
+        self._pump = threading.Thread(target=self._pump_loop, name="gyrofleet-resend", daemon=True)
+        self._pump.start()
 
     @property
     def outstanding(self) -> int:
-        """Messages that no recorder has acknowledged yet."""
-        with self._state:
-            return sum(len(stream.held) for stream in self._streams.values())
+        """Messages that no recorder has acknowledged yet; of those from before a restart, at most so many."""
+        with self._lock:
+            return self._out.count()
+
+    @property
+    def paused(self) -> str | None:
+        """Why the recorder takes nothing at the moment; None while it records, or says nothing."""
+        with self._lock:
+            return self._out.paused if self._out.is_paused() else None
+
+    @property
+    def resent(self) -> int:
+        """How many messages were sent once more."""
+        return self._out.resent
+
+    @property
+    def warning(self) -> str | None:
+        """What people should know, while it is so; None where all is well."""
+        return (self._spool.failure if self._spool is not None else None) or self._out.warning
 
     def send_batch(self, key: str, batch: SampleBatch) -> None:
-        """Send samples under `key`; waits while the window is full.
+        """Send samples under `key`; waits while the window, or the spool, is full.
+
+        The batches of one key come from one thread.
 
         Raises
         ------
         DeliveryError
             If nothing is acknowledged for `timeout_s`.
         """
-        self._send(StreamId(key, batch.epoch.hex), batch.next_seq, encode_batch(batch))
+        stream = self._by_key.get(key)
+        if stream is None or (stream.epoch is not batch.epoch and stream.epoch != batch.epoch):
+            stream = self._stream(StreamId(key, batch.epoch.hex))
+            stream.epoch = batch.epoch
+            self._by_key[key] = stream
+        seq = batch.seq
+        payload = stream.encoder.encode(batch)
+        if self._accept(stream, seq, seq + len(batch), payload):
+            self._bus.publish(key, stream.on_wire(payload) if stream.base else payload)
 
     def send_event(self, key: str, document: AnyDocument) -> None:
         """Send a run document under `key`, numbered within this publisher; waits and raises like `send_batch`."""
-        with self._state:
+        stream = self._stream(StreamId(key, self._epoch))
+        with self._numbering:  # whoever has a number sends before the next is given
             seq = self._event_seq.get(key, 0)
+            payload = encode_event(document, self._epoch, seq)
+            is_due = self._accept(stream, seq, seq + 1, payload)
             self._event_seq[key] = seq + 1
-        self._send(StreamId(key, self._epoch), seq + 1, encode_event(document, self._epoch, seq))
+            if is_due:
+                self._bus.publish(key, payload)
 
-    def drain(self) -> None:
-        """Wait until everything is acknowledged.
+    def drain(self, given_up: Callable[[], bool] = lambda: False) -> None:
+        """Wait until everything is acknowledged, or `given_up`, which is asked now and then, says so.
 
         Raises
         ------
         DeliveryError
             If nothing is acknowledged for `timeout_s`; the message says what is outstanding.
         """
-        with self._state:
-            while self._bytes:
-                self._wait()
-            self._check()
+        began = time.monotonic()
+        while not given_up():
+            with self._state:
+                if not self._out.bytes and not self._is_spooled():
+                    self._check()
+                    return
+                self._wait(began)
 
     def fail(self, reason: str) -> None:
         """Let whoever sends or drains have `reason` as a DeliveryError at once: there is nothing to wait for."""
         with self._state:
-            self._broken = self._broken or reason
+            self._out.broken = self._out.broken or reason
             self._state.notify_all()
 
     def close(self) -> None:
-        """Stop sending again; whatever `drain` has not seen acknowledged is given up."""
-        with self._state:
-            self._closed = True
-            self._state.notify_all()
-        self._resender.join()
+        """Stop sending, without waiting for what is outstanding.
+
+        Raises
+        ------
+        DeliveryError
+            If something is, and no error has said so before; `drain` waits for it.
+        """
+        self._stop()
+        if (self._out.bytes or self._is_spooled()) and not self._is_told:
+            self._is_told = True
+            raise DeliveryError(f"closed before everything was acknowledged: {self._out.told()}")
+
+    def abandon(self) -> None:
+        """Stop sending, whatever is outstanding; what is spooled is sent by the next publisher of the spool."""
+        self._is_told = True
+        self._stop()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None and not self._is_told:
+                self.drain()
+        finally:
+            self._stop()
 
-    def _send(self, stream_id: StreamId, next_seq: int, payload: bytes) -> None:
+    def _stop(self) -> None:
         with self._state:
-            while self._bytes and self._bytes + len(payload) > self._window_bytes:
-                self._wait()
-            self._check()
-            if not self._bytes:
-                self._progress_at = time.monotonic()
-            self._streams.setdefault(stream_id, _Outstanding()).held.append(_Held(next_seq, payload))
-            self._bytes += len(payload)
-        self._bus.publish(stream_id.key, payload)
+            self._closed = True
+            self._state.notify_all()
+        self._pump.join()
 
-    def _wait(self) -> None:
+    def _stream(self, stream_id: StreamId) -> OutgoingStream:
+        stream = self._out.streams.get(stream_id)
+        if stream is None:
+            with self._lock:
+                stream = self._out.stream(stream_id)
+        return stream
+
+    def _accept(self, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> bool:
+        """Keep a message until it is acknowledged; whether it is to be published now."""
+        with self._lock:
+            if self._spool is not None:
+                if not self._keep(self._spool, stream, seq, next_seq, payload):
+                    return False  # on disk; it is sent when its turn comes
+            elif not self._out.fits(len(payload)):
+                self._wait_for_room(len(payload))
+            if self._out.broken:
+                self._check()
+            return self._out.hold(stream, Held(seq, next_seq, payload))
+
+    def _keep(self, spool: Spool, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> bool:
+        """Put a message into the spool; whether it is to be held in memory as well."""
+        began = time.monotonic()
+        while True:
+            self._check()
+            fits = not self._is_spooled() and self._out.fits(len(payload))
+            try:
+                spool.append(stream.id, seq, next_seq, payload, taken=fits)
+            except SpoolFull as error:
+                self._wait(began, f"{error}: ")
+            except SpoolError:
+                while self._is_spooled():  # what is on disk goes before what is not
+                    self._wait(began)
+                self._wait_for_room(len(payload))
+                return True
+            else:
+                return fits
+
+    def _wait_for_room(self, size: int) -> None:
+        began = time.monotonic()
+        while not self._out.fits(size):
+            self._wait(began)
+
+    def _is_spooled(self) -> bool:
+        return self._spool is not None and (self._is_loading or self._spool.waiting > 0)
+
+    def _wait(self, began: float, why: str = "") -> None:
         self._check()
-        silence_s = time.monotonic() - self._progress_at
+        silence_s = time.monotonic() - max(self._out.progress_at, began)
         if silence_s > self._timeout_s:
+            self._is_told = True
             raise DeliveryError(
-                f"no recorder has acknowledged anything for {silence_s:.0f} s and {self._told_outstanding()}; "
+                f"{why}no recorder has acknowledged anything for {silence_s:.0f} s and {self._out.told()}; "
                 f"is `gyrofleet record` running where this source is connected to?"
             )
         self._state.wait(0.1)
 
     def _check(self) -> None:
-        if self._broken:
-            raise DeliveryError(self._broken)
-
-    def _told_outstanding(self) -> str:
-        waiting = [(stream_id, len(stream.held)) for stream_id, stream in self._streams.items() if stream.held]
-        first, count = waiting[0]
-        more = f" and {len(waiting) - 1} more streams" if len(waiting) > 1 else ""
-        return f"{count} messages of {first.key}{more} are outstanding"
+        if self._out.broken:
+            self._is_told = True
+            raise DeliveryError(self._out.broken)
 
     def _on_acknowledgement(self, _key: str, payload: bytes) -> None:
         try:
             acknowledgement = decode_acknowledgement(payload)
         except WireError:
             return  # not from a recorder of ours; without an acknowledgement everything is kept and sent again
+        now = time.monotonic()
         with self._state:
+            self._out.hear_pause(acknowledgement.paused, now)
             for position in acknowledgement.positions:
-                stream = self._streams.get(StreamId(position.key, position.epoch))
-                if stream is not None:
-                    self._take(stream, acknowledgement.store, position)
+                self._out.answer(acknowledgement.store, position, now)
             self._state.notify_all()
 
-    def _take(self, stream: _Outstanding, store: str, position: StreamPosition) -> None:
-        if position.rewind and stream.store not in {None, store}:
-            self._broken = (
-                f"the recorder asks for {position.key} from number {position.next_seq}, but earlier numbers went to "
-                f"another store; send to one store until the run has ended"
-            )
-            return
-        if not position.rewind:
-            stream.store = store
-        while stream.held and stream.held[0].next_seq <= position.next_seq:
-            self._bytes -= len(stream.held.popleft().payload)
-            self._progress_at = time.monotonic()
-        stream.resend |= position.rewind and bool(stream.held)
+    def _pump_loop(self) -> None:
+        """Publish what was asked for again, and what waits on disk, as acknowledgements allow."""
+        tick_s = min(_TICK_S, self._resend_after_s / 2)
+        tick_at = 0.0
+        try:
+            while True:
+                with self._state:
+                    if not self._closed and not self._has_work():
+                        self._state.wait(min(0.05, tick_s))
+                    if self._closed:
+                        return
+                    now = time.monotonic()
+                    bite: list[Due] = []
+                    if now >= tick_at:
+                        tick_at = now + tick_s
+                        bite += self._out.overdue(now)
+                    bite += self._out.next_bite()
+                bite += self._load()
+                for stream, held in bite:
+                    self._bus.publish(stream.id.key, stream.on_wire(held.payload))
+                with self._lock:
+                    for stream, _ in bite:
+                        stream.pumping = False
+                        if stream.sent < len(stream.held):
+                            self._out.behind[stream] = None
+        except GyrofleetError as error:
+            self.fail(str(error))
 
-    def _resend_loop(self) -> None:
-        patience_s = self._resend_after_s
-        last_progress = quiet_since = self._progress_at
-        while True:
-            with self._state:
-                self._state.wait(0.05)
-                if self._closed:
-                    return
-                if self._progress_at != last_progress:
-                    last_progress = quiet_since = self._progress_at
-                    patience_s = self._resend_after_s
-                overdue = self._bytes > 0 and time.monotonic() - quiet_since > patience_s
-                again: list[tuple[str, bytes]] = []
-                for stream_id, stream in self._streams.items():
-                    if stream.resend or overdue:
-                        stream.resend = False
-                        again += [(stream_id.key, held.payload) for held in stream.held]
-                if overdue:
-                    patience_s = min(2 * patience_s, 30.0)
-                    quiet_since = time.monotonic()
-                self.resent += len(again)
-            for key, payload in again:
-                self._bus.publish(key, payload)
+    def _has_work(self) -> bool:
+        return self._out.credit > 0 and (bool(self._out.behind) or self._can_load())
+
+    def _can_load(self) -> bool:
+        spool = self._spool
+        return (
+            spool is not None
+            and spool.waiting > 0
+            and self._out.bytes < self._window_bytes
+            and self._out.broken is None
+        )
+
+    def _load(self) -> list[Due]:
+        """Bring messages from the disk into memory; returns those to publish now, in their order."""
+        with self._lock:
+            if self._out.credit <= 0 or not self._can_load():
+                return []
+            assert self._spool is not None
+            self._is_loading = True
+            most_bytes = min(self._window_bytes - self._out.bytes, self._out.credit, BITE_BYTES)
+        messages = self._spool.read(most_bytes)
+        now_due: list[Due] = []
+        with self._state:
+            self._is_loading = False
+            for message in messages:
+                stream = self._out.stream(message.stream)
+                if message.next_seq > stream.acknowledged:
+                    held = Held(message.seq, message.next_seq, message.payload)
+                    self._out.credit -= len(held.payload)
+                    if self._out.hold(stream, held):
+                        now_due.append((stream, held))
+            for stream, _ in now_due:
+                stream.pumping = True
+            self._state.notify_all()
+        return now_due

@@ -1,6 +1,7 @@
 """The early decisions on one signal: one for each limit of its run, looked at whenever its estimates are published."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any, NamedTuple, Self
 
 import msgspec
@@ -86,7 +87,7 @@ class EarlyDecisions:
         self._limits: tuple[Limit, ...] = ()
         self._tests: dict[int, AllanDecision | BiasStabilityDecision] = {}
         self._exactly: dict[int, _Exactly] = {}
-        self._saved: dict[str, Any] = {}
+        self._plans: dict[int, DecisionPlan] = {}
 
     def apply(self, limits: LimitsApplied) -> None:
         """Take the limits of the run; they do nothing without its planned duration. The first ones stand."""
@@ -148,12 +149,16 @@ class EarlyDecisions:
             if number not in self._tests:
                 if not estimate.unit_of_measure:
                     return _cannot("no sample yet", "尚无样本")
-                self._tests[number] = self._begin(number, limit, estimate)
+                self._begin(number, self._plan(number, limit, estimate))
             return self._tests[number].look(elapsed_s, point)
         except GyrofleetError as error:
             return _cannot(str(error), str(error))
 
-    def _begin(self, number: int, limit: Limit, estimate: EstimatePublished) -> AllanDecision | BiasStabilityDecision:
+    def _begin(self, number: int, plan: DecisionPlan) -> None:
+        test = AllanDecision(plan) if _is_allan(self._limits[number]) else BiasStabilityDecision(plan)
+        self._tests[number], self._plans[number] = test, plan
+
+    def _plan(self, number: int, limit: Limit, estimate: EstimatePublished) -> DecisionPlan:
         assert self._planned_s is not None
         if limit.characteristic == ANGLE_RANDOM_WALK:
             # Allan deviation at 1 s in deg/h is 60 times the angle random walk in deg/sqrt(h)
@@ -161,24 +166,23 @@ class EarlyDecisions:
         else:
             factor, offset = conversion(limit.unit_of_measure, estimate.unit_of_measure)
         lag = _STEPS if number in self._exactly else round(_tau_s(limit) / estimate.sample_interval_s)
-        plan = DecisionPlan(
+        return DecisionPlan(
             tau_s=_tau_s(limit),
             limit=limit.upper * factor + offset,
             duration_s=self._planned_s,
             windows_per_tau=max(1, lag),
         )
-        test = AllanDecision(plan) if _is_allan(limit) else BiasStabilityDecision(plan)
-        if str(number) in self._saved:
-            test.import_state(self._saved[str(number)])
-        return test
 
     def export_state(self) -> dict[str, Any]:
         """Everything that is kept, in plain values."""
-        tests = {str(number): test.export_state() for number, test in self._tests.items()}
+        tests = {
+            str(number): {"plan": asdict(self._plans[number]), "state": test.export_state()}
+            for number, test in self._tests.items()
+        }
         return {
             "planned_s": self._planned_s,
             "limits": [msgspec.to_builtins(limit) for limit in self._limits],
-            "tests": {**self._saved, **tests},
+            "tests": tests,
             "exactly": {str(number): exactly.export_state() for number, exactly in self._exactly.items()},
         }
 
@@ -188,7 +192,9 @@ class EarlyDecisions:
         decisions = cls(signal)
         decisions._planned_s = state["planned_s"]
         decisions._set(tuple(msgspec.convert(limit, Limit) for limit in state["limits"]))
-        decisions._saved = state["tests"]
+        for number, saved in state["tests"].items():
+            decisions._begin(int(number), msgspec.convert(saved["plan"], DecisionPlan))
+            decisions._tests[int(number)].import_state(saved["state"])
         decisions._exactly = {int(n): decisions._exactly[int(n)] for n in state["exactly"]}
         for number, saved in state["exactly"].items():
             decisions._exactly[int(number)].import_state(saved)

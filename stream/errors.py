@@ -47,3 +47,7 @@ class DeliveryError(GyrofleetError):
 
 class EstimatorError(GyrofleetError):
     """An estimator that is given what it cannot use."""
+
+
+class CheckpointDamaged(EstimatorError):
+    """A checkpoint that cannot be gone on from; the one before it, or the log, can."""

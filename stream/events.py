@@ -150,7 +150,10 @@ class EstimatePoint(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class EstimatePublished(Document, frozen=True, kw_only=True, tag=True):
-    """What an estimator says of a signal at `t_ns`: points, or a reason why there are none."""
+    """What an estimator says of a signal at `t_ns`: points, or a reason why there are none.
+
+    Such documents come every `every_ns` of the signal's time; 0 where that is not known.
+    """
 
     unit: str
     signal: str
@@ -160,6 +163,7 @@ class EstimatePublished(Document, frozen=True, kw_only=True, tag=True):
     samples: int
     missing: int
     sample_interval_s: float
+    every_ns: int = 0
     final: bool = False
     points: tuple[EstimatePoint, ...] = ()
     reason: str | None = None

@@ -6,7 +6,6 @@ from uuid import UUID, uuid5
 
 import msgspec
 
-from stream.batch import SampleBatch
 from stream.early_decisions import EarlyDecisions
 from stream.errors import GyrofleetError
 from stream.estimators.allan_variance import AllanDeviation
@@ -22,12 +21,16 @@ from stream.events import (
     NoiseFitted,
     SpectralLinesFound,
 )
+from stream.gathering import Gathering, GatheringState, Piece
 from stream.identity import Place
 from stream.quantities import ANGULAR_RATE_UNIT
+from stream.wire import WireBatch
 
 NOISE_COEFFICIENTS = "noise_coefficients"
 SPECTRAL_LINES = "spectral_lines"
 EARLY_DECISION = "early_decision"
+
+Documents = list[tuple[str, AnyDocument]]
 
 _NAMESPACE = UUID("8d3f3c5e-6a2f-4d53-9a3c-5f0c7f0a9b11")
 
@@ -36,11 +39,8 @@ class SignalState(msgspec.Struct, frozen=True):
     """A signal's analysis as it is kept in a checkpoint."""
 
     place: tuple[str, str]
-    run: str
-    unit: str
-    signal: str
-    next_due_ns: int
-    first_ns: int
+    gathering: GatheringState
+    first_ns: int | None
     last_ns: int
     refusal: str | None
     snapshots: tuple[bytes, ...]
@@ -50,83 +50,69 @@ class SignalState(msgspec.Struct, frozen=True):
 class SignalAnalysis:
     """The estimators, the spectrum and the early decisions of one signal of one run.
 
+    Documents are due whenever the signal's own time passes a multiple of the interval, counted from its first sample,
+    and when its run ends. What they say, and when, is a function of the samples alone: not of the batches in which they
+    came, nor of the moments.
+
     Parameters
     ----------
     place : Place
         Where the signal comes from.
     name : tuple of str
-        Run, unit and signal.
-    first_ns, last_ns : int
-        Times of its first sample and of the last one taken in, nanoseconds.
-    next_due_ns, every_ns : int
-        When documents are due next in the signal's own time, and how often, nanoseconds.
+        Unit, signal and run.
+    every_ns : int
+        Interval between documents in the signal's own time, nanoseconds.
     followers : sequence of Follower
         Estimators and the spectral density.
-    decisions : EarlyDecisions, optional
-        Those of the run on this signal.
-    refusal : str, optional
-        Why the signal cannot be estimated.
     """
 
-    def __init__(
-        self,
-        place: Place,
-        name: tuple[str, str, str],
-        *,
-        first_ns: int,
-        last_ns: int,
-        next_due_ns: int,
-        every_ns: int,
-        followers: Sequence[Follower],
-        decisions: EarlyDecisions | None = None,
-        refusal: str | None = None,
-    ) -> None:
+    def __init__(self, place: Place, name: tuple[str, str, str], every_ns: int, followers: Sequence[Follower]) -> None:
         self.place = place
-        self.run, self.unit, self.signal = name
-        self.refusal = refusal
-        self.last_ns = last_ns
-        self._first_ns = first_ns
+        self.unit, self.signal, self.run = name
         self._every_ns = every_ns
-        self._next_due_ns = next_due_ns
         self._followers = list(followers)
-        self._decisions = EarlyDecisions(self.signal) if decisions is None else decisions
-
-    @classmethod
-    def begin(cls, place: Place, batch: SampleBatch, every_ns: int, followers: Sequence[Follower]) -> Self:
-        """Begin with the first batch of a signal, which is not taken in yet."""
-        return cls(
-            place,
-            (batch.run, batch.unit, batch.signal),
-            first_ns=batch.t0_ns,
-            last_ns=batch.last_ns,
-            next_due_ns=batch.t0_ns + every_ns,
-            every_ns=every_ns,
-            followers=followers,
-        )
+        self._gathering = Gathering(name, every_ns)
+        self._decisions = EarlyDecisions(self.signal)
+        self._refusal: str | None = None
+        self._first_ns: int | None = None
+        self._last_ns = 0
 
     def apply_limits(self, limits: LimitsApplied) -> None:
         """Decide early on those limits of the run that are on this signal."""
         self._decisions.apply(limits)
 
-    def update(self, batch: SampleBatch) -> bool:
-        """Take in the next batch; whether documents are due. A signal that is refused once stays so."""
-        if self.refusal is None:
-            try:
-                for follower in self._followers:
-                    follower.update(batch)
-                self._decisions.update(batch)
-            except GyrofleetError as error:
-                self.refusal = str(error)
-        self.last_ns = batch.last_ns
-        if batch.last_ns < self._next_due_ns:
-            return False
-        passed = (batch.last_ns - self._next_due_ns) // self._every_ns + 1
-        self._next_due_ns += passed * self._every_ns
-        return True
+    def take(self, batch: WireBatch) -> Documents:
+        """Take in the next batch; the documents that are due, with the names under which they are published."""
+        found: Documents = []
+        for piece in self._gathering.take(batch):
+            self._follow(piece)
+            if piece.is_due:
+                found += self._documents(final=False)
+        return found
 
-    def documents(self, *, final: bool) -> list[tuple[str, AnyDocument]]:
-        """What is known now, with the name under which it is published; the same data give the same documents."""
-        found: list[tuple[str, AnyDocument]] = []
+    def finish(self) -> Documents:
+        """Take in what is left: the run has ended; the documents that say what is known, marked final."""
+        for piece in self._gathering.rest():
+            self._follow(piece)
+        return self._documents(final=True)
+
+    def _follow(self, piece: Piece) -> None:
+        """Let all follow; a signal that is refused once stays so."""
+        batch = piece.batch
+        if self._first_ns is None:
+            self._first_ns, self._last_ns = int(batch.time_array[0]), piece.last_ns
+        self._last_ns = max(self._last_ns, piece.last_ns)
+        if self._refusal is not None:
+            return
+        try:
+            for follower in self._followers:
+                follower.update(batch)
+            self._decisions.update(batch)
+        except GyrofleetError as error:
+            self._refusal = str(error)
+
+    def _documents(self, *, final: bool) -> Documents:
+        found: Documents = []
         points: dict[str, EstimatePublished] = {}
         for follower in self._followers:
             if isinstance(follower, Estimator):
@@ -138,18 +124,18 @@ class SignalAnalysis:
                 found.append((SPECTRAL_LINES, self._lines(follower)))
         # to the end of the last sample's interval: then a test of its planned length is finished
         interval_s = max((follower.sample_interval_s for follower in self._followers), default=0.0)
-        elapsed_s = (self.last_ns - self._first_ns) / 1e9 + interval_s
+        elapsed_s = (self._last_ns - (self._first_ns or 0)) / 1e9 + interval_s
         for number, decision in enumerate(self._decisions.look(elapsed_s, points)):
             found.append((EARLY_DECISION, decision.document(self._head(f"decision-{number}", final=final))))
         return found
 
     def _head(self, what: str, *, final: bool) -> dict[str, Any]:
-        name = f"{self.run}/{self.unit}/{self.signal}/{what}/{self.last_ns}/{final}"
+        name = f"{self.run}/{self.unit}/{self.signal}/{what}/{self._last_ns}/{final}"
         uid = uuid5(_NAMESPACE, name).hex
-        return {"run": self.run, "t_ns": self.last_ns, "uid": uid, "unit": self.unit, "signal": self.signal}
+        return {"run": self.run, "t_ns": self._last_ns, "uid": uid, "unit": self.unit, "signal": self.signal}
 
     def _estimate(self, estimator: Estimator, *, final: bool) -> EstimatePublished:
-        estimate = NoEstimate(self.refusal) if self.refusal else estimator.estimate()
+        estimate = NoEstimate(self._refusal) if self._refusal else estimator.estimate()
         return EstimatePublished(
             **self._head(estimator.key, final=final),
             estimator=estimator.key,
@@ -158,6 +144,7 @@ class SignalAnalysis:
             samples=estimator.samples,
             missing=estimator.missing,
             sample_interval_s=estimator.sample_interval_s,
+            every_ns=self._every_ns,
             final=final,
             points=() if isinstance(estimate, NoEstimate) else estimate,
             reason=estimate.reason if isinstance(estimate, NoEstimate) else None,
@@ -174,7 +161,7 @@ class SignalAnalysis:
 
     def _lines(self, spectral: SpectralDensity) -> SpectralLinesFound:
         head = self._head(SPECTRAL_LINES, final=True)
-        lines = NoEstimate(self.refusal) if self.refusal else spectral.lines()
+        lines = NoEstimate(self._refusal) if self._refusal else spectral.lines()
         if isinstance(lines, NoEstimate):
             return SpectralLinesFound(**head, lines=None, reason=lines.reason)
         lo_hz, hi_hz = spectral.searched_hz
@@ -192,19 +179,16 @@ class SignalAnalysis:
         """Everything that is kept, for a checkpoint."""
         return SignalState(
             place=(self.place.site, self.place.station),
-            run=self.run,
-            unit=self.unit,
-            signal=self.signal,
-            next_due_ns=self._next_due_ns,
+            gathering=self._gathering.export_state(),
             first_ns=self._first_ns,
-            last_ns=self.last_ns,
-            refusal=self.refusal,
+            last_ns=self._last_ns,
+            refusal=self._refusal,
             snapshots=tuple(take_snapshot(follower) for follower in self._followers),
             decisions=self._decisions.export_state(),
         )
 
     @classmethod
-    def from_state(cls, state: SignalState, every_ns: int) -> Self:
+    def from_state(cls, state: SignalState) -> Self:
         """Go on from a checkpoint.
 
         Raises
@@ -212,17 +196,13 @@ class SignalAnalysis:
         EstimatorError
             If a snapshot in it is damaged or of another version.
         """
-        return cls(
-            Place(*state.place),
-            (state.run, state.unit, state.signal),
-            first_ns=state.first_ns,
-            last_ns=state.last_ns,
-            next_due_ns=state.next_due_ns,
-            every_ns=every_ns,
-            followers=[restore(snapshot) for snapshot in state.snapshots],
-            decisions=EarlyDecisions.from_state(state.signal, state.decisions),
-            refusal=state.refusal,
-        )
+        followers = [restore(snapshot) for snapshot in state.snapshots]
+        analysis = cls(Place(*state.place), state.gathering.name, state.gathering.every_ns, followers)
+        analysis._gathering = Gathering.from_state(state.gathering)
+        analysis._decisions = EarlyDecisions.from_state(analysis.signal, state.decisions)
+        analysis._refusal = state.refusal
+        analysis._first_ns, analysis._last_ns = state.first_ns, state.last_ns
+        return analysis
 
 
 def fresh_followers(factories: Mapping[str, Callable[[], Estimator]]) -> list[Follower]:

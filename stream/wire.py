@@ -1,6 +1,7 @@
 """Wire form of a sample batch: Protobuf, its arrays as little-endian bytes (``samples.proto``)."""
 
-from typing import Any
+import functools
+from typing import NamedTuple
 from uuid import UUID
 
 import numpy as np
@@ -9,11 +10,13 @@ from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 
 from stream import samples_pb2
-from stream.batch import SampleBatch
-from stream.errors import BadInput, NewerSchema, WireError
+from stream.batch import INT64_MAX, SampleBatch, checked_batch
+from stream.errors import NewerSchema, WireError
 
 SAMPLE_SCHEMA = 1
 MAX_SAMPLES_PER_BATCH = 1_000_000
+
+_ITEM_BYTES = {"counts": 4, "values": 8, "times_ns": 8, "flags": 1}
 
 
 def encode_batch(batch: SampleBatch) -> bytes:
@@ -48,6 +51,106 @@ def encode_batch(batch: SampleBatch) -> bytes:
     return bytes(message.SerializeToString())
 
 
+class BatchHead(NamedTuple):
+    """What a sample batch on the wire is, without its samples; `epoch` in hexadecimal digits."""
+
+    unit: str
+    signal: str
+    run: str
+    epoch: str
+    seq: int
+    next_seq: int
+    t0_ns: int
+    last_ns: int
+    dt_ns: int
+
+
+class WireBatch(NamedTuple):
+    """A sample batch as it came over the wire, checked, its arrays still bytes; empty where there is none.
+
+    `meaning` is what neighbours must share to be put together: epoch, interval in nanoseconds, unit of measure, whether
+    irregular, scale, offset.
+    """
+
+    unit: str
+    signal: str
+    run: str
+    seq: int
+    next_seq: int
+    t0_ns: int
+    last_ns: int
+    meaning: tuple[bytes, int, str, bool, float, float]
+    counts: bytes
+    values: bytes
+    times_ns: bytes
+
+
+def read_batch_head(payload: bytes) -> BatchHead:
+    """Read what a batch is; refused is exactly what `decode_batch` refuses, and no array is made.
+
+    Raises
+    ------
+    NewerSchema
+        If it was written by a newer gyrofleet.
+    WireError
+        If it is not a batch, or not a whole one.
+
+    Examples
+    --------
+    >>> batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 7, 0, 10, "deg/s", counts=np.array([1, 2], np.int32))
+    >>> head = read_batch_head(encode_batch(batch))
+    >>> head.seq, head.next_seq, head.last_ns
+    (7, 9, 10)
+    """
+    message, last_ns, _ = _checked(payload)
+    seq = message.seq
+    return BatchHead(
+        message.unit,
+        message.signal,
+        message.run,
+        message.epoch.hex(),
+        seq,
+        seq + message.samples,
+        message.t0_ns,
+        last_ns,
+        message.dt_ns,
+    )
+
+
+def read_wire_batch(payload: bytes) -> WireBatch:
+    """Read a batch whose samples are to be put to others: it is checked, and its arrays stay bytes.
+
+    Raises
+    ------
+    NewerSchema
+        If it was written by a newer gyrofleet.
+    WireError
+        If it is not a batch, or not a whole one.
+    """
+    message, last_ns, (counts, values, times_ns, _) = _checked(payload)
+    seq = message.seq
+    return WireBatch(
+        message.unit,
+        message.signal,
+        message.run,
+        seq,
+        seq + message.samples,
+        message.t0_ns,
+        last_ns,
+        (
+            message.epoch,
+            message.dt_ns,
+            message.unit_of_measure,
+            message.irregular,
+            message.scale,
+            message.offset,
+        ),
+        counts,
+        values,
+        times_ns,
+    )
+
+
 def decode_batch(payload: bytes) -> SampleBatch:
     """Read a batch from its wire form.
 
@@ -58,37 +161,72 @@ def decode_batch(payload: bytes) -> SampleBatch:
     WireError
         If it is not a batch, or not a whole one.
     """
+    message, _, (counts, values, times_ns, flags) = _checked(payload)
+    return checked_batch(
+        {
+            "unit": message.unit,
+            "signal": message.signal,
+            "run": message.run,
+            "epoch": epoch_of(message.epoch),
+            "seq": message.seq,
+            "t0_ns": message.t0_ns,
+            "dt_ns": message.dt_ns,
+            "unit_of_measure": message.unit_of_measure,
+            "counts": np.frombuffer(counts, "<i4") if counts else None,
+            "values": np.frombuffer(values, "<f8") if values else None,
+            "times_ns": np.frombuffer(times_ns, "<i8") if times_ns else None,
+            "irregular": message.irregular,
+            "scale": message.scale,
+            "offset": message.offset,
+            "flags": np.frombuffer(flags, "u1") if flags else None,
+        }
+    )
+
+
+@functools.lru_cache(65_536)
+def epoch_of(raw: bytes) -> UUID:
+    """The epoch that 16 bytes of the wire say; making a UUID takes longer than reading the rest of a batch."""
+    return UUID(bytes=raw)
+
+
+def _checked(payload: bytes) -> tuple[samples_pb2.SampleBatch, int, tuple[bytes, bytes, bytes, bytes]]:
+    """The message, the time of its last sample, and its arrays counts, values, times_ns and flags."""
     try:
         message = samples_pb2.SampleBatch.FromString(payload)
     except DecodeError as error:
         raise WireError(f"not a sample batch ({len(payload)} bytes): {error}") from error
-    if message.schema > SAMPLE_SCHEMA:
+    schema = message.schema
+    if schema > SAMPLE_SCHEMA:
         raise NewerSchema(
-            f"sample batch of schema {message.schema}, this gyrofleet reads up to {SAMPLE_SCHEMA}: upgrade this side"
+            f"sample batch of schema {schema}, this gyrofleet reads up to {SAMPLE_SCHEMA}: upgrade this side"
         )
     n = message.samples
-    if message.schema < 1 or not 1 <= n <= MAX_SAMPLES_PER_BATCH or len(message.epoch) != 16:
-        raise WireError(f"not a sample batch: schema {message.schema}, {n} samples, epoch {len(message.epoch)} bytes")
-    try:
-        return SampleBatch(
-            unit=message.unit,
-            signal=message.signal,
-            run=message.run,
-            epoch=UUID(bytes=message.epoch),
-            seq=message.seq,
-            t0_ns=message.t0_ns,
-            dt_ns=message.dt_ns,
-            unit_of_measure=message.unit_of_measure,
-            counts=_array(message.counts, "<i4", n, "counts"),
-            values=_array(message.values, "<f8", n, "values"),
-            times_ns=_array(message.times_ns, "<i8", n, "times_ns"),
-            irregular=message.irregular,
-            scale=message.scale,
-            offset=message.offset,
-            flags=_array(message.flags, "u1", n, "flags"),
-        )
-    except BadInput as error:
-        raise WireError(f"not a sample batch: {error}") from error
+    if schema < 1 or not 1 <= n <= MAX_SAMPLES_PER_BATCH or len(message.epoch) != 16:
+        raise WireError(f"not a sample batch: schema {schema}, {n} samples, epoch {len(message.epoch)} bytes")
+    counts, values, times_ns, flags = arrays = message.counts, message.values, message.times_ns, message.flags
+    lengths = len(counts), len(values), len(times_ns), len(flags)
+    if lengths not in ((4 * n, 0, 0, 0), (0, 8 * n, 0, 0)):
+        _check_lengths(message, lengths)
+    t0_ns, dt_ns = message.t0_ns, message.dt_ns
+    last_ns = int.from_bytes(times_ns[-8:], "little", signed=True) if times_ns else t0_ns + (n - 1) * dt_ns
+    if dt_ns < 1 or not 0 <= message.seq <= INT64_MAX - n:
+        raise _wrong(message, f"dt_ns {dt_ns} or seq {message.seq} is outside its range")
+    if t0_ns < -INT64_MAX or not -INT64_MAX <= last_ns <= INT64_MAX:
+        raise _wrong(message, f"times from {t0_ns} ns do not fit 64 bits")
+    return message, last_ns, arrays
+
+
+def _check_lengths(message: samples_pb2.SampleBatch, lengths: tuple[int, int, int, int]) -> None:
+    n = message.samples
+    for length, (name, item_bytes) in zip(lengths, _ITEM_BYTES.items(), strict=True):
+        if length not in {0, n * item_bytes}:
+            raise WireError(f"not a whole sample batch: {length} bytes of {name} for {n} samples")
+    if bool(lengths[0]) is bool(lengths[1]):
+        raise _wrong(message, "a batch holds either counts or values, exactly one of them")
+
+
+def _wrong(message: samples_pb2.SampleBatch, what: str) -> WireError:
+    return WireError(f"not a sample batch: run {message.run}, unit {message.unit}, signal {message.signal}: {what}")
 
 
 def encode_preview(value: float, unit_of_measure: str) -> bytes:
@@ -105,11 +243,3 @@ def sample_descriptors() -> bytes:
 
 def _bytes(array: npt.NDArray[np.generic] | None, dtype: str) -> bytes:
     return b"" if array is None else array.astype(dtype, copy=False).tobytes()
-
-
-def _array(data: bytes, dtype: str, n: int, name: str) -> Any:
-    if not data:
-        return None
-    if len(data) != n * np.dtype(dtype).itemsize:
-        raise WireError(f"not a whole sample batch: {len(data)} bytes of {name} for {n} samples")
-    return np.frombuffer(data, dtype)

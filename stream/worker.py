@@ -3,22 +3,19 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Protocol, Self
-from uuid import UUID
+from typing import Self
 
-from stream.batch import SampleBatch
 from stream.bus import Bus
-from stream.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
-from stream.delivery import DurablePublisher, StreamId
-from stream.errors import EstimatorError, GyrofleetError
+from stream.checkpoint import generations, keep_aside, read_checkpoint, write_checkpoint
+from stream.delivery import StreamId
+from stream.errors import CheckpointDamaged, EstimatorError, GyrofleetError
+from stream.estimation import Estimation, EstimationCounts
 from stream.estimators.base import Estimator, default_estimators
-from stream.events import AnyDocument, EstimatePublished, LimitsApplied, RunEnded, decode_event
-from stream.identity import EVERYTHING, EventKey, Place, SampleKey, estimate_key, parse_key, sample_key
-from stream.signal_analysis import SignalAnalysis, fresh_followers
-from stream.wire import decode_batch
+from stream.events import AnyDocument, EstimatePublished
+from stream.identity import EVERYTHING
+from stream.recorded_log import DocumentSender, Identities, RecordedLog
 
 # A worker that falls behind must hold up neither the recorder, which shares its subscription, nor the bus that it
 # publishes on itself: sources in the same process wait for room, from others it leaves out what it cannot hold.
@@ -27,66 +24,32 @@ _MOST_BYTES = 256 << 20
 # a recorder has on disk what it was given within a second; what is not there after this is lost
 _PATIENCE_S = 5.0
 _RETRY_S = 0.2
-
-
-@dataclass
-class WorkerCounts:
-    """What a worker has done since it started."""
-
-    samples: int = 0
-    duplicates: int = 0
-    recalled: int = 0
-    lost: int = 0
-    rejected: int = 0
-    estimates: int = 0
-    checkpoints: int = 0
-
-
-class LoggedMessage(Protocol):
-    """A message of a numbered stream that was recorded."""
-
-    @property
-    def stream(self) -> StreamId:
-        """Which stream."""
-
-    @property
-    def payload(self) -> bytes:
-        """What was sent."""
-
-
-class RecordedLog(Protocol):
-    """Where a worker reads again what it has missed."""
-
-    @property
-    def identity(self) -> str:
-        """Identity of the store."""
-
-    def positions(self) -> dict[StreamId, int]:
-        """How far every stream has come in it."""
-
-    def since(self, positions: Mapping[StreamId, int]) -> Iterator[LoggedMessage]:
-        """Messages beyond those positions, in their order."""
+# how long samples wait so that the documents before a checkpoint reach the log, and when it is tried again
+_SETTLE_S = 1.0
+_SETTLE_AGAIN_S = 5.0
 
 
 class EstimationWorker:
     """Keeps the estimators of every signal on the bus up to date and publishes what they say.
 
     Estimates are published whenever a signal's own time passes a multiple of `every_s`, and once more, marked
-    final, when its run ends: a function of the data, not of the moment they are looked at. With them go the early
+    final, when its run ends: a function of the samples, not of the batches they come in, the moments, or how often the
+    worker was stopped. With them go the early
     decisions on the limits of a run whose duration is planned, and at its end its noise coefficients and spectral
     lines.
 
-    Given the log of the recorder, nothing is missed: what did not come over the bus is read there. With a checkpoint, a
-    worker that was killed goes on where it stood, and gives the documents that it would have given.
+    Given the log of the recorder, nothing is missed: what did not come over the bus is read there, and a run that
+    goes on when the worker starts is taken from its beginning. With a checkpoint, a worker that was stopped or killed
+    goes on where it stood, and gives the documents that it would have given, each once.
 
     Parameters
     ----------
     bus : Bus
         Where samples come from.
-    publisher : DurablePublisher
+    publisher : DocumentSender
         What the estimates are sent with.
     every_s : float
-        Interval between estimates in the signal's time, seconds.
+        Interval between estimates in the signal's time, seconds; signals in a checkpoint keep theirs.
     estimators : mapping of callables, optional
         Each makes one estimator of a signal; by default those of `default_estimators`.
     on_document : callable, optional
@@ -94,20 +57,27 @@ class EstimationWorker:
     log : RecordedLog, optional
         The log of the store that is recorded to.
     checkpoint : Path, optional
-        File of the checkpoint; it needs the log.
+        File of the checkpoint, beside which the one before it is kept; it needs the log.
     checkpoint_every_s : float
         Interval between checkpoints, seconds.
 
     Raises
     ------
     EstimatorError
-        If the checkpoint cannot be gone on from; the message says what to do.
+        If the checkpoint cannot be read or is of a newer gyrofleet; the message says what to do.
+
+    Attributes
+    ----------
+    resumed : bool
+        Whether it goes on from a checkpoint.
+    warnings : list of str
+        What was found amiss and did not stop it.
     """
 
     def __init__(
         self,
         bus: Bus,
-        publisher: DurablePublisher,
+        publisher: DocumentSender,
         *,
         every_s: float = 60.0,
         estimators: Mapping[str, Callable[[], Estimator]] | None = None,
@@ -117,23 +87,21 @@ class EstimationWorker:
         checkpoint_every_s: float = 30.0,
     ) -> None:
         self._publisher = publisher
-        self._every_ns = round(every_s * 1e9)
-        self._factories = default_estimators() if estimators is None else estimators
         self._on_document = on_document
         self._log = log
         self._checkpoint = checkpoint
         self._checkpoint_every_s = checkpoint_every_s
-        self._checked_at = time.monotonic()
-        self.counts = WorkerCounts()
+        self._next_save = time.monotonic() + checkpoint_every_s
+        self._estimation = Estimation(
+            round(every_s * 1e9),
+            default_estimators() if estimators is None else estimators,
+            self._publish,
+            None if log is None else self._fill,
+        )
+        self._known = Identities(())
         self.failure: GyrofleetError | None = None
-        self.warning: str | None = None
-        self._signals: dict[tuple[str, str, str], SignalAnalysis] = {}
-        self._limits: dict[str, LimitsApplied] = {}
-        self._positions: dict[StreamId, int] = {}
-        # while the log is read: documents that wait until it is known which of them it holds already, and those
-        self._held: list[tuple[str, AnyDocument]] | None = None
-        self._known: set[str] = set()
-        self.resumed = self._resume()
+        self.warnings: list[str] = []
+        self.resumed = False if log is None else self._resume(log)
         self._incoming: deque[tuple[str, bytes]] = deque()
         self._incoming_bytes = 0
         self._state = threading.Condition()
@@ -143,8 +111,16 @@ class EstimationWorker:
         bus.subscribe(EVERYTHING, self._on_message)
         self._thread.start()
 
+    @property
+    def counts(self) -> EstimationCounts:
+        """What it has done since it started."""
+        return self._estimation.counts
+
     def close(self) -> None:
-        """Work off what has arrived, publish what is known of runs that have not ended, and stop.
+        """Work off what has arrived, write a checkpoint, and stop.
+
+        Of runs that have not ended nothing more is published: that would depend on the moment, and with a checkpoint
+        they go on.
 
         Raises
         ------
@@ -189,48 +165,36 @@ class EstimationWorker:
             if len(self._incoming) == 1:
                 self._state.notify_all()
 
-    def _resume(self) -> bool:
-        if self._log is None:
-            return False
-        found = None if self._checkpoint is None else read_checkpoint(self._checkpoint)
-        if found is None or found.store != self._log.identity:
-            self._positions = self._log.positions()
-            self._write()  # so that one who is killed before the first regular one begins here again
-            return False
-        self._positions = {StreamId(key, epoch): next_seq for key, epoch, next_seq in found.positions}
-        self._limits = {limits.run: limits for limits in found.limits}
-        for state in found.signals:
-            self._signals[state.run, state.unit, state.signal] = SignalAnalysis.from_state(state, self._every_ns)
-        return True
+    def _resume(self, log: RecordedLog) -> bool:
+        """Take over the newest checkpoint that holds; without one, begin with the runs that go on in the log."""
+        is_damaged = False
+        for path in () if self._checkpoint is None else generations(self._checkpoint):
+            try:
+                found = read_checkpoint(path)
+                if found is None or found.store != log.identity:
+                    continue
+                self._estimation.go_on_from(found)
+            except CheckpointDamaged as error:
+                is_damaged = True
+                self.warnings.append(f"{error}; it is kept as {keep_aside(path)}, and what it held is read in the log")
+            else:
+                return True
+        beginning = log.beginning(thorough=is_damaged)
+        self._estimation.positions, self._estimation.ended = beginning.positions, beginning.ended
+        self._write()  # so that one who is killed before the first regular one begins here again
+        return False
 
     def _loop(self) -> None:
         try:
-            if self.resumed:
-                self._recall()
-            while True:
-                with self._state:
-                    while not self._incoming and not self._closing:
-                        self._state.wait(0.5)
-                        if time.monotonic() - self._checked_at >= self._checkpoint_every_s:
-                            break
-                    taken, self._incoming = self._incoming, deque()
-                for key, payload in taken:
-                    if self._killed:
-                        return
-                    self._take(key, payload)
-                    self._save_if_due()
-                with self._state:
-                    self._incoming_bytes -= sum(len(payload) for _, payload in taken)
-                    self._state.notify_all()
-                    is_last = self._closing and not self._incoming
-                if self._killed:
-                    return
-                if is_last:
-                    break
-                self._save_if_due()
-            for analysis in self._signals.values():
-                self._publish(analysis, final=False)
-            self._save(is_last=True)
+            if self._log is not None:
+                self._known = Identities(self._log.published(self._estimation.positions))
+                self._recall(saving=True)
+                self._known = Identities(())
+                self._estimation.ended = frozenset()
+            while self._work():
+                pass
+            if not self._killed:
+                self._save(is_last=True)
         except Exception as error:  # noqa: BLE001  whatever it is, a worker that stopped must say so
             with self._state:
                 self.failure = (
@@ -240,125 +204,86 @@ class EstimationWorker:
                 )
                 self._state.notify_all()
 
-    def _save_if_due(self) -> None:
-        if time.monotonic() - self._checked_at >= self._checkpoint_every_s:
-            try:
-                self._save()
-            except EstimatorError as error:
-                self.warning = str(error)  # the one before still stands, and the next is tried in its turn
+    def _work(self) -> bool:
+        """Take in what has come; whether there may be more."""
+        with self._state:
+            while not self._incoming and not self._closing:
+                self._state.wait(0.5)
+                if time.monotonic() >= self._next_save:
+                    break
+            taken, self._incoming = self._incoming, deque()
+        take = self._estimation.take
+        for key, payload in taken:
+            if self._killed:
+                return False
+            take(key, payload)
+            if time.monotonic() >= self._next_save:
+                self._save_if_it_can_be()
+        with self._state:
+            self._incoming_bytes -= sum(len(payload) for _, payload in taken)
+            self._state.notify_all()
+            is_last = self._closing and not self._incoming
+        if not is_last and time.monotonic() >= self._next_save:
+            self._save_if_it_can_be()
+        return not is_last and not self._killed
+
+    def _save_if_it_can_be(self) -> None:
+        try:
+            self._save()
+        except EstimatorError as error:
+            # those before still stand, and the next is tried in its turn
+            if str(error) not in self.warnings:
+                self.warnings.append(str(error))
 
     def _save(self, *, is_last: bool = False) -> None:
         """Write a checkpoint, once what was published before it is in the log."""
-        self._checked_at = time.monotonic()
+        self._next_save = time.monotonic() + self._checkpoint_every_s
         if self._checkpoint is None:
             return
         if is_last:
             self._publisher.drain()
-        elif self._publisher.outstanding:
-            self._checked_at += _RETRY_S - self._checkpoint_every_s
-            return
+        deadline = time.monotonic() + _SETTLE_S
+        while self._publisher.outstanding:
+            if time.monotonic() > deadline or self._closing:
+                self._next_save = time.monotonic() + min(_SETTLE_AGAIN_S, self._checkpoint_every_s)
+                return
+            time.sleep(_RETRY_S / 10)
         self._write()
         self.counts.checkpoints += 1
 
     def _write(self) -> None:
-        if self._checkpoint is None or self._log is None:
-            return
-        checkpoint = Checkpoint(
-            store=self._log.identity,
-            every_ns=self._every_ns,
-            positions=[(stream.key, stream.epoch, next_seq) for stream, next_seq in self._positions.items()],
-            limits=list(self._limits.values()),
-            signals=[analysis.export_state() for analysis in self._signals.values()],
-        )
-        write_checkpoint(self._checkpoint, checkpoint)
+        if self._checkpoint is not None and self._log is not None:
+            write_checkpoint(self._checkpoint, self._estimation.checkpoint(self._log.identity))
 
-    def _recall(self) -> None:
-        """Take in what the log holds beyond what was seen; documents that it holds as well are not sent again."""
+    def _recall(self, *, saving: bool = False) -> None:
+        """Take in what the log holds beyond what was seen."""
         assert self._log is not None
-        self._held, self._known = [], set()
+        estimation = self._estimation
         before = self.counts.samples
-        for message in self._log.since(dict(self._positions)):
-            self._take(message.stream.key, message.payload)
-        held, self._held = self._held, None
+        estimation.catching_up = True
+        for message in self._log.since(dict(estimation.positions)):
+            if self._killed:
+                break
+            estimation.take(message.stream.key, message.payload)
+            if saving and time.monotonic() >= self._next_save:
+                self._save_if_it_can_be()
+        estimation.catching_up = False
         self.counts.recalled += self.counts.samples - before
-        for key, document in held:
-            if document.uid not in self._known:
-                self._send(key, document)
 
-    def _take(self, key: str, payload: bytes) -> None:
-        try:
-            parsed = parse_key(key)
-            if isinstance(parsed, SampleKey):
-                batch = decode_batch(payload)
-                stream, first, after = StreamId(key, batch.epoch.hex), batch.seq, batch.next_seq
-            else:
-                message = decode_event(payload)
-                stream, first, after = StreamId(key, message.epoch), message.seq, message.seq + 1
-        except GyrofleetError:
-            self.counts.rejected += 1  # the recorder keeps it aside and reports it
-            return
-        # with a log it is known which streams were there before; without, one may be joined in its middle
-        unknown = first if self._log is None else 0
-        if first > self._positions.get(stream, unknown) and self._held is None:
-            self._fill(stream, first)
-        expected = self._positions.get(stream, unknown)
-        if first < expected:
-            if isinstance(parsed, SampleKey):
-                self.counts.duplicates += 1
-            return
-        self._positions[stream] = after
-        if isinstance(parsed, SampleKey):
-            self.counts.lost += first - expected
-            self._update(parsed.place, batch)
-        elif isinstance(parsed, EventKey):
-            self._follow(parsed.place, message.document)
-        elif self._held is not None:
-            self._known.add(message.document.uid)
-
-    def _fill(self, stream: StreamId, first: int) -> None:
-        """Read from the log what is missing before number `first` of a stream."""
+    def _fill(self, needed: Mapping[StreamId, int]) -> None:
+        """Read from the log what is missing of streams before those numbers."""
+        positions = self._estimation.positions
         deadline = time.monotonic() + _PATIENCE_S
-        while self._log is not None and self._positions.get(stream, 0) < first and time.monotonic() < deadline:
+        while any(positions.get(stream, 0) < first for stream, first in needed.items()):
             self._recall()
-            if self._positions.get(stream, 0) < first:
+            if time.monotonic() > deadline:
+                return
+            if any(positions.get(stream, 0) < first for stream, first in needed.items()):
                 time.sleep(_RETRY_S)
 
-    def _follow(self, place: Place, document: AnyDocument) -> None:
-        if isinstance(document, LimitsApplied):
-            self._limits[document.run] = document
-            for analysis in self._signals.values():
-                if analysis.run == document.run:
-                    analysis.apply_limits(document)
-        elif isinstance(document, RunEnded):
-            if self._held is None:
-                for total in document.totals:
-                    key = sample_key(place, total.unit, total.signal)
-                    self._fill(StreamId(key, UUID(total.epoch).hex), total.samples)
-            for name in [each for each in self._signals if each[0] == document.run]:
-                self._publish(self._signals.pop(name), final=True)
-            self._limits.pop(document.run, None)
-
-    def _update(self, place: Place, batch: SampleBatch) -> None:
-        name = (batch.run, batch.unit, batch.signal)
-        analysis = self._signals.get(name)
-        if analysis is None:
-            analysis = SignalAnalysis.begin(place, batch, self._every_ns, fresh_followers(self._factories))
-            self._signals[name] = analysis
-            if batch.run in self._limits:
-                analysis.apply_limits(self._limits[batch.run])
-        self.counts.samples += len(batch)
-        if analysis.update(batch):
-            self._publish(analysis, final=False)
-
-    def _publish(self, analysis: SignalAnalysis, *, final: bool) -> None:
-        for what, document in analysis.documents(final=final):
-            key = estimate_key(analysis.place, analysis.unit, analysis.signal, what)
-            if self._held is not None:
-                self._held.append((key, document))
-            else:
-                self._send(key, document)
-
-    def _send(self, key: str, document: AnyDocument) -> None:
+    def _publish(self, key: str, document: AnyDocument) -> None:
+        if document.uid in self._known:
+            return
         self._publisher.send_event(key, document)
         self.counts.estimates += isinstance(document, EstimatePublished)
         if self._on_document is not None:

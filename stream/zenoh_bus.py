@@ -19,8 +19,13 @@ DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 
 _ENDPOINT = re.compile(r"[a-z]+/\S+:\d{1,5}(\?\S*)?")
 
-# Zenoh closes a transport that a consumer has stalled for 5 s, and what waits there is lost without an error.
-_WAIT_BEFORE_CLOSE_US = 60_000_000
+# Zenoh closes a transport that its other side has stalled for so long, and what waits there is lost without an error;
+# whoever needs it asks for it again. A source waits about as long as the lease (10 s), after which the other side has
+# given it up too: waiting longer only keeps it from connecting anew. A router does not wait for one slow consumer,
+# which holds up all others meanwhile.
+_WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+_SOURCE_WAITS_US = 8_000_000
+_ROUTER_WAITS_US = 200_000
 
 
 class ZenohBus:
@@ -58,9 +63,11 @@ class ZenohBus:
             "listen/endpoints": list(listen),
             "connect/endpoints": list(connect),
             "connect/timeout_ms": 5000,
+            # a connection that breaks is sought again soon and for ever
+            "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5},
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
-            "transport/link/tx/queue/congestion_control/block/wait_before_close": _WAIT_BEFORE_CLOSE_US,
+            _WAIT_BEFORE_CLOSE: _ROUTER_WAITS_US if listen else _SOURCE_WAITS_US,
         }
         for endpoint in (*listen, *connect):
             if _ENDPOINT.fullmatch(endpoint) is None:

@@ -1,27 +1,47 @@
 -- What the views stand on. A channel is one signal of one epoch with one meaning (unit of measure, scale, offset);
 -- it may reach over many segments of the log, so its row is put together here. One channel, one row.
+create view lake_channel_parts as
+select *, true as is_kept from lake_channels_kept
+union all
+select *, false as is_kept from lake_channels_dropped;
+
+-- Tidy is a signal whose stretches follow each other in time: then only the edges of stretches share a bucket.
 create table lake_channels as
-select
-  channel,
-  any_value(site) as site,
-  any_value(station) as station,
-  any_value(unit) as unit,
-  any_value(signal) as signal,
-  any_value(run) as run,
-  any_value(epoch) as epoch,
-  any_value(unit_of_measure) as unit_of_measure,
-  any_value(is_counts) as is_counts,
-  any_value(scale) as scale,
-  any_value("offset") as "offset",
-  min(dt_ns) as dt_ns,
-  bool_or(irregular) as irregular,
-  sum(samples)::bigint as samples,
-  min(t_first_ns) as t_first_ns,
-  max(t_last_ns) as t_last_ns,
-  min(arrival_first_ns) as arrival_first_ns,
-  max(arrival_last_ns) as arrival_last_ns
-from lake_channel_parts
-group by channel;
+with stretch as (
+  select *,
+    overlapping or coalesce(t_first_ns < max(t_last_ns) over (
+      partition by unit, signal, run order by t_first_ns, t_last_ns, channel
+      rows between unbounded preceding and 1 preceding), false) as is_overlapping
+  from lake_channel_parts
+), channel as (
+  select
+    channel,
+    any_value(site) as site,
+    any_value(station) as station,
+    any_value(unit) as unit,
+    any_value(signal) as signal,
+    any_value(run) as run,
+    any_value(epoch) as epoch,
+    any_value(unit_of_measure) as unit_of_measure,
+    any_value(is_counts) as is_counts,
+    any_value(scale) as scale,
+    any_value("offset") as "offset",
+    min(dt_ns) as dt_ns,
+    bool_or(irregular) as irregular,
+    sum(samples)::bigint as samples,
+    coalesce(sum(samples) filter (is_kept), 0)::bigint as kept_raw,
+    min(seq_first) as seq_first,
+    max(seq_next) as seq_next,
+    min(t_first_ns) as t_first_ns,
+    max(t_last_ns) as t_last_ns,
+    min(arrival_first_ns) as arrival_first_ns,
+    max(arrival_last_ns) as arrival_last_ns,
+    bool_or(is_overlapping) as is_overlapping
+  from stretch
+  group by channel
+)
+select * exclude (is_overlapping), not bool_or(is_overlapping) over (partition by unit, signal, run) as is_tidy
+from channel;
 
 -- A document sent twice is one document.
 create view lake_documents as

@@ -5,6 +5,7 @@ select
   unit, signal, run,
   any_value(unit_of_measure) as unit_of_measure,
   sum(samples)::bigint as samples,
+  sum(kept_raw)::bigint as kept_raw,
   make_timestamp_ns(min(t_first_ns)) as first_time,
   make_timestamp_ns(max(t_last_ns)) as last_time,
   arg_min(dt_ns, t_first_ns) / 1e9 as sample_interval_s,
@@ -25,9 +26,9 @@ create view samples as
 select
   c.unit, c.signal, c.run,
   make_timestamp_ns(s.t_ns) as "time",
-  coalesce(s.value, s.counts * c.scale + c."offset") as value,
+  coalesce(s.value, (s.base + s.above) * c.scale + c."offset") as value,
   c.unit_of_measure,
-  s.counts,
+  s.base + s.above as counts,
   s.t_ns, s.seq, s.flags,
   c.epoch
 from lake_samples s join lake_channels c using (channel);
@@ -101,7 +102,9 @@ select
   make_timestamp_ns(t_ns) as "time",
   tau_s, value, lo, hi, unit_of_measure, confidence, edf, n, final, reason,
   samples, missing, sample_interval_s, t_ns, uid
-from lake_estimates;
+from lake_estimates
+-- sent twice it is one; the parts of a name are there so that a filter on them comes before
+qualify row_number() over (partition by unit, signal, run, estimator, uid, tau_s order by arrival_ns) = 1;
 
 create view events as
 select

@@ -12,6 +12,7 @@ from uuid import UUID
 import numpy as np
 
 from stream.batch import SampleBatch
+from stream.block_means import BlockMeans
 from stream.estimators.follower import (
     EstimatorState,
     Follower,
@@ -125,3 +126,5 @@ def warm_up() -> None:
             follower.update(batch)
             follower.merge(follower.successor())
             follower.estimate()
+    for batch in (regular, irregular):
+        BlockMeans(1.0).push(batch)

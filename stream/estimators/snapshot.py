@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
+import zstandard
 
 from stream.errors import EstimatorError
 
 if TYPE_CHECKING:
     from stream.estimators.base import Follower
 
-SNAPSHOT_VERSION = 2
+SNAPSHOT_VERSION = 3
 
 _HEAD = struct.Struct("<4sII")  # mark, version, CRC-32 of version and content
 _MARK = b"GFES"
@@ -54,7 +55,7 @@ def take_snapshot(follower: "Follower") -> bytes:
         reference=state.reference,
         arrays=tuple(_Array(a.dtype.str, a.shape, np.ascontiguousarray(a).tobytes()) for a in state.arrays),
     )
-    packed = zlib.compress(msgspec.msgpack.encode(content), 1)
+    packed = zstandard.ZstdCompressor(level=1).compress(msgspec.msgpack.encode(content))
     return _HEAD.pack(_MARK, SNAPSHOT_VERSION, _checksum(SNAPSHOT_VERSION, packed)) + packed
 
 
@@ -83,7 +84,7 @@ def restore(snapshot: bytes) -> "Follower":
             f"snapshot of version {version}, of an older gyrofleet; this one keeps version {SNAPSHOT_VERSION}: "
             "estimate anew from the record"
         )
-    content = _decoder.decode(zlib.decompress(packed))
+    content = _decoder.decode(zstandard.ZstdDecompressor().decompress(packed))
     classes = {cls.__name__: cls for cls in follower_classes()}
     if content.estimator not in classes:
         raise EstimatorError(

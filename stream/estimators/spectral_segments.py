@@ -6,9 +6,12 @@ Segment j of N slots holds the slots j N/2 .. j N/2 + N - 1 of the signal, in wh
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import scipy.fft
+from numba import njit
 
 from stream.batch import FloatArray, IntArray
+from stream.estimators.kernel_part import kernel_part
 from stream.estimators.spectral_lines import hann_window
 
 START, ORIGIN, FILLED, SEGMENTS, PAIRS, FIRST, LAST = range(7)
@@ -128,14 +131,42 @@ def _leap(state: SegmentState, slot: int) -> int:
 
 def _close(state: SegmentState) -> None:
     places, buffer, power, _ = state
-    if not np.isfinite(buffer).all():
+    windowed = np.empty(len(buffer))
+    if not _window(buffer, hann_window(len(buffer)), windowed):
         return
-    with np.errstate(over="ignore", invalid="ignore"):
-        transform = scipy.fft.rfft((buffer - buffer.mean()) * hann_window(len(buffer)))
-        power += np.square(transform.real) + np.square(transform.imag)
+    _add_power(scipy.fft.rfft(windowed), power)
     origin = int(places[ORIGIN])
     if not places[SEGMENTS]:
         places[FIRST] = origin
     places[SEGMENTS] += 1
     places[PAIRS] += int(places[LAST]) == origin - len(buffer) // 2
     places[LAST] = origin
+
+
+@kernel_part("reassoc")
+def _sums(values: FloatArray) -> tuple[float, float]:
+    """The sum, and one that is 0 if all are finite, else NaN."""
+    total = zero = 0.0
+    for i in range(values.shape[0]):
+        total += values[i]
+        zero += values[i] * 0.0
+    return total, zero
+
+
+@njit(cache=True, nogil=True)
+def _window(values: FloatArray, window: FloatArray, out: FloatArray) -> bool:
+    """Write the values less their mean, times the window; False, and nothing written, if one is not finite."""
+    total, zero = _sums(values)
+    if zero != 0.0:
+        return False
+    mean = total / values.shape[0]
+    for i in range(values.shape[0]):
+        out[i] = (values[i] - mean) * window[i]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _add_power(transform: npt.NDArray[np.complex128], power: FloatArray) -> None:
+    """Add the squares of the absolute values."""
+    for i in range(power.shape[0]):
+        power[i] += transform[i].real * transform[i].real + transform[i].imag * transform[i].imag

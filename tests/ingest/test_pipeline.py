@@ -11,11 +11,10 @@ import pytest
 from ingest import pipeline as pipeline_module
 from ingest.pipeline import EmbeddedPipeline
 from storage.catalog import Catalog
-from storage.mcap_segments import SegmentWriter
+from storage.segment_writer import SegmentWriter
 from stream import worker as worker_module
 from stream.batch import SampleBatch
 from stream.delivery import DurablePublisher
-from stream.errors import GyrofleetError
 from stream.estimators.bias_stability import BiasStability
 from stream.events import RunEnded
 from stream.identity import Place, event_key, sample_key
@@ -77,32 +76,34 @@ def test_a_worker_that_cannot_follow_leaves_out_counts_and_keeps_living(monkeypa
         assert worker.counts.lost > 0
         assert worker.counts.samples + worker.counts.lost == 301_000
         worker.close()
+        publisher.abandon()  # nobody records
 
 
-def test_a_full_disk_is_told_at_once_and_nothing_unsafe_is_acknowledged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_is_told_at_once_and_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = SegmentWriter.sync
     syncs = iter(range(1000))
+    is_full = True
 
     def fill_up(writer: SegmentWriter) -> None:
-        if next(syncs) >= 3:
+        if is_full and next(syncs) >= 3:
             raise OSError(errno.ENOSPC, "No space left on device")
         real(writer)
 
     monkeypatch.setattr(SegmentWriter, "sync", fill_up)
-    began = time.monotonic()
-    with (
-        pytest.raises(GyrofleetError, match=r"recording to .* stopped: .*No space left.*free space"),
-        EmbeddedPipeline(tmp_path / "store", "test") as pipeline,
-    ):
-        for i in range(100_000):
+    warnings: list[str] = []
+
+    def warn(text: str) -> None:
+        nonlocal is_full
+        warnings.append(text)
+        is_full = len(warnings) < 8
+
+    with EmbeddedPipeline(tmp_path / "store", "test", on_warning=warn) as pipeline:
+        for i in range(3000):
             pipeline.send_batch(KEY, batch(i))
-    assert time.monotonic() - began < 20
-    monkeypatch.undo()
-    with EmbeddedPipeline(tmp_path / "store", "test") as again:
-        assert [each.damaged_chunks for each in again.recovered] == [0]
-        again.finish()
-    with Catalog(again.store) as catalog:
+        pipeline.finish()
+    assert "No space left on device" in warnings[0]
+    assert any("recording is paused" in text for text in warnings)
+    assert any("goes on after a pause" in text for text in warnings)
+    with Catalog(pipeline.store) as catalog:
         ((n, moments),) = catalog.rows("select count(*), count(distinct t_ns) from samples")
-    assert n == moments > 0
+    assert n == moments == 3000 * 1000

@@ -20,7 +20,7 @@ from stream.errors import EstimatorError
 from stream.estimators import snapshot as snapshot_module
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import Follower, NoEstimate, default_followers, follower_classes, warm_up
-from stream.estimators.snapshot import restore, take_snapshot
+from stream.estimators.snapshot import SNAPSHOT_VERSION, restore, take_snapshot
 from stream.estimators.spectral_density import SpectralDensity
 from stream.estimators.spectral_lines import Spectrum
 from stream.events import EstimatePoint
@@ -475,7 +475,7 @@ def test_a_snapshot_of_a_newer_version_is_refused(key: str, monkeypatch: pytest.
     monkeypatch.setattr(snapshot_module, "SNAPSHOT_VERSION", 99)
     newer = take_snapshot(fed(key, [make(signal(500))]))
     monkeypatch.undo()
-    with pytest.raises(EstimatorError, match=r"version 99, this gyrofleet reads up to 2: upgrade"):
+    with pytest.raises(EstimatorError, match=f"version 99, this gyrofleet reads up to {SNAPSHOT_VERSION}: upgrade"):
         restore(newer)
 
 

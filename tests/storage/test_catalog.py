@@ -56,7 +56,7 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
         publisher.send_event(event_key(PLACE), RunEnded(run="r1", t_ns=int(later_ns[-1])))
         publisher.drain()
     with Catalog(store) as catalog:
-        assert len(list(store.lake.iterdir())) > 3
+        assert len(catalog.parts) > 3
         yield catalog
 
 
@@ -114,12 +114,12 @@ def test_a_statement_that_fails_on_its_way_is_told(catalog: Catalog) -> None:
 
 def test_a_damaged_lake_is_told_and_made_anew_from_the_log(catalog: Catalog) -> None:
     store = catalog.store
-    part = parts(store)[0]
+    part = store.lake / parts(store)[0].name
     (part / "samples.parquet").write_bytes((part / "samples.parquet").read_bytes()[:-50])
-    with pytest.raises(StoreError, match=r"cannot be read .*remove that folder"):
+    with pytest.raises(StoreError, match=r"cannot be read .*`gyrofleet recover`"):
         Catalog(store)
     (part / "samples.parquet").unlink()
-    with pytest.raises(StoreError, match=r"00000001 lacks samples.parquet; remove that folder"):
+    with pytest.raises(StoreError, match=r"cannot be read .*`gyrofleet recover`"):
         Catalog(store)
     shutil.rmtree(part)
     (store.lake / "notes.txt").write_text("not ours")
@@ -128,11 +128,6 @@ def test_a_damaged_lake_is_told_and_made_anew_from_the_log(catalog: Catalog) -> 
         recorder.wait_for_lake()
     with Catalog(store) as again:
         assert again.rows("select count(*), sum(value) from samples") == SUM
-
-
-def catalog_sum(catalog: Catalog) -> list[tuple[int, float]]:
-    values = np.arange(2000) * 0.5 + 1
-    return [(2100, float(values.sum() + values[:100].sum()))]
 
 
 def test_a_damaged_segment_is_told_and_harms_no_other(catalog: Catalog) -> None:
@@ -144,6 +139,6 @@ def test_a_damaged_segment_is_told_and_harms_no_other(catalog: Catalog) -> None:
     content[500] ^= 0xFF  # in the first chunk; the summary, most of so small a segment, carries no samples
     segments[0].write_bytes(content)
     recorder = Recorder(store, LocalBus(), EventLog(store))
-    with pytest.raises(StoreError, match=r"segment .*00000001.mcap is damaged.*restore it from a copy, or move it out"):
+    with pytest.raises(StoreError, match=r"segment .*00000001.mcap is damaged.*restore it from a copy"):
         recorder.close()
     assert [part.name for part in parts(store)] == [segment.stem for segment in segments[1:]]

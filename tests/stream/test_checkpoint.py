@@ -1,24 +1,27 @@
 """A worker's checkpoint: written whole, refused when damaged, gone on from to the last bit."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 from uuid import UUID
 
+import msgspec
 import numpy as np
 import pytest
 
 from stream.batch import SampleBatch
 from stream.bus import LocalBus
-from stream.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from stream.checkpoint import CHECKPOINT_VERSION, Checkpoint, generations, read_checkpoint, write_checkpoint
 from stream.delivery import DurablePublisher, StreamId, StreamPosition, encode_acknowledgement
 from stream.early_decisions import EarlyDecisions
-from stream.errors import EstimatorError
+from stream.errors import CheckpointDamaged, EstimatorError
 from stream.estimators.allan_variance import overlapping_allan_variance
+from stream.estimators.bias_stability import BiasStability
 from stream.events import (
     AnyDocument,
     EarlyDecision,
+    EstimatePublished,
     Limit,
     LimitsApplied,
     RunEnded,
@@ -26,7 +29,16 @@ from stream.events import (
     decode_event,
     encode_event,
 )
-from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING, Place, SampleKey, event_key, parse_key, sample_key
+from stream.identity import (
+    ACKNOWLEDGEMENT_KEY,
+    EVERYTHING,
+    EstimateKey,
+    Place,
+    SampleKey,
+    event_key,
+    parse_key,
+    sample_key,
+)
 from stream.wire import decode_batch, encode_batch
 from stream.worker import EstimationWorker
 
@@ -48,6 +60,11 @@ class Message(NamedTuple):
     stream: StreamId
     next_seq: int
     payload: bytes
+
+
+class Beginning(NamedTuple):
+    positions: dict[StreamId, int]
+    ended: frozenset[str]
 
 
 class MemoryLog:
@@ -75,6 +92,15 @@ class MemoryLog:
     def positions(self) -> dict[StreamId, int]:
         return {message.stream: message.next_seq for message in self.messages}
 
+    def beginning(self, *, thorough: bool = False) -> Beginning:
+        self.was_read_thoroughly = thorough
+        return Beginning({}, frozenset())
+
+    def published(self, positions: Mapping[StreamId, int]) -> Iterator[str]:
+        for message in self.since(positions):
+            if isinstance(parse_key(message.stream.key), EstimateKey):
+                yield decode_event(message.payload).document.uid
+
     def since(self, positions: Mapping[StreamId, int]) -> Iterator[Message]:
         return iter([each for each in self.messages if each.next_seq > positions.get(each.stream, 0)])
 
@@ -86,7 +112,11 @@ def batch(first: int, n: int = 500) -> SampleBatch:
 
 
 def run(
-    path: Path | None, lives: list[list[int]], *, deaf: frozenset[int] = frozenset()
+    path: Path | None,
+    lives: list[list[int]],
+    *,
+    deaf: frozenset[int] = frozenset(),
+    between: Callable[[], None] | None = None,
 ) -> tuple[list[AnyDocument], list[EstimationWorker]]:
     """Documents of a run whose worker lives through those batches; samples of the `deaf` ones reach only the log."""
     bus = LocalBus()
@@ -117,7 +147,12 @@ def run(
                 bus.publish(event_key(PLACE), encode_event(RunEnded(run="r1", t_ns=10**12, totals=totals), "e", 1))
                 worker.close()
             else:
+                deadline = time.monotonic() + 10
+                while between is not None and worker.counts.checkpoints < 2 and time.monotonic() < deadline:
+                    time.sleep(0.01)
                 worker.kill()
+                if between is not None:
+                    between()
     return list(seen.values()), workers
 
 
@@ -185,25 +220,93 @@ def test_uneven_means_raise_the_deviation_by_less_than_three_thousandths(samples
     assert 0.0 <= np.sqrt(found * 16 * samples) - 1.0 < 0.003
 
 
-def test_a_damaged_checkpoint_is_a_named_error(tmp_path: Path) -> None:
+def test_any_flipped_byte_cut_or_zeroed_block_of_a_checkpoint_is_seen(tmp_path: Path) -> None:
     path = tmp_path / "c"
     assert read_checkpoint(path) is None
-    checkpoint = Checkpoint("s", 10, [("k", "e", 3)], [], [])
+    checkpoint = Checkpoint("s", [("k", "e", 3)], ["r0"], [], [])
     write_checkpoint(path, checkpoint)
     assert read_checkpoint(path) == checkpoint
     content = path.read_bytes()
     for at in range(len(content)):
-        path.write_bytes(content[:at] + bytes([content[at] ^ 0x10]) + content[at + 1 :])
-        with pytest.raises(EstimatorError, match=r"remove .* to begin anew"):
-            read_checkpoint(path)
-        path.write_bytes(content[:at])
-        with pytest.raises(EstimatorError, match=r"remove .* to begin anew"):
-            read_checkpoint(path)
+        zeroed = content[:at] + bytes(min(16, len(content) - at)) + content[at + 16 :]
+        for damaged in (content[:at] + bytes([content[at] ^ 0x10]) + content[at + 1 :], content[:at], zeroed):
+            if damaged != content:
+                path.write_bytes(damaged)
+                with pytest.raises(CheckpointDamaged, match="is damaged"):
+                    read_checkpoint(path)
+
+
+def test_a_checkpoint_of_a_newer_gyrofleet_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "c"
+    with monkeypatch.context() as newer:
+        newer.setattr("stream.checkpoint.CHECKPOINT_VERSION", CHECKPOINT_VERSION + 1)
+        write_checkpoint(path, Checkpoint("memory", [], [], [], []))
+    with pytest.raises(EstimatorError, match="use the one that wrote it"):
+        run(path, [STARTS[:1]])
+    assert [each.name for each in tmp_path.iterdir()] == ["c"]
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_of_a_damaged_checkpoint_the_one_before_or_the_log_gives_the_same_documents(tmp_path: Path, both: bool) -> None:
+    whole, _ = run(None, [STARTS])
+    path = tmp_path / "c"
+
+    def damage() -> None:
+        for each in generations(path)[: 2 if both else 1]:
+            content = bytearray(each.read_bytes())
+            content[len(content) // 2] ^= 1
+            each.write_bytes(content)
+
+    found, workers = run(path, [STARTS[:50], STARTS[50:90], STARTS[90:]], between=damage)
+    assert sorted_documents(found) == sorted_documents(whole)
+    assert [worker.resumed for worker in workers] == [False, not both, not both]
+    assert all("it is kept as" in worker.warnings[0] for worker in workers[1:])
+    assert len(list(tmp_path.glob("c*.damaged-*"))) == 2 * (1 + both)
+
+
+def test_a_write_that_is_cut_off_anywhere_leaves_a_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "c"
+    for seq in (1, 2):
+        write_checkpoint(path, Checkpoint("s", [("k", "e", seq)], [], [], []))
+    renames = [0]
+    replace = Path.replace
+
+    def cut_off(self: Path, target: Path) -> Path:
+        renames[0] -= 1
+        if renames[0] < 0:
+            raise OSError("cut off")
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", cut_off)
+    for allowed in (0, 1):
+        renames[0] = allowed
+        with pytest.raises(EstimatorError, match="cut off"):
+            write_checkpoint(path, Checkpoint("s", [("k", "e", 3)], [], [], []))
+        found = [each for each in map(read_checkpoint, generations(path)) if each is not None]
+        assert found[0].positions == [("k", "e", 2)]
+
+
+def test_a_decision_stands_when_its_signal_goes_on_from_a_checkpoint() -> None:
+    decisions = EarlyDecisions("rate")
+    decisions.apply(LimitsApplied(run="r1", t_ns=0, revision="R", limits=LIMITS[:1], planned_s=600.0))
+    stability = BiasStability(1.0)
+    for start in STARTS[:100]:
+        stability.update(batch(start))
+    points = stability.estimate()
+    assert isinstance(points, tuple)
+    document = EstimatePublished(
+        run="r1", t_ns=0, unit="U1", signal="rate", estimator=stability.key, unit_of_measure="deg/h", confidence=0.95,
+        samples=50_000, missing=0, sample_interval_s=0.01, points=points,
+    )  # fmt: skip
+    (look,) = decisions.look(500.0, {stability.key: document})
+    assert look.decision.outcome.value == "FAIL"
+    again = EarlyDecisions.from_state("rate", msgspec.msgpack.decode(msgspec.msgpack.encode(decisions.export_state())))
+    assert again.look(510.0, {}) == [look]
 
 
 def test_a_checkpoint_of_another_store_is_not_gone_on_from(tmp_path: Path) -> None:
     path = tmp_path / "c"
-    write_checkpoint(path, Checkpoint("another", 10, [(KEY, UUID(int=1).hex, 30_000)], [], []))
+    write_checkpoint(path, Checkpoint("another", [(KEY, UUID(int=1).hex, 30_000)], [], [], []))
     found, (worker,) = run(path, [STARTS])
     assert not worker.resumed
     whole, _ = run(None, [STARTS])
@@ -213,7 +316,7 @@ def test_a_checkpoint_of_another_store_is_not_gone_on_from(tmp_path: Path) -> No
 def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(EstimatorError, match="cannot be written"):
-        write_checkpoint(tmp_path / "file" / "c", Checkpoint("s", 10, [], [], []))
+        write_checkpoint(tmp_path / "file" / "c", Checkpoint("s", [], [], [], []))
 
 
 def test_a_deviation_between_the_octaves_is_that_of_its_averaging_time() -> None:
@@ -241,9 +344,9 @@ def test_a_checkpoint_that_cannot_be_written_is_told_and_estimating_goes_on(tmp_
         deadline = time.monotonic() + 10
         for start in STARTS:
             bus.publish(KEY, encode_batch(batch(start)))
-        while worker.warning is None and time.monotonic() < deadline:
+        while not worker.warnings and time.monotonic() < deadline:
             time.sleep(0.01)
-        assert "cannot be written" in str(worker.warning)
+        assert "cannot be written" in worker.warnings[0]
         assert worker.failure is None
         path.parent.unlink()
         worker.close()

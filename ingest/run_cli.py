@@ -1,0 +1,237 @@
+"""The command `gyrofleet run`."""
+
+import shlex
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import click
+
+from stream.console import (
+    DEFAULT_STORE,
+    Stop,
+    compile_kernels,
+    notes,
+    print_json,
+    reporting,
+    results,
+    store_option,
+    until_stopped,
+)
+
+if TYPE_CHECKING:
+    from ingest.live_run import LiveRun
+    from stream.delivery import DurablePublisher, Sender
+    from stream.spool import Spool
+
+_INTERRUPTED = 130
+_PATIENCE_S = 5.0
+_TOLD_EVERY_S = 5.0
+_LOOK_EVERY_S = 0.2
+
+
+@click.command("run")
+@click.option("--run", "run_id", required=True, help="Id of the run; given again, the run goes on.")
+@click.option("--simulate", type=click.IntRange(1, 100_000), required=True, metavar="N", help="Simulated units.")
+@click.option("--hours", type=click.FloatRange(min=1e-4), default=1.0, show_default=True, help="Length of the run.")
+@click.option(
+    "--rate-hz", type=click.FloatRange(min=0.01, max=1e6), default=200.0, show_default=True, help="Rate samples."
+)
+@click.option(
+    "--batch", type=click.IntRange(1, 100_000), default=100, show_default=True, help="Rate samples in a message."
+)
+@click.option(
+    "--speed", type=click.FloatRange(min=0.0), default=1.0, show_default=True, help="Times real time; 0: all it can."
+)
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulation.")
+@click.option("--procedure", help="Test procedure of the run.")
+@click.option("--operator", help="Who is responsible.")
+@click.option("--lot", help="Production lot.")
+@click.option("--site", default="local", show_default=True, help="Site the samples come from.")
+@click.option("--station", default="simulated", show_default=True, help="Station the samples come from.")
+@store_option
+@click.option("--connect", help="Where the recorder listens; by default, where the one listens that writes the store.")
+@click.option("--spool", "spool_folder", type=click.Path(path_type=Path), help="Folder of the spool; STORE/spool/RUN.")
+@click.option(
+    "--spool-mb", type=click.IntRange(min=1), default=4096, show_default=True, help="How much may wait in the spool."
+)
+@click.option("--end", "is_ended", is_flag=True, help="End the run where it is, with outcome `stopped`.")
+@reporting
+def run(
+    run_id: str,
+    folder: Path,
+    connect: str | None,
+    spool_folder: Path | None,
+    spool_mb: int,
+    *,
+    is_ended: bool,
+    as_json: bool,
+    **given: object,
+) -> None:
+    """Send a live run: for now, that of a simulated station.
+
+    Where a `gyrofleet record` writes the store, it goes there, else it is recorded in this process. What no recorder
+    has yet waits in a spool on disk. Interrupted or killed, the run goes on under its id when the same command is
+    given again; --end ends it.
+    """
+    import msgspec
+
+    from ingest.live_run import LiveRun
+    from ingest.run_state import RunParameters
+    from storage.store import writer_endpoint
+    from stream.identity import check_name
+    from stream.spool import Spool
+
+    check_name("run", run_id)
+    parameters = msgspec.convert(given, RunParameters)
+    check_name("site", parameters.site)
+    check_name("station", parameters.station)
+    connect = connect or writer_endpoint(folder)
+    if connect is None:
+        compile_kernels(quiet=as_json)
+    spool_folder = spool_folder or _spool_folder(folder, run_id, is_remote=connect is not None)
+    with Spool(spool_folder, max_bytes=spool_mb << 20) as spool, until_stopped() as stop:
+        for damage in spool.damages:
+            notes().print(f"warning: the spool is damaged: {damage}", soft_wrap=True, markup=False)
+        live = LiveRun(run_id, parameters, spool)
+        if live.is_over:
+            tell_run(live, "ended", "nothing to do, all of it is recorded", as_json=as_json)
+            return
+        with _path_to(folder, connect, spool) as path:
+            code = _send(live, path, stop, _Watch(path.publisher, as_json=as_json), is_ended=is_ended)
+    sys.exit(code)
+
+
+def _spool_folder(folder: Path, run_id: str, *, is_remote: bool) -> Path:
+    """Beside the store; where its samples go elsewhere, in no folder that could become one."""
+    if is_remote and not (folder / "store.json").exists():
+        return folder.with_name(folder.name + "-spool") / run_id
+    if not is_remote:
+        from storage.store import Store
+
+        Store.create(folder)
+    return folder / "spool" / run_id
+
+
+def _send(live: "LiveRun", path: "_Path", stop: Stop, watch: "_Watch", *, is_ended: bool) -> int:
+    """Send what is left of the run; returns the exit code."""
+    if not (is_ended and live.state.phase == "running"):
+        live.begin(path.sender)
+    watch.tell(live, "running", path.where)
+    if not is_ended:
+        for batch in live.batches(stop.wait):
+            if stop.asked_at is not None:
+                break
+            path.sender.send_batch(live.key(batch), batch)
+            watch.look(live)
+    if stop.asked_at is None:
+        live.end(path.sender, "stopped" if is_ended else "completed")
+        path.publisher.drain(lambda: watch.look(live) or stop.asked_at is not None)
+    if stop.asked_at is None:
+        path.finish()
+        live.close()
+        watch.tell(live, "ended", path.next(live))
+        return 0
+    patient_until = stop.asked_at + _PATIENCE_S
+    path.publisher.drain(lambda: time.monotonic() > patient_until)
+    left = path.publisher.outstanding
+    if left:
+        path.publisher.abandon()
+    else:
+        path.finish()
+    kept = f"{left} messages wait in {live.folder}; " if left else ""
+    watch.tell(live, "interrupted", f"{kept}give the same command to go on, with --end to end it")
+    return _INTERRUPTED
+
+
+class _Path(NamedTuple):
+    """Where a run is sent to."""
+
+    sender: "Sender"
+    publisher: "DurablePublisher"
+    finish: Callable[[], None]
+    where: str
+    folder: Path | None
+
+    def next(self, live: "LiveRun") -> str:
+        """What to ask of the run."""
+        if self.folder is None:
+            return "every sample is recorded"
+        store = "" if str(self.folder) == DEFAULT_STORE else f" --store {shlex.quote(str(self.folder))}"
+        return f"ask it: gyrofleet allan --unit SIM-0001 --signal rate --run {shlex.quote(live.state.run)} --fit{store}"
+
+
+@contextmanager
+def _path_to(folder: Path, connect: str | None, spool: "Spool") -> Iterator[_Path]:
+    if connect is not None:
+        from stream.delivery import DurablePublisher
+        from stream.zenoh_bus import ZenohBus
+
+        with ZenohBus(connect=[connect]) as bus, DurablePublisher(bus, spool=spool) as publisher:
+            yield _Path(publisher, publisher, publisher.drain, f"to the recorder at {connect}", None)
+    else:
+        from ingest.pipeline import EmbeddedPipeline
+
+        with EmbeddedPipeline(folder, "gyrofleet run", spool=spool) as pipeline:
+            yield _Path(pipeline, pipeline.publisher, pipeline.finish, f"recorded in this process to {folder}", folder)
+
+
+class _Watch:
+    """Tells how the run goes on: now and then, and whenever something is wrong."""
+
+    def __init__(self, publisher: "DurablePublisher", *, as_json: bool) -> None:
+        self._publisher = publisher
+        self._as_json = as_json
+        self._looked_at = self._told_at = time.monotonic()
+        self._trouble: str | None = None
+        self._sent = 0
+
+    def look(self, live: "LiveRun") -> bool:
+        """Say what there is to say; False."""
+        now = time.monotonic()
+        if now - self._looked_at < _LOOK_EVERY_S:
+            return False
+        self._looked_at = now
+        paused = self._publisher.paused
+        trouble = self._publisher.warning or (f"the recorder pauses: {paused}" if paused else None)
+        if trouble != self._trouble:
+            self._trouble = trouble
+            notes().print(f"warning: {trouble}" if trouble else "going on", soft_wrap=True, markup=False)
+        if now - self._told_at >= _TOLD_EVERY_S and not self._as_json:
+            samples, outstanding = live.samples, self._publisher.outstanding
+            rate = (samples - self._sent) / (now - self._told_at)
+            self._told_at, self._sent = now, samples
+            notes().print(f"{samples:,} samples, {rate:,.0f}/s, {outstanding:,} messages not recorded yet")
+        return False
+
+    def tell(self, live: "LiveRun", event: str, remark: str) -> None:
+        """Say where the run is."""
+        tell_run(live, event, remark, as_json=self._as_json)
+        self._sent = live.samples
+
+
+def tell_run(live: "LiveRun", event: str, remark: str, *, as_json: bool) -> None:
+    """Print where a run is, for people or as JSON."""
+    gap_s = live.gap_ns / 1e9
+    if as_json:
+        print_json(
+            {
+                "event": event,
+                "run": live.state.run,
+                "samples": live.samples,
+                "starts": live.state.starts,
+                "resumed": live.is_resumed,
+                "gap_s": gap_s,
+                "outcome": live.state.outcome if event == "ended" else None,
+                "remark": remark,
+            }
+        )
+        return
+    resumed = f", resumed after a gap of {gap_s:,.1f} s" if live.is_resumed and event == "running" else ""
+    console = notes() if event == "running" else results()
+    console.print(
+        f"run {live.state.run} {event}{resumed}, {live.samples:,} samples: {remark}", soft_wrap=True, markup=False
+    )

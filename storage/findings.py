@@ -1,0 +1,60 @@
+"""What `gyrofleet verify` has to say: where something is not as it should be, and what would be done about it."""
+
+from enum import StrEnum
+
+import msgspec
+
+
+class Severity(StrEnum):
+    """How bad it is."""
+
+    DAMAGE = "damage"
+    """Something is not what was written, or is missing."""
+    LOSS = "loss"
+    """Samples or documents are not there, and nothing in the log says so."""
+    UNFINISHED = "unfinished"
+    """An interrupted process left something to do; nothing is lost."""
+    NOTE = "note"
+    """To know; the store is sound with it."""
+
+
+class Finding(msgspec.Struct, frozen=True):
+    """One thing that was found.
+
+    Parameters
+    ----------
+    kind : str
+        What it is in one word, for programs.
+    severity : Severity
+        How bad it is.
+    where : str
+        File or stream.
+    what : str
+        What it is, in a sentence.
+    remedy : str
+        What `gyrofleet recover` would do, or a person should.
+    """
+
+    kind: str
+    severity: Severity
+    where: str
+    what: str
+    remedy: str = ""
+
+
+class Verification(msgspec.Struct, frozen=True):
+    """What a verification looked at and found."""
+
+    store: str
+    segments: int
+    messages: int
+    samples: int
+    parts: int
+    lake_samples: int
+    findings: tuple[Finding, ...]
+    seconds: float
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether nothing needs to be done."""
+        return all(finding.severity is Severity.NOTE for finding in self.findings)

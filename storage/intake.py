@@ -1,0 +1,163 @@
+"""What a recorder does with one message: append it, know it again, ask for what is missing, or put it aside."""
+
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+from storage.event_log import EventLog
+from storage.mcap_records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogRecord
+from storage.sequence import Place
+from stream.delivery import StreamId
+from stream.errors import GyrofleetError, WireError
+from stream.events import decode_event
+from stream.identity import EstimateKey, EventKey, SampleKey, parse_key
+from stream.wire import decode_batch, encode_preview, read_batch_head
+
+MAX_PAYLOAD_BYTES = 64 << 20
+
+_PREVIEW_INTERVAL_NS = 30_000_000_000
+_REWIND_INTERVAL_S = 0.2
+_parse_key = lru_cache(maxsize=200_000)(parse_key)
+
+
+@dataclass
+class RecorderCounts:
+    """What a recorder has done since it started."""
+
+    messages: int = 0
+    samples: int = 0
+    duplicates: int = 0
+    out_of_order: int = 0
+    rejected: int = 0
+    backwards: int = 0
+    left_to_sources: int = 0
+    segments: int = 0
+    interruptions: int = 0
+    rejections: deque[str] = field(default_factory=lambda: deque(maxlen=20))
+
+
+@dataclass(frozen=True)
+class ClockStep:
+    """A batch whose source clock stood before that of the one before it."""
+
+    key: str
+    run: str
+    seq: int
+    back_ns: int
+    t_ns: int
+
+
+class Intake:
+    """Takes messages into a log in the order of their numbers.
+
+    Parameters
+    ----------
+    log : EventLog
+        Where to.
+
+    Attributes
+    ----------
+    counts : RecorderCounts
+        What became of the messages.
+    moved : set of StreamId
+        Streams whose source waits to hear how far they are.
+    rewinds : list of StreamId
+        Streams of which something is missing before what came; to be asked for.
+    clock_steps : list of ClockStep
+        Steps back of a source's clock.
+    ended_runs : int
+        Ends of runs that were taken in.
+    """
+
+    def __init__(self, log: EventLog) -> None:
+        self._log = log
+        self.counts = RecorderCounts()
+        self.moved: set[StreamId] = set()
+        self.rewinds: list[StreamId] = []
+        self.clock_steps: list[ClockStep] = []
+        self.ended_runs = 0
+        self._asked: dict[StreamId, float] = {}
+        self._last_ns: dict[StreamId, int] = {}
+        self._previewed: dict[str, int] = {}
+
+    def take(self, key: str, payload: bytes, arrival_ns: int) -> None:
+        """Take one message.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        self.counts.messages += 1
+        try:
+            parsed = _parse_key(key)
+            if len(payload) > MAX_PAYLOAD_BYTES:
+                raise WireError(f"{len(payload)} bytes are more than the {MAX_PAYLOAD_BYTES} a message may have")
+            if isinstance(parsed, SampleKey):
+                self._take_samples(key, parsed, payload, arrival_ns)
+            else:
+                self._take_document(key, parsed, payload, arrival_ns)
+        except GyrofleetError as error:
+            self.counts.rejected += 1
+            self.counts.rejections.append(f"{key[:200]}: {error}")
+            # a key that is none of ours cannot name a channel for whoever reads the log
+            self._log.append_aside(LogRecord(key[:1000], REJECTED, arrival_ns, arrival_ns, payload[:MAX_PAYLOAD_BYTES]))
+
+    def undo(self, undone: dict[StreamId, int]) -> None:
+        """Streams have gone back by so many numbers, which come again."""
+        for stream, count in undone.items():
+            self.moved.discard(stream)
+            self._last_ns.pop(stream, None)
+            if isinstance(_parse_key(stream.key), SampleKey):
+                self.counts.samples -= count
+
+    def _take_samples(self, key: str, parsed: SampleKey, payload: bytes, arrival_ns: int) -> None:
+        unit, signal, run, epoch, seq, next_seq, t0_ns, last_ns, _ = read_batch_head(payload)
+        if unit != parsed.unit or signal != parsed.signal:
+            raise WireError(f"it holds samples of {unit}/{signal}")
+        stream = StreamId(key, epoch)
+        place = Place(stream, seq, next_seq, t0_ns, last_ns, run)
+        if not self._append(place, LogRecord(key, SAMPLES, arrival_ns, t0_ns, payload)):
+            return
+        self.counts.samples += next_seq - seq
+        before_ns = self._last_ns.get(stream)
+        self._last_ns[stream] = last_ns
+        if before_ns is not None and t0_ns <= before_ns:
+            self.counts.backwards += 1
+            self.clock_steps.append(ClockStep(key, run, seq, before_ns - t0_ns, t0_ns))
+        shown_ns = self._previewed.get(key)
+        if shown_ns is None or abs(t0_ns - shown_ns) >= _PREVIEW_INTERVAL_NS:
+            self._previewed[key] = t0_ns
+            batch = decode_batch(payload)
+            data = encode_preview(float(batch.value_array[0]), batch.unit_of_measure)
+            self._log.append_aside(LogRecord(f"{key}/preview", PREVIEW, arrival_ns, t0_ns, data))
+
+    def _take_document(self, key: str, parsed: EventKey | EstimateKey, payload: bytes, arrival_ns: int) -> None:
+        message = decode_event(payload)
+        document = message.document
+        is_end = isinstance(parsed, EventKey) and type(document).__name__ == "RunEnded"
+        stream = StreamId(key, message.epoch)
+        place = Place(stream, message.seq, message.seq + 1, document.t_ns, document.t_ns, document.run, is_end)
+        if self._append(place, LogRecord(key, EVENTS, arrival_ns, document.t_ns, payload)) and is_end:
+            self.ended_runs += 1
+
+    def _append(self, place: Place, record: LogRecord) -> bool:
+        stream, seq, next_seq = place.stream, place.seq, place.next_seq
+        expected = self._log.marks.get(stream, 0)
+        if seq == expected:
+            self._log.append(place, record)
+            self.moved.add(stream)
+            return True
+        if next_seq <= expected:
+            self.counts.duplicates += 1
+            self.moved.add(stream)  # its source missed the acknowledgement
+        elif seq < expected:
+            raise WireError(f"numbers {seq} to {next_seq - 1} overlap what is recorded up to {expected - 1}")
+        else:
+            self.counts.out_of_order += 1
+            now = time.monotonic()
+            if now - self._asked.get(stream, 0.0) >= _REWIND_INTERVAL_S:
+                self._asked[stream] = now
+                self.rewinds.append(stream)
+        return False

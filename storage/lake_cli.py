@@ -1,0 +1,161 @@
+"""The commands `gyrofleet lake`, `gyrofleet rebuild` and `gyrofleet retain`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from stream.console import notes, print_json, progress_bar, reporting, store_option, until_stopped
+
+if TYPE_CHECKING:
+    from storage.retention import Dropped, Rule
+
+_POLL_S = 0.5
+_PATIENCE_S = 30.0  # a recorder builds for some seconds at a time
+
+_older_than = click.option("--older-than", metavar="AGE", help="Drop raw rows that arrived longer ago, as 90d or 12h.")
+_max_size = click.option("--max-size", metavar="SIZE", help="Drop the oldest raw rows beyond this size, as 500GB.")
+
+
+@click.command("lake")
+@store_option
+@click.option("--once", is_flag=True, help="Do what there is to do, and end.")
+@click.option(
+    "--grace-s",
+    type=click.FloatRange(min=0),
+    default=3600.0,
+    show_default=True,
+    help="Seconds that replaced files stay for queries that are reading them.",
+)
+@_older_than
+@_max_size
+@reporting
+def lake(
+    folder: Path, grace_s: float, older_than: str | None, max_size: str | None, *, once: bool, as_json: bool
+) -> None:
+    """Make the lake from sealed segments as they appear, until stopped.
+
+    The parts of a finished day (UTC) become one, and many small ones of a day that goes on become few. With
+    --older-than or --max-size raw rows are dropped as `gyrofleet retain` does.
+    """
+    from storage.lake import builder_lock
+    from storage.lake_service import LakeService
+    from storage.store import Store
+    from stream.errors import StoreError
+
+    console = notes()
+    store = Store.create(folder)
+    rule = _rule(older_than, max_size, required=False)
+
+    def tell(event: str, text: str, **numbers: object) -> None:
+        if as_json:
+            print_json({"event": event, "text": text, **numbers})
+        else:
+            console.print(text, soft_wrap=True, markup=False)
+
+    with builder_lock(store), until_stopped() as stopped:
+        service = LakeService(store, tell=tell, rule=rule, grace_s=grace_s)
+        if not once:
+            tell("building", f"making the lake of {folder} from sealed segments; Ctrl-C ends")
+        while True:
+            problems = service.round(stopped)
+            if once or stopped.wait(_POLL_S):
+                break
+    counts = service.counts
+    tell("ended", f"{counts.segments} segments brought to the lake, {counts.compacted} parts made into fewer")
+    if once and problems:
+        raise StoreError("; ".join(problems))
+
+
+@click.command("rebuild")
+@store_option
+@click.option("--force", is_flag=True, help="Also where the old lake holds what the log no longer gives.")
+@reporting
+def rebuild(folder: Path, *, force: bool, as_json: bool) -> None:
+    """Make the lake anew from the log, beside the one there is, which is replaced when the new one stands.
+
+    What was dropped by retention stays dropped: the log says so. Killed in the middle, the old lake is in force, and
+    the same command goes on.
+    """
+    from storage.lake import builder_lock
+    from storage.lake_manifest import read_manifest
+    from storage.lake_switch import left_aside
+    from storage.rebuild import rebuild as steps
+    from storage.store import Store
+
+    store = Store.open(folder)
+    with builder_lock(store, patience_s=_PATIENCE_S), progress_bar(hidden=as_json) as progress:
+        task = progress.add_task("segments", total=None)
+        for step in steps(store, force=force):
+            progress.update(task, completed=step.done, total=step.of)
+    manifest = read_manifest(store)
+    done = {
+        "segments": len(manifest.segments),
+        "parts": len(manifest.parts),
+        "samples": sum(part.samples for part in manifest.parts),
+        "aside": [str(path) for path in left_aside(store)],
+    }
+    if as_json:
+        print_json(done)
+        return
+    console = notes()
+    console.print(f"{done['segments']} segments with {done['samples']:,} samples are in the new lake of {folder}")
+    for path in left_aside(store):
+        console.print(f"kept aside: {path}", soft_wrap=True)
+
+
+@click.command("retain")
+@store_option
+@_older_than
+@_max_size
+@click.option("--dry-run", is_flag=True, help="Only say what would be dropped.")
+@reporting
+def retain(folder: Path, older_than: str | None, max_size: str | None, *, dry_run: bool, as_json: bool) -> None:
+    """Drop raw rows of the oldest parts of the lake; rollups, estimates, events and the log stay.
+
+    A document in the log says what was dropped, before it is.
+    """
+    from storage.lake import Lake, builder_lock
+    from storage.retention import apply_rule
+    from storage.store import Store
+
+    rule = _rule(older_than, max_size, required=True)
+    assert rule is not None
+    store = Store.open(folder)
+    with builder_lock(store, patience_s=_PATIENCE_S):
+        dropped = apply_rule(Lake(store), rule, dry_run=dry_run)
+    if as_json:
+        print_json({"dry_run": dry_run, **dropped._asdict()})
+    else:
+        notes().print(told(dropped, rule, dry_run=dry_run), soft_wrap=True)
+
+
+def told(dropped: "Dropped", rule: "Rule", *, dry_run: bool = False) -> str:
+    """What retention did, in a line.
+
+    Examples
+    --------
+    >>> from storage.retention import Dropped, Rule
+    >>> told(Dropped(1, 2, 3000, 4000), Rule(max_bytes=10))
+    'dropped: raw rows of 3,000 samples in 2 segments, 4,000 bytes (beyond 10 bytes)'
+    """
+    if not dropped.parts:
+        return f"nothing is {rule}"
+    would = "would be dropped" if dry_run else "dropped"
+    return (
+        f"{would}: raw rows of {dropped.samples:,} samples in {dropped.segments} segments, {dropped.bytes:,} bytes "
+        f"({rule})"
+    )
+
+
+def _rule(older_than: str | None, max_size: str | None, *, required: bool) -> "Rule | None":
+    from storage.retention import Rule, parse_age, parse_size
+    from stream.errors import BadInput
+
+    if older_than is None and max_size is None:
+        if required:
+            raise BadInput("give --older-than AGE or --max-size SIZE, or both")
+        return None
+    return Rule(
+        None if older_than is None else parse_age(older_than), None if max_size is None else parse_size(max_size)
+    )

@@ -1,0 +1,79 @@
+"""The lake made anew from the log, beside the one there is, which goes when the new one stands."""
+
+import shutil
+from collections import deque
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from storage.compaction import FAN_IN, compact
+from storage.lake import Lake
+from storage.lake_manifest import MANIFEST, LakeManifestDamaged, read_manifest
+from storage.lake_switch import NEW_LAKE, finish_switch, switch
+from storage.store import Store
+from stream.errors import StoreError
+
+
+class RebuildStep(NamedTuple):
+    """Segments in the new lake, and in all."""
+
+    done: int
+    of: int
+
+
+def rebuild(store: Store, *, force: bool = False) -> Iterator[RebuildStep]:
+    """Make the lake of a store anew; killed in the middle, it goes on the next time. The caller holds `builder_lock`.
+
+    Parameters
+    ----------
+    store : Store
+        Whose.
+    force : bool
+        Also where the old lake holds what the log no longer gives; the old one is kept aside then.
+
+    Raises
+    ------
+    StoreError
+        If a segment is damaged, or the old lake holds more than the log gives; the old lake stays in force.
+    """
+    finish_switch(store)
+    beside = Store(store.folder, store.identity)
+    beside.lake = store.folder / NEW_LAKE
+    lake = _begun(beside)
+    missing = lake.missing()
+    of = len(missing) + len(lake.manifest.segments)
+    failed: dict[str, StoreError] = {}
+    for number, _ in enumerate(lake.bring(missing, failed), start=1):
+        yield RebuildStep(of - len(missing) + number, of)
+        if number % FAN_IN == 0:
+            deque(compact(lake), maxlen=0)
+    problems = [str(error) for error in failed.values()]
+    lost = _only_in_old(store, lake)
+    if lost:
+        problems.append(f"the lake holds {len(lost)} segments that the log no longer gives: {', '.join(lost[:5])}")
+    if problems and not force:
+        raise StoreError(
+            f"{'; '.join(problems)}. The old lake stays in force, the new one waits in {beside.lake}: mend the log "
+            f"(`gyrofleet recover`) and give the command again, or give --force to go on without"
+        )
+    deque(compact(lake), maxlen=0)
+    lake.purge(grace_s=0.0)
+    switch(store, keep_old=bool(problems))
+
+
+def _begun(beside: Store) -> Lake:
+    try:
+        return Lake(beside)
+    except LakeManifestDamaged:
+        shutil.rmtree(beside.lake)
+        return Lake(beside)
+
+
+def _only_in_old(store: Store, new: Lake) -> list[str]:
+    """Segments of the old lake that are not in the new one; of a lake that cannot be read, none can be told."""
+    if not (store.lake / MANIFEST).exists():
+        return []
+    try:
+        old = read_manifest(store)
+    except StoreError:
+        return []
+    return sorted(old.segments - new.manifest.segments)

@@ -1,0 +1,166 @@
+"""Commands that keep what is sent: `gyrofleet record` and `gyrofleet router`."""
+
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from stream.console import notes, print_json, reporting, store_option, until_stopped
+
+if TYPE_CHECKING:
+    from storage.recorder import Recorder
+    from storage.recovery import Recovery
+
+_SHOWN_REJECTIONS = 5
+
+
+@click.command("record")
+@store_option
+@click.option(
+    "--listen",
+    help="Where sources connect to; tcp/127.0.0.1:7447, on loopback, unless you say otherwise or give --connect.",
+)
+@click.option("--connect", help="Take part at a `gyrofleet router` there instead of listening.")
+@click.option(
+    "--rotate-mb",
+    type=click.IntRange(min=1),
+    default=128,
+    show_default=True,
+    help="Payload of a segment of the log before it is sealed.",
+)
+@click.option(
+    "--rotate-s",
+    type=click.FloatRange(min=1),
+    default=300.0,
+    show_default=True,
+    help="Age of a segment in seconds before it is sealed and reaches the lake.",
+)
+@click.option(
+    "--sync-ms",
+    type=click.IntRange(min=1, max=10_000),
+    default=100,
+    show_default=True,
+    help="Milliseconds between fdatasync and acknowledgement.",
+)
+@click.option("--no-lake", is_flag=True, help="Leave the lake to a `gyrofleet lake` of its own.")
+@reporting
+def record(
+    folder: Path,
+    listen: str | None,
+    connect: str | None,
+    rotate_mb: int,
+    rotate_s: float,
+    sync_ms: int,
+    *,
+    no_lake: bool,
+    as_json: bool,
+) -> None:
+    """Record everything that sources send, until stopped."""
+    from storage.event_log import EventLog
+    from storage.recorder import Recorder
+    from storage.store import Store, WriterLock
+    from stream.errors import BadInput, StoreError
+    from stream.zenoh_bus import DEFAULT_ENDPOINT, ZenohBus
+
+    if listen and connect:
+        raise BadInput("give --listen or --connect, not both: with --connect it is the router that listens")
+    endpoint = connect or listen or DEFAULT_ENDPOINT
+    console = notes()
+    said = threading.Lock()
+
+    def warn(text: str) -> None:
+        with said:
+            if as_json:
+                print_json({"event": "warning", "text": text})
+            console.print(f"warning: {text}", soft_wrap=True, markup=False)
+
+    store = Store.create(folder)
+    with WriterLock(store, "gyrofleet record", endpoint), until_stopped() as stopped:
+        try:
+            log = EventLog(store, rotate_bytes=rotate_mb << 20, rotate_s=rotate_s)
+        except OSError as error:
+            raise StoreError(f"the log of {folder} cannot be written: {error}; free space or mend the disk") from error
+        for warning in log.warnings:
+            warn(warning)
+        for recovery in log.recovered:
+            _tell_recovery(recovery)
+        with (
+            ZenohBus(listen=[] if connect else [endpoint], connect=[connect] if connect else []) as bus,
+            Recorder(
+                store, bus, log, sync_interval_s=sync_ms / 1000, builds_lake=not no_lake, on_warning=warn
+            ) as recorder,
+        ):
+            if as_json:
+                print_json({"event": "recording", "store": str(folder), "listen": endpoint})
+            else:
+                console.print(f"recording from {endpoint} to {folder}; Ctrl-C ends")
+            told_at, told_samples = time.monotonic(), 0
+            while not stopped.wait(0.2) and recorder.failure is None:
+                if time.monotonic() - told_at >= 5.0 and recorder.counts.samples != told_samples and not as_json:
+                    rate = (recorder.counts.samples - told_samples) / (time.monotonic() - told_at)
+                    told_at, told_samples = time.monotonic(), recorder.counts.samples
+                    console.print(f"{told_samples:,} samples, {rate:,.0f}/s")
+            if not as_json:
+                console.print("stopping: writing what has arrived, sources keep the rest")
+    _tell_counts(recorder, as_json=as_json)
+
+
+@click.command("router")
+@click.option("--listen", default="tcp/127.0.0.1:7447", show_default=True, help="Where all others connect to.")
+@reporting
+def router(listen: str, *, as_json: bool) -> None:
+    """Pass messages between sources, recorder and estimators that connect here, until stopped.
+
+    Needed only where the recorder is not itself what the others connect to: it can then be stopped and started alone.
+    """
+    from stream.zenoh_bus import ZenohBus
+
+    with until_stopped() as stopped, ZenohBus(listen=[listen]):
+        if as_json:
+            print_json({"event": "routing", "listen": listen})
+        else:
+            notes().print(f"passing messages on at {listen}; Ctrl-C ends")
+        while not stopped.wait(1.0):
+            pass
+
+
+def _tell_recovery(recovery: "Recovery") -> None:
+    console = notes()
+    line = f"recovered {recovery.records:,} messages of {recovery.segment}, left open by an earlier process"
+    if recovery.damaged_chunks:
+        line += f"; {recovery.damaged_bytes:,} bytes in {recovery.damaged_chunks} pieces could not be read"
+    console.print(line, soft_wrap=True, markup=False)
+    for lost in recovery.lost[:_SHOWN_REJECTIONS]:
+        console.print(f"  lost: {lost}", soft_wrap=True, markup=False)
+    if recovery.kept_aside is not None:
+        console.print(f"  the file as it was: {recovery.kept_aside}", soft_wrap=True, markup=False)
+
+
+def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
+    counts = recorder.counts
+    if as_json:
+        print_json(
+            {
+                "event": "ended",
+                "messages": counts.messages,
+                "samples": counts.samples,
+                "segments": counts.segments,
+                "duplicates": counts.duplicates,
+                "out_of_order": counts.out_of_order,
+                "rejected": counts.rejected,
+                "clock_steps_back": counts.backwards,
+                "left_to_sources": counts.left_to_sources,
+                "interruptions": counts.interruptions,
+                "rejections": list(counts.rejections),
+            }
+        )
+        return
+    console = notes()
+    console.print(
+        f"{counts.samples:,} samples in {counts.segments} segments; {counts.duplicates} messages came twice, "
+        f"{counts.rejected} could not be read"
+    )
+    for rejection in list(counts.rejections)[-_SHOWN_REJECTIONS:]:
+        console.print(f"  kept aside, among the last: {rejection}", markup=False, soft_wrap=True)

@@ -1,0 +1,74 @@
+"""The commands `gyrofleet verify` and `gyrofleet recover`."""
+
+import sys
+from pathlib import Path
+
+import click
+from rich.table import Table
+
+from stream.console import notes, print_json, progress_bar, reporting, results, store_option
+
+_COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "default"}
+
+
+@click.command("verify")
+@store_option
+@reporting
+def verify(folder: Path, *, as_json: bool) -> None:
+    """Read everything in the store and say what is wrong, where, and what would be done; nothing is changed.
+
+    The exit code is 0 only for a sound store: every segment is what was written, the numbers of every stream go on
+    without a gap that is not said in the log, the lake agrees with the log, and so do the estimators' checkpoints.
+    """
+    from storage.store import Store
+    from storage.verify import verify as verify_store
+
+    store = Store.open(folder)
+    with progress_bar(hidden=as_json) as progress:
+        task = progress.add_task(f"reading {folder}", total=1.0)
+        found, _ = verify_store(store, lambda done: progress.update(task, completed=done))
+    if as_json:
+        print_json({"sound": found.is_sound, **{name: getattr(found, name) for name in found.__struct_fields__}})
+        sys.exit(0 if found.is_sound else 1)
+    if found.findings:
+        table = Table(header_style="bold")
+        for title in ("", "where", "what", "what `gyrofleet recover` does"):
+            table.add_column(title, overflow="fold")
+        for finding in found.findings:
+            colour = _COLOURS[finding.severity]
+            table.add_row(f"[{colour}]{finding.severity}[/]", finding.where, finding.what, finding.remedy)
+        results().print(table)
+    results().print(
+        f"{found.segments:,} segments with {found.samples:,} samples in {found.messages:,} messages, {found.parts:,} "
+        f"parts of the lake with {found.lake_samples:,} samples, read in {found.seconds:.1f} s: "
+        + ("the store is sound" if found.is_sound else "the store is NOT sound")
+    )
+    sys.exit(0 if found.is_sound else 1)
+
+
+@click.command("recover")
+@store_option
+@reporting
+def recover(folder: Path, *, as_json: bool) -> None:
+    """Put right what `gyrofleet verify` finds, and verify again; nothing is destroyed.
+
+    Damaged files are kept in log/aside and lake-aside, and the log says what is lost.
+    """
+    from storage.recover import recover as recover_store
+    from storage.store import Store
+    from storage.verify import verify as verify_store
+
+    store = Store.open(folder)
+    actions = []
+    for action in recover_store(store):
+        actions.append(action)
+        if not as_json:
+            notes().print(f"{action.what} {action.where}: {action.text}", soft_wrap=True, markup=False)
+    found, _ = verify_store(store)
+    if as_json:
+        print_json({"sound": found.is_sound, "actions": actions, "findings": found.findings})
+    else:
+        done = f"{len(actions)} steps done" if actions else "nothing to do"
+        state = "the store is sound" if found.is_sound else "the store is still NOT sound, see `gyrofleet verify`"
+        results().print(f"{done}; {state}")
+    sys.exit(0 if found.is_sound else 1)

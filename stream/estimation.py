@@ -1,0 +1,188 @@
+"""What is known of every signal: numbered messages in, documents out; in whose thread, and from where, is left open."""
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from stream.checkpoint import Checkpoint
+from stream.delivery import StreamId
+from stream.errors import BadInput, WireError
+from stream.estimators.base import Estimator
+from stream.events import AnyDocument, EventMessage, LimitsApplied, RunEnded, decode_event
+from stream.identity import EstimateKey, EventKey, Place, SampleKey, estimate_key, parse_key, sample_key
+from stream.signal_analysis import Documents, SignalAnalysis, fresh_followers
+from stream.wire import WireBatch, read_wire_batch
+
+_parse = functools.lru_cache(65_536)(parse_key)
+
+
+@dataclass
+class EstimationCounts:
+    """What has been taken in."""
+
+    samples: int = 0
+    duplicates: int = 0
+    recalled: int = 0
+    lost: int = 0
+    rejected: int = 0
+    estimates: int = 0
+    checkpoints: int = 0
+
+
+class Estimation:
+    """Takes the messages of all streams, keeps an analysis of every signal, and hands on the documents that are due.
+
+    Parameters
+    ----------
+    every_ns : int
+        Interval between estimates in a signal's time, nanoseconds; a signal keeps the one that it was begun with.
+    factories : mapping of callables
+        Each makes one estimator of a signal.
+    publish : callable
+        Given the key expression and the document.
+    fill : callable, optional
+        Given streams, each with a number: it takes in what is missing before those numbers, if it can be had. Without
+        one, a stream may be joined in its middle.
+
+    Attributes
+    ----------
+    positions : dict of StreamId to int
+        Number that is expected next of every stream.
+    catching_up : bool
+        Set while messages come out of the log, where nothing is missing between them.
+    ended : frozenset of str
+        Runs to be left out.
+    """
+
+    def __init__(
+        self,
+        every_ns: int,
+        factories: Mapping[str, Callable[[], Estimator]],
+        publish: Callable[[str, AnyDocument], None],
+        fill: Callable[[Mapping[StreamId, int]], None] | None = None,
+    ) -> None:
+        self._every_ns = every_ns
+        self._factories = factories
+        self._publish = publish
+        self._fill = fill
+        self._signals: dict[tuple[str, str, str], SignalAnalysis] = {}
+        self._limits: dict[str, LimitsApplied] = {}
+        self.positions: dict[StreamId, int] = {}
+        self.catching_up = False
+        self.ended: frozenset[str] = frozenset()
+        self.counts = EstimationCounts()
+
+    def take(self, key: str, payload: bytes) -> None:
+        """Take in a message if it is the next of its stream; what cannot be read is counted, and left to the recorder.
+
+        Raises
+        ------
+        GyrofleetError
+            From publishing.
+        """
+        try:
+            parsed = _parse(key)
+            if isinstance(parsed, SampleKey):
+                self._take_samples(key, parsed, read_wire_batch(payload))
+            else:
+                self._take_document(key, parsed, decode_event(payload))
+        except (BadInput, WireError):
+            self.counts.rejected += 1  # the recorder keeps it aside and reports it
+
+    def checkpoint(self, store: str) -> Checkpoint:
+        """Everything that is kept, with the identity of the store that it goes with."""
+        return Checkpoint(
+            store=store,
+            positions=[(stream.key, stream.epoch, next_seq) for stream, next_seq in self.positions.items()],
+            ended=sorted(self.ended),
+            limits=list(self._limits.values()),
+            signals=[analysis.export_state() for analysis in self._signals.values()],
+        )
+
+    def go_on_from(self, checkpoint: Checkpoint) -> None:
+        """Take over a checkpoint.
+
+        Raises
+        ------
+        EstimatorError
+            If a snapshot in it is damaged or of another version; nothing is taken over then.
+        """
+        analyses = [SignalAnalysis.from_state(state) for state in checkpoint.signals]
+        self._signals = {(each.run, each.unit, each.signal): each for each in analyses}
+        self._limits = {limits.run: limits for limits in checkpoint.limits}
+        self.positions = {StreamId(key, epoch): next_seq for key, epoch, next_seq in checkpoint.positions}
+        self.ended = frozenset(checkpoint.ended)
+
+    def _take_samples(self, key: str, parsed: SampleKey, batch: WireBatch) -> None:
+        if batch.unit != parsed.unit or batch.signal != parsed.signal:
+            raise WireError(f"it holds samples of {batch.unit}/{batch.signal}")
+        stream = StreamId(key, batch.meaning[0].hex())
+        first, after, counts = batch.seq, batch.next_seq, self.counts
+        expected = self._expected(stream, first)
+        if first > expected and not self.catching_up and self._fill is not None:
+            self._fill({stream: first})
+            expected = self._expected(stream, first)
+        if first < expected:
+            # what overlaps only in part is kept aside by the recorder too
+            counts.duplicates += after <= expected
+            counts.rejected += after > expected
+            return
+        self.positions[stream] = after
+        if batch.run in self.ended:
+            return
+        counts.lost += first - expected
+        counts.samples += after - first
+        name = (batch.run, batch.unit, batch.signal)
+        analysis = self._signals.get(name) or self._begin(parsed.place, name)
+        documents = analysis.take(batch)
+        if documents:
+            self._hand_on(analysis, documents)
+
+    def _take_document(self, key: str, parsed: EventKey | EstimateKey, message: EventMessage) -> None:
+        stream = StreamId(key, message.epoch)
+        expected = self._expected(stream, message.seq)
+        if message.seq > expected and not self.catching_up and self._fill is not None:
+            self._fill({stream: message.seq})
+            expected = self._expected(stream, message.seq)
+        if message.seq < expected:
+            return
+        self.positions[stream] = message.seq + 1
+        if isinstance(parsed, EventKey) and message.document.run not in self.ended:
+            self._follow(parsed.place, message.document)
+
+    def _expected(self, stream: StreamId, first: int) -> int:
+        # with a log it is known which streams were there before; without, one may be joined in its middle
+        return self.positions.get(stream, first if self._fill is None else 0)
+
+    def _follow(self, place: Place, document: AnyDocument) -> None:
+        if isinstance(document, LimitsApplied):
+            self._limits[document.run] = document
+            for analysis in self._signals.values():
+                if analysis.run == document.run:
+                    analysis.apply_limits(document)
+        elif isinstance(document, RunEnded):
+            if self._fill is not None and not self.catching_up:
+                self._fill(
+                    {
+                        StreamId(
+                            sample_key(place, total.unit, total.signal), total.epoch.replace("-", "")
+                        ): total.samples
+                        for total in document.totals
+                    }
+                )
+            for name in [each for each in self._signals if each[0] == document.run]:
+                analysis = self._signals.pop(name)
+                self._hand_on(analysis, analysis.finish())
+            self._limits.pop(document.run, None)
+
+    def _begin(self, place: Place, name: tuple[str, str, str]) -> SignalAnalysis:
+        run, unit, signal = name
+        followers = fresh_followers(self._factories)
+        analysis = self._signals[name] = SignalAnalysis(place, (unit, signal, run), self._every_ns, followers)
+        if run in self._limits:
+            analysis.apply_limits(self._limits[run])
+        return analysis
+
+    def _hand_on(self, analysis: SignalAnalysis, documents: Documents) -> None:
+        for what, document in documents:
+            self._publish(estimate_key(analysis.place, analysis.unit, analysis.signal, what), document)

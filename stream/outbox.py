@@ -1,0 +1,195 @@
+"""What a publisher has on its way: how much, in which order, and what the recorder's answers make of it."""
+
+import time
+
+from stream.acknowledgement import StreamId, StreamPosition
+from stream.outgoing import Held, OutgoingStream
+from stream.spool import Spool
+
+BITE_BYTES = 256 << 10
+_FIRST_CREDIT_BYTES = 1 << 20
+_LONGEST_PATIENCE_S = 10.0
+_PAUSE_HOLDS_S = 3.0
+_ASKED_IN_A_PAUSE = 10
+_LOST_AFTER = 5  # patiences, after which a recorder that asks for what it had acknowledged is believed
+
+Due = tuple[OutgoingStream, Held]
+
+
+class Outbox:
+    """The streams of one publisher, with what is held of them in memory. Whoever calls holds the publisher's lock.
+
+    `bytes` are held; what is sent again or read from the disk costs `credit`, which acknowledgements give back
+    twofold. `behind` are the streams with messages that wait to be published; `progress_at` is when a recorder last
+    gave a sign of life, `paused` what it then said; `broken` is why nothing can be delivered any more.
+    """
+
+    def __init__(self, window_bytes: int, resend_after_s: float, spool: Spool | None) -> None:
+        self._window_bytes = window_bytes
+        self._resend_after_s = resend_after_s
+        self._longest_wait_s = max(_LONGEST_PATIENCE_S, resend_after_s)
+        self._spool = spool
+        self.streams: dict[tuple[str, str], OutgoingStream] = {}
+        self._renamed: dict[tuple[str, str], OutgoingStream] = {}
+        self.behind: dict[OutgoingStream, None] = {}
+        self.bytes = 0
+        self.credit = _FIRST_CREDIT_BYTES
+        self.progress_at = time.monotonic()
+        self.paused = ""
+        self._paused_at = float("-inf")
+        self.broken: str | None = None
+        self.resent = 0
+        self.warning: str | None = None
+
+    def stream(self, stream_id: StreamId) -> OutgoingStream:
+        """The stream of that name, begun where the spool knows it to be."""
+        stream = self.streams.get(stream_id)
+        if stream is not None:
+            return stream
+        stream = OutgoingStream(stream_id, self._resend_after_s)
+        state = None if self._spool is None else self._spool.streams.get(stream_id)
+        if state is not None and self._spool is not None:
+            stream.acknowledged = state.acknowledged
+            stream.store = self._spool.store if state.acknowledged else None
+            stream.base = state.base
+            if stream.base:
+                self._renamed[stream.wire_id] = stream
+        self.streams[stream_id] = stream
+        return stream
+
+    def hold(self, stream: OutgoingStream, held: Held) -> bool:
+        """Keep a message in memory; whether it is to be published now, as all before it in its stream were."""
+        if not stream.held:
+            stream.quiet_since = time.monotonic()
+            if not self.bytes:
+                self.progress_at = stream.quiet_since
+        stream.held.append(held)
+        self.bytes += len(held.payload)
+        if stream.sent == len(stream.held) - 1 and not stream.pumping:
+            stream.sent += 1
+            return True
+        self.behind[stream] = None
+        return False
+
+    def fits(self, size: int) -> bool:
+        """Whether there is room for a message of so many bytes."""
+        return not self.bytes or self.bytes + size <= self._window_bytes
+
+    def is_paused(self) -> bool:
+        """Whether the recorder has just said that it takes nothing."""
+        return bool(self.paused) and time.monotonic() - self._paused_at < _PAUSE_HOLDS_S
+
+    def count(self) -> int:
+        """Messages that are not acknowledged; of those on disk from before, at most so many."""
+        spooled = 0 if self._spool is None else self._spool.waiting
+        return spooled + sum(len(stream.held) for stream in self.streams.values())
+
+    def told(self) -> str:
+        """What is outstanding, in words."""
+        waiting = {stream.id.key: len(stream.held) for stream in self.streams.values() if stream.held}
+        told = f"{self.count()} messages are outstanding"
+        if waiting:
+            first, count = next(iter(sorted(waiting.items())))
+            more = f" and {len(waiting) - 1} more streams" if len(waiting) > 1 else ""
+            told = f"{count} messages of {first}{more} are outstanding"
+        if self._spool is None:
+            return told
+        return f"{told}; they are kept in {self._spool.folder} and sent when the same source starts again"
+
+    def answer(self, store: str, position: StreamPosition, now: float) -> None:
+        """Take in what a recorder says of a stream."""
+        name = (position.key, position.epoch)
+        stream, next_seq = self._renamed.get(name), position.next_seq
+        if stream is not None:
+            next_seq += stream.base
+        else:
+            stream = self.streams.get(name)
+        if stream is None:
+            return
+        if not position.rewind:
+            self._take(stream, store, next_seq, now)
+        elif not stream.base or name in self._renamed:  # what it lacks under the old name is lost
+            self._rewind(stream, store, next_seq, now)
+
+    def hear_pause(self, reason: str, now: float) -> None:
+        """Take in why the recorder takes nothing; an empty reason: it takes."""
+        if reason:
+            self.progress_at = self._paused_at = now
+            for stream in self.streams.values():
+                stream.hear()
+        elif self.paused:
+            for stream in self.streams.values():
+                stream.quiet_since = float("-inf")  # it takes again: ask at once what it has
+        self.paused = reason
+
+    def _take(self, stream: OutgoingStream, store: str, next_seq: int, now: float) -> None:
+        stream.store = store
+        if self._spool is not None:
+            self._spool.acknowledge(store, stream.id, next_seq)
+        freed = stream.let_go(next_seq)
+        if freed:
+            stream.stir(now)
+            self.bytes -= freed
+            self.credit = min(self.credit + 2 * freed, self._window_bytes)
+            self.progress_at = now
+
+    def _rewind(self, stream: OutgoingStream, store: str, asked: int, now: float) -> None:
+        """Go back to number `asked`, which the recorder lacks; what is before it is not durable there yet."""
+        if stream.store not in {None, store}:
+            self.broken = (
+                f"the recorder asks for {stream.id.key} from number {asked}, but earlier numbers went to another "
+                f"store; send to one store until the run has ended"
+            )
+        elif stream.held and stream.held[0].seq > asked:
+            self._miss(stream, asked, now)
+        elif again := stream.go_back(asked, now):
+            self.resent += again
+            self.credit = max(self.credit, _FIRST_CREDIT_BYTES)
+            self.behind[stream] = None
+
+    def _miss(self, stream: OutgoingStream, asked: int, now: float) -> None:
+        """The recorder asks for what is not here any more."""
+        told = f"the recorder asks for {stream.id.key} from number {asked}, and this source has it from"
+        if asked < stream.acknowledged:
+            # perhaps only a request that comes late
+            stream.lost_since = stream.lost_since or now
+            if now - stream.lost_since > _LOST_AFTER * self._resend_after_s:
+                self.broken = (
+                    f"{told} {stream.acknowledged}: it has lost what it had acknowledged; look at its store with "
+                    f"`gyrofleet verify`"
+                )
+        elif self._spool is None:
+            self.broken = f"{told} {stream.held[0].seq}; send what is before it, or begin a new epoch"
+        else:
+            stream.begin_anew()
+            self._spool.rebase(stream.id, stream.base)
+            self._renamed[stream.wire_id] = stream
+            self.behind[stream] = None
+            self.warning = f"{told} {stream.base}, as its spool is damaged: it goes on under a new epoch"
+
+    def overdue(self, now: float) -> list[Due]:
+        """What to send again because nothing was answered."""
+        if self.credit <= 0:
+            self.credit = BITE_BYTES  # whatever is not answered, a little goes on
+        overdue = [stream for stream in self.streams.values() if stream.is_overdue(now)]
+        if self.is_paused():
+            overdue = overdue[:_ASKED_IN_A_PAUSE]  # enough to learn that it is over
+        asked = [(stream, held) for stream in overdue for held in stream.ask(now, self._longest_wait_s)]
+        self.resent += len(asked)
+        return asked
+
+    def next_bite(self) -> list[Due]:
+        """The next messages of the streams that are behind, as far as credit goes."""
+        bite: list[Due] = []
+        room = min(BITE_BYTES, self.credit)
+        while self.behind and room > 0:
+            stream = next(iter(self.behind))
+            messages = stream.unsent(room)
+            if stream.sent == len(stream.held):
+                del self.behind[stream]
+            stream.pumping = bool(messages)
+            bite += [(stream, held) for held in messages]
+            size = sum(len(held.payload) for held in messages)
+            room -= size
+            self.credit -= size
+        return bite

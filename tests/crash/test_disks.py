@@ -1,0 +1,191 @@
+"""Disks that are full and disks that fail, under real processes: nothing acknowledged is lost, and it goes on."""
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+Start = Callable[..., "Service"]
+SAMPLES = 300_000
+
+
+class Service:
+    """A command in the background whose lines of JSON are gathered."""
+
+    def __init__(self, command: list[str], folder: Path) -> None:
+        self.process = subprocess.Popen(
+            command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+        self.lines: list[dict[str, Any]] = []
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        self._errors = threading.Thread(target=self._drain, daemon=True)
+        self._errors.start()
+        self.errors = ""
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.lines.append(json.loads(line))
+
+    def _drain(self) -> None:
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            self.errors += line
+
+    def until(self, condition: Callable[[dict[str, Any]], bool], patience_s: float = 40.0) -> dict[str, Any]:
+        deadline = time.monotonic() + patience_s
+        while time.monotonic() < deadline:
+            for line in list(self.lines):
+                if condition(line):
+                    return line
+            time.sleep(0.02)
+        raise AssertionError(f"not said: {self.lines[-5:]} {self.errors[-2000:]}")
+
+    def stop(self) -> None:
+        os.killpg(self.process.pid, signal.SIGINT)
+        self.process.wait(timeout=60)
+        self._reader.join(10)
+
+    def kill(self) -> None:
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+        for reader, pipe in ((self._reader, self.process.stdout), (self._errors, self.process.stderr)):
+            reader.join(10)
+            assert pipe is not None
+            pipe.close()
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    running: list[Service] = []
+
+    def begin(*command: str) -> Service:
+        running.append(Service(list(command), tmp_path))
+        return running[-1]
+
+    yield begin
+    for service in running:
+        service.kill()
+
+
+@pytest.fixture
+def endpoint() -> str:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
+def table(path: Path, n: int = SAMPLES) -> Path:
+    values = np.random.default_rng(5).standard_normal(n)
+    pl.DataFrame({"time[s]": np.arange(n) * 0.01, "rate[deg/s]": values}).write_parquet(path)
+    return path
+
+
+def check(gyrofleet: Callable[..., Any], store: Path) -> None:
+    (row,) = gyrofleet(
+        "sql", "select count(*) as n, count(distinct t_ns) as moments, count(distinct seq) as numbers from samples",
+        "--json", "--store", store,
+    ).json  # fmt: skip
+    assert row == {"n": SAMPLES, "moments": SAMPLES, "numbers": SAMPLES}
+    verified = gyrofleet("verify", "--json", "--store", store)
+    assert verified.code == 0, verified.out
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 8 MB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    if os.geteuid() != 0 or shutil.which("mount") is None:
+        pytest.skip("mounting a tmpfs needs root")
+    done = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", folder], capture_output=True, text=True)
+    if done.returncode != 0:
+        pytest.skip(f"a tmpfs cannot be mounted here: {done.stderr.strip()}")
+    yield folder
+    subprocess.run(["umount", "--lazy", folder], check=True)
+
+
+def test_a_full_disk_stops_recording_and_room_lets_it_go_on(
+    gyrofleet: Callable[..., Any],
+    command_line: Callable[..., list[str]],
+    start: Start,
+    endpoint: str,
+    small_disk: Path,
+    tmp_path: Path,
+) -> None:
+    store = small_disk / "store"
+    ballast = small_disk / "ballast"
+    ballast.write_bytes(bytes(6_500_000))
+    record = start(*command_line("record", "--listen", endpoint, "--store", store, "--rotate-mb", "1", "--json"))
+    record.until(lambda line: line["event"] == "recording")
+    source = start(
+        *command_line(
+            "import", table(tmp_path / "a.parquet"), "--unit", "U1", "--connect", endpoint, "--store", store, "--json"
+        )
+    )
+    paused = record.until(lambda line: line["event"] == "warning" and "recording is paused" in line["text"])
+    assert "kept in reserve" in paused["text"] or "No space left" in paused["text"]
+    time.sleep(5.0)
+    assert source.process.poll() is None, "the source was to wait"
+    ballast.unlink()
+    assert source.process.wait(timeout=90) == 0, source.errors
+    assert any("goes on after a pause" in line["text"] for line in record.lines if line["event"] == "warning")
+    record.stop()
+    assert record.process.returncode == 0, record.errors
+    check(gyrofleet, store)
+
+
+@pytest.mark.parametrize(
+    ("calls", "when", "files"),
+    [
+        ("fdatasync", "1", 1),
+        ("fdatasync", "2+2", 2),
+        ("write", "4", 1),
+        ("write", "5+3", 2),
+        ("rename,renameat,renameat2", "1", 1),
+        ("fsync", "1", 1),
+    ],
+)
+def test_errors_of_the_disk_cost_a_segment_and_no_sample(
+    gyrofleet: Callable[..., Any],
+    command_line: Callable[..., list[str]],
+    start: Start,
+    endpoint: str,
+    tmp_path: Path,
+    calls: str,
+    when: str,
+    files: int,
+) -> None:
+    if shutil.which("strace") is None:
+        pytest.skip("strace is not installed")
+    store = tmp_path / "store"
+    paths = [argument for i in range(files) for argument in ("-P", str(store / "log" / f"{i + 1:08d}.mcap.open"))]
+    trace = tmp_path / "trace"
+    record = start(
+        "strace", "-f", "-qq", "-o", str(trace), *paths, "-e", f"inject={calls}:error=EIO:when={when}",
+        *command_line("record", "--listen", endpoint, "--store", store, "--rotate-mb", "1", "--json"),
+    )  # fmt: skip
+    record.until(lambda line: line["event"] == "recording")
+    source = gyrofleet(
+        "import", table(tmp_path / "a.parquet"), "--unit", "U1", "--connect", endpoint, "--store", store, "--json"
+    )
+    assert source.code == 0, source.err
+    record.stop()
+    assert "INJECTED" in trace.read_text(), "the fault was never reached"
+    assert any("the segment is given up" in line.get("text", "") for line in record.lines)
+    ended = next(line for line in record.lines if line["event"] == "ended")
+    assert (ended["samples"], ended["interruptions"] >= 1) == (SAMPLES, True)
+    check(gyrofleet, store)

@@ -1,0 +1,298 @@
+"""The log as a file format and as a promise: other tools read it, no byte of it changes unseen."""
+
+import json
+import random
+from pathlib import Path
+from uuid import UUID
+
+import numpy as np
+import pytest
+from mcap.reader import NonSeekingReader, make_reader
+
+from storage.event_log import EventLog
+from storage.log_manifest import FIRST, ManifestWriter, SegmentEntry, manifest_path, read_log_manifest, rewrite_manifest
+from storage.mcap_records import CHUNK_BYTES, EVENTS, SAMPLES, LogRecord
+from storage.recovery import salvage_segment, take_in
+from storage.segment_reader import SegmentScan, read_marks, read_segment
+from storage.sequence import SequenceCheck, place_of
+from storage.store import Store
+from stream.batch import SampleBatch
+from stream.errors import StoreError
+from stream.events import NoteAdded, RunEnded, encode_event
+from stream.identity import Place, event_key, sample_key
+from stream.wire import decode_batch, encode_batch
+
+PLACE = Place("plant", "bench")
+
+
+def samples(unit: str, first: int, n: int = 100) -> LogRecord:
+    counts = np.random.default_rng(first).normal(0, 50, n).astype(np.int32)
+    batch = SampleBatch(unit, "rate", "r1", UUID(int=1), first, first * 10**6, 10**6, "deg/s", counts=counts)
+    return LogRecord(sample_key(PLACE, unit, "rate"), SAMPLES, 10**18 + first, batch.t0_ns, encode_batch(batch))
+
+
+def document(text: str, seq: int) -> LogRecord:
+    note = NoteAdded(run="r1", t_ns=5, text=text)
+    return LogRecord(event_key(PLACE), EVENTS, 10**18, 5, encode_event(note, "e", seq))
+
+
+def append(log: EventLog, record: LogRecord) -> None:
+    place = place_of(record)
+    assert place is not None
+    log.append(place, record)
+
+
+def written(tmp_path: Path, *, syncs: int = 20, seal: bool = True) -> tuple[Store, list[LogRecord]]:
+    """A store with one segment of so many chunks, and what was put into it."""
+    store = Store.create(tmp_path / "store")
+    log = EventLog(store)
+    records = []
+    for i in range(syncs):
+        for record in [samples(f"U{unit}", 100 * i) for unit in range(5)] + [document(f"note {i}", i)]:
+            append(log, record)
+            records.append(record)
+        log.sync()
+    if seal:
+        log.seal()
+    return store, records
+
+
+def test_other_tools_read_a_segment_with_all_their_checks(tmp_path: Path) -> None:
+    store, records = written(tmp_path)
+    (segment,) = store.log.glob("*.mcap")
+    with segment.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == len(records)
+        assert len(summary.chunk_indexes) == 20
+        found = list(reader.iter_messages(log_time_order=False))
+        assert [(c.topic, m.data) for _, c, m in found] == [(r.topic, r.data) for r in records]
+        assert {s.name for s, _, _ in found if s is not None} == {SAMPLES, EVENTS}
+        only = list(reader.iter_messages(topics=[records[0].topic]))
+        assert [m.data for _, _, m in only] == [r.data for r in records if r.topic == records[0].topic]
+    with segment.open("rb") as file:
+        assert sum(1 for _ in NonSeekingReader(file, validate_crcs=True).iter_messages()) == len(records)
+    assert list(read_segment(segment)) == records
+
+
+def test_large_chunks_are_cut_and_all_is_there(tmp_path: Path) -> None:
+    store = Store.create(tmp_path)
+    log = EventLog(store)
+    records = [samples("U1", 10_000 * i, 10_000) for i in range(200)]
+    for record in records:
+        append(log, record)
+    log.seal()
+    (segment,) = store.log.glob("*.mcap")
+    scan = SegmentScan(segment)
+    assert list(scan) == records
+    assert len(scan.summary.chunks) >= sum(len(record.data) for record in records) // CHUNK_BYTES > 2
+
+
+@pytest.mark.parametrize("how", ["flip", "cut", "zero"])
+def test_no_byte_of_a_segment_changes_unseen_and_the_rest_is_saved(tmp_path: Path, how: str) -> None:
+    store, records = written(tmp_path, syncs=12)
+    (segment,) = store.log.glob("*.mcap")
+    content = segment.read_bytes()
+    rng = random.Random(7)
+    list(read_segment(segment))
+    by_chunk = 6
+    edges = [0, 5, 9, 20, len(content) - 1, len(content) - 9, len(content) - 30, len(content) - 400]
+    for at in edges + [rng.randrange(len(content)) for _ in range(120)]:
+        damaged = bytearray(content)
+        if how == "flip":
+            damaged[at] ^= 1 << rng.randrange(8)
+        elif how == "cut":
+            del damaged[at:]
+        else:
+            damaged[at : at + 512] = bytes(len(damaged[at : at + 512]))
+            if damaged == content:
+                continue
+        segment.write_bytes(damaged)
+        with pytest.raises(StoreError, match="is damaged"):
+            list(read_segment(segment))
+        found = list(SegmentScan(segment, sealed=True))
+        assert [record for record in records if record in found] == found, "something else was read"
+        if how == "flip":
+            assert len(found) >= len(records) - by_chunk
+        elif how == "cut":
+            whole = sum(chunk.chunk_start_offset + chunk.chunk_length <= at for chunk in _chunks(content, tmp_path))
+            assert len(found) >= by_chunk * whole
+        else:
+            assert len(found) >= len(records) - 2 * by_chunk
+
+
+def _chunks(content: bytes, folder: Path) -> list:  # type: ignore[type-arg]
+    copy = folder / "copy.mcap"
+    if not copy.exists():
+        copy.write_bytes(content)
+    scan = SegmentScan(copy)
+    list(scan)
+    return scan.summary.chunks
+
+
+def test_marks_carry_a_checksum_of_their_own(tmp_path: Path) -> None:
+    store, _ = written(tmp_path)
+    (segment,) = store.log.glob("*.mcap")
+    content = segment.read_bytes()
+    at = content.rfind(b"2000")  # a position, which no CRC of the format covers for a reader that begins at the end
+    segment.write_bytes(content[:at] + b"3" + content[at + 1 :])
+    with pytest.raises(StoreError, match="is damaged"):
+        read_marks(segment)
+    log = EventLog(store)
+    assert any("is damaged" in warning for warning in log.warnings)
+    assert {mark for stream, mark in log.marks.items() if "event" not in stream.key} == {2000}
+
+
+def test_a_segment_without_its_beginning_is_read(tmp_path: Path) -> None:
+    store, records = written(tmp_path, seal=False)
+    (left_open,) = store.log.glob("*.open")
+    content = left_open.read_bytes()
+    first = _chunks(content, tmp_path)[0]
+    end = first.chunk_start_offset + first.chunk_length
+    left_open.write_bytes(bytes(end) + content[end:])
+    log = EventLog(store)
+    (recovery,) = log.recovered
+    assert recovery.records == len(records) - 6
+    assert {(lost.unit, lost.signal, lost.count) for lost in recovery.lost} == {
+        *((f"U{i}", "rate", 100) for i in range(5)),
+        ("plant/bench", "documents", 1),
+    }
+    (lost,) = [each for each in recovery.lost if each.unit == "U0"]
+    assert (lost.first_ns, lost.last_ns) == (None, 100 * 10**6)
+    assert "100 samples (numbers 0 to 99" in str(lost)
+    assert recovery.kept_aside is not None
+    assert recovery.kept_aside.read_bytes()[end:] == content[end:]
+
+
+def test_an_undamaged_segment_is_finished_where_it_lies(tmp_path: Path) -> None:
+    store, records = written(tmp_path, seal=False)
+    (left_open,) = store.log.glob("*.open")
+    inode = left_open.stat().st_ino
+    with left_open.open("ab") as file:
+        file.write(b"\x06torn")
+    log = EventLog(store)
+    (recovery,) = log.recovered
+    assert (recovery.records, recovery.damaged_chunks, recovery.lost) == (len(records), 0, ())
+    (segment,) = store.log.glob("*.mcap")
+    assert segment.stat().st_ino == inode
+    assert list(read_segment(segment)) == records
+    with segment.open("rb") as file:
+        assert len(list(make_reader(file, validate_crcs=True).iter_messages())) == len(records)
+    assert recovery.kept_aside is not None
+    assert recovery.kept_aside.read_bytes() == b"\x06torn"
+    assert EventLog(store).recovered == []
+    assert EventLog(store).warnings == []
+
+
+def test_an_abandoned_segment_has_what_its_name_says_is_durable(tmp_path: Path) -> None:
+    store, records = written(tmp_path, seal=False)
+    (left_open,) = store.log.glob("*.open")
+    chunks = _chunks(left_open.read_bytes(), tmp_path)
+    durable = chunks[7].chunk_start_offset
+    left_open.rename(left_open.with_name(f"00000001.mcap.abandoned-{durable}"))
+    log = EventLog(store)
+    assert list(read_segment(store.log / "00000001.mcap")) == records[: 7 * 6]
+    assert {mark for stream, mark in log.marks.items() if "event" not in stream.key} == {700}
+
+
+def test_salvaging_a_damaged_segment_says_what_is_lost_and_keeps_the_evidence(tmp_path: Path) -> None:
+    store, records = written(tmp_path)
+    (segment,) = store.log.glob("*.mcap")
+    content = bytearray(segment.read_bytes())
+    chunk = _chunks(bytes(content), tmp_path)[-1]
+    content[chunk.chunk_start_offset + 100] ^= 1  # the last chunk: only the marks say that there was more
+    segment.write_bytes(content)
+    recovery = salvage_segment(store, segment, {})
+    assert recovery.kept_aside is not None
+    assert recovery.kept_aside.read_bytes() == content
+    assert list(read_segment(segment)) == records[:-6]
+    assert sorted(lost.count for lost in recovery.lost) == [1, 100, 100, 100, 100, 100]
+    assert {lost.last_ns for lost in recovery.lost} == {None}
+    assert recovery.entry is not None
+    assert recovery.entry.origin == "salvaged"
+
+
+def test_the_manifest_lists_every_segment_with_its_hash(tmp_path: Path) -> None:
+    store = Store.create(tmp_path)
+    log = EventLog(store, rotate_bytes=1)
+    for i in range(3):
+        append(log, samples("U1", 100 * i))
+        assert log.due
+        log.seal()
+    end = encode_event(RunEnded(run="r1", t_ns=7), "e", 0)
+    append(log, LogRecord(event_key(PLACE), EVENTS, 10**18, 7, end))
+    log.seal()
+    entries = read_log_manifest(store).entries
+    assert [entry.segment for entry in entries.values()] == [f"0000000{i}.mcap" for i in (1, 2, 3, 4)]
+    assert [(entry.samples, entry.messages) for entry in entries.values()] == [(100, 1)] * 3 + [(0, 1)]
+    assert [entry.ended for entry in entries.values()] == [(), (), (), ("r1",)]
+    for entry in entries.values():
+        found, _ = take_in(store.log / entry.segment)
+        assert (found.sha256, found.size, found.samples) == (entry.sha256, entry.size, entry.samples)
+
+
+def test_a_segment_without_its_line_is_taken_in(tmp_path: Path) -> None:
+    store, _ = written(tmp_path)
+    before = manifest_path(store).read_text()
+    manifest_path(store).unlink()
+    EventLog(store)
+    (entry,) = read_log_manifest(store).entries.values()
+    assert entry.origin == "found"
+    assert entry.sha256 == json.loads(before.split("\t")[0])["sha256"]
+
+
+def test_no_byte_of_the_manifest_changes_unseen(tmp_path: Path) -> None:
+    store = Store.create(tmp_path)
+    writer = ManifestWriter(store)
+    entries = [SegmentEntry(f"{i:08d}.mcap", i, "0" * 64, 1, 1, 1, 1, ("r1",)) for i in range(20)]
+    for entry in entries:
+        writer.add(entry)
+    content = manifest_path(store).read_bytes()
+    assert list(read_log_manifest(store).entries.values()) == entries
+    for at in range(0, len(content), 7):
+        manifest_path(store).write_bytes(content[:at] + bytes([content[at] ^ 4]) + content[at + 1 :])
+        found = read_log_manifest(store)
+        assert found.damage or len(found.entries) < 20
+        assert len(found.entries) >= 17
+    lines = content.splitlines(keepends=True)
+    manifest_path(store).write_bytes(b"".join(lines[:5] + lines[6:]))
+    assert [each.line for each in read_log_manifest(store).damage] == [6]
+    aside = rewrite_manifest(store, entries)
+    assert aside is not None
+    assert aside.read_bytes() == b"".join(lines[:5] + lines[6:])
+    assert read_log_manifest(store).damage == []
+
+
+def test_a_line_that_was_not_finished_is_cut_off(tmp_path: Path) -> None:
+    store = Store.create(tmp_path)
+    entries = [SegmentEntry(f"{i:08d}.mcap", i, "0" * 64, 1, 1, 1, 1) for i in range(3)]
+    ManifestWriter(store).add(entries[0])
+    with manifest_path(store).open("ab") as file:
+        file.write(b'{"segment": "0000')
+    writer = ManifestWriter(store)
+    assert writer.found.last != FIRST
+    writer.add(entries[1])
+    assert list(read_log_manifest(store).entries.values()) == entries[:2]
+
+
+def test_a_gap_in_the_numbers_is_a_lost_stretch() -> None:
+    check = SequenceCheck()
+    for first in (0, 100, 300):
+        place = place_of(samples("U1", first))
+        assert place is not None
+        assert check.follow(place)
+    (lost,) = check.lost
+    assert (lost.first_seq, lost.last_seq, lost.first_ns, lost.last_ns) == (200, 299, 199 * 10**6, 300 * 10**6)
+    place = place_of(samples("U1", 100))
+    assert place is not None
+    assert not check.follow(place)
+    assert len(check.repeated) == 1
+
+
+def test_batches_come_back_as_they_were(tmp_path: Path) -> None:
+    store, records = written(tmp_path)
+    (segment,) = store.log.glob("*.mcap")
+    read = [decode_batch(record.data) for record in read_segment(segment) if record.schema == SAMPLES]
+    assert read == [decode_batch(record.data) for record in records if record.schema == SAMPLES]
