@@ -77,7 +77,7 @@ class Intake:
         self.rewinds: list[StreamId] = []
         self.clock_steps: list[ClockStep] = []
         self.ended_runs = 0
-        self._asked: dict[StreamId, float] = {}
+        self._asked: dict[StreamId, tuple[int, float]] = {}
         self._last_ns: dict[StreamId, int] = {}
         self._previewed: dict[str, int] = {}
 
@@ -157,7 +157,8 @@ class Intake:
         else:
             self.counts.out_of_order += 1
             now = time.monotonic()
-            if now - self._asked.get(stream, 0.0) >= _REWIND_INTERVAL_S:
-                self._asked[stream] = now
+            asked, at = self._asked.get(stream, (-1, 0.0))
+            if asked != expected or now - at >= _REWIND_INTERVAL_S:
+                self._asked[stream] = (expected, now)
                 self.rewinds.append(stream)
         return False

@@ -160,7 +160,7 @@ def encoded(*records: McapRecord) -> bytes:
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
-    return bytes(builder.end())  # type: ignore[no-untyped-call]
+    return bytes(builder.end())
 
 
 def checksum(marks: dict[str, str]) -> str:
