@@ -2,7 +2,6 @@
 
 import shlex
 import time
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,6 +63,7 @@ def import_files(
     from ingest.importer import import_table
     from ingest.instruments.table_columns import TableOptions
     from ingest.instruments.table_file import TableFile
+    from ingest.moment import moment_ns
     from stream.identity import Place, check_name
 
     if connect and listen:
@@ -72,7 +72,7 @@ def import_files(
     options = TableOptions(
         unit=unit,
         run=run,
-        start_ns=None if start is None else _moment_ns(start),
+        start_ns=None if start is None else moment_ns(start),
         sample_rate_hz=sample_rate_hz,
         skip_bad=skip_bad,
     )
@@ -110,17 +110,6 @@ def import_files(
         for each in imported:
             _tell(each, folder)
         _tell_next(imported[-1], folder)
-
-
-def _moment_ns(text: str) -> int:
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError as error:
-        raise BadInput(f"--start {text!r} is not a moment; write it as 2026-11-21T18:00:00+08:00") from error
-    if moment.tzinfo is None:
-        raise BadInput(f"--start {text!r} has no time zone; add one, as in {text}+08:00 or {text}Z")
-    since = moment - datetime(1970, 1, 1, tzinfo=UTC)
-    return (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000
 
 
 def _tell(imported: "FileImport", folder: Path) -> None:

@@ -6,10 +6,11 @@ from functools import partial
 from pathlib import Path
 from uuid import NAMESPACE_URL, uuid5
 
+import msgspec
 from msgspec.structs import replace
 
 from ingest.live_source import PowerUp, SimulatedStation, station_units
-from ingest.run_state import RunParameters, begin_run, read_run, write_run
+from ingest.run_state import RunParameters, RunState, begin_run, read_run, write_run
 from stream.acknowledgement import StreamId
 from stream.batch import SampleBatch
 from stream.delivery import Sender
@@ -56,7 +57,7 @@ class LiveRun:
         self.gap_ns = 0
         self.place = Place(parameters.site, parameters.station)
         units = station_units(parameters.simulate, parameters.rate_hz)
-        name = f"{run}/{self.state.began_ns}"
+        name = _name(self.state)
         self._station = SimulatedStation(units, name, seed=parameters.seed, batch=parameters.batch)
         self._units = [parameters.unit for parameters in units]
         self._end_ns = self.state.t0_ns + round(parameters.hours * 3600e9)
@@ -198,6 +199,13 @@ class LiveRun:
 
     def _save(self, **changes: object) -> None:
         self.state = write_run(self.folder, replace(self.state, **changes))
+
+
+def _name(state: RunState) -> str:
+    """What tells a run from all others of its id: given the moment and all else alike, it is the same run."""
+    if state.parameters.start is None:
+        return f"{state.run}/{state.began_ns}"
+    return f"{state.run}/{msgspec.json.encode(state.parameters).decode()}"
 
 
 def _uid(name: str, *parts: object) -> str:

@@ -47,6 +47,7 @@ _LOOK_EVERY_S = 0.2
     "--speed", type=click.FloatRange(min=0.0), default=1.0, show_default=True, help="Times real time; 0: all it can."
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulation.")
+@click.option("--start", help="Moment of the first samples, as 2026-11-21T18:00:00+08:00; by default they end now.")
 @click.option("--procedure", help="Test procedure of the run.")
 @click.option("--operator", help="Who is responsible.")
 @click.option("--lot", help="Production lot.")
@@ -209,11 +210,11 @@ class _Watch:
 
     def tell(self, live: "LiveRun", event: str, remark: str) -> None:
         """Say where the run is."""
-        tell_run(live, event, remark, as_json=self._as_json)
+        tell_run(live, event, remark, self._publisher.resent, as_json=self._as_json)
         self._sent = live.samples
 
 
-def tell_run(live: "LiveRun", event: str, remark: str, *, as_json: bool) -> None:
+def tell_run(live: "LiveRun", event: str, remark: str, resent: int = 0, *, as_json: bool) -> None:
     """Print where a run is, for people or as JSON."""
     gap_s = live.gap_ns / 1e9
     if as_json:
@@ -225,6 +226,7 @@ def tell_run(live: "LiveRun", event: str, remark: str, *, as_json: bool) -> None
                 "starts": live.state.starts,
                 "resumed": live.is_resumed,
                 "gap_s": gap_s,
+                "resent": resent,
                 "outcome": live.state.outcome if event == "ended" else None,
                 "remark": remark,
             }

@@ -7,6 +7,7 @@ from typing import Literal
 import msgspec
 
 from ingest.live_source import PowerUp
+from ingest.moment import moment_ns
 from storage.store import sync_folder
 from stream.errors import BadInput, StoreError
 
@@ -15,7 +16,7 @@ _FORMAT = 1
 
 
 class RunParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a run was started with; `speed` 0 is as fast as possible."""
+    """What a run was started with; `speed` 0 is as fast as possible, `start` the moment of its first samples."""
 
     simulate: int
     rate_hz: float
@@ -28,6 +29,7 @@ class RunParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     procedure: str | None = None
     operator: str | None = None
     lot: str | None = None
+    start: str | None = None
 
 
 class RunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -66,7 +68,12 @@ class RunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 def begin_run(run: str, parameters: RunParameters, now_ns: int) -> RunState:
-    """A run that starts now; no sample of it lies in the future when it is sent.
+    """A run that starts now; unless it says when, no sample of it lies in the future when it is sent.
+
+    Raises
+    ------
+    BadInput
+        If it says when in a way that cannot be read.
 
     Examples
     --------
@@ -77,7 +84,7 @@ def begin_run(run: str, parameters: RunParameters, now_ns: int) -> RunState:
     """
     duration_ns = round(parameters.hours * 3600e9)
     lasts_ns = round(duration_ns / parameters.speed) if parameters.speed else 0
-    t0_ns = now_ns - max(0, duration_ns - lasts_ns)
+    t0_ns = now_ns - max(0, duration_ns - lasts_ns) if parameters.start is None else moment_ns(parameters.start)
     return RunState(run=run, parameters=parameters, began_ns=now_ns, t0_ns=t0_ns, power_ups=(PowerUp(0, t0_ns),))
 
 

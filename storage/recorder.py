@@ -268,7 +268,10 @@ class Recorder:
         self._warn(text)
         if self._closing:
             raise StoreError(f"{text}; start again to go on")
-        full, _ = self._watch.look(time.monotonic(), again=True)
+        try:
+            full, _ = self._watch.look(time.monotonic(), again=True)
+        except OSError:
+            full = None  # the folder itself has gone
         if full is not None:
             self._pause(full, self._watch.has_room_again)
         elif is_again:

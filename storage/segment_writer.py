@@ -89,6 +89,7 @@ class SegmentWriter:
         self._summary = SegmentSummary() if found is None else found[1]
         self._channels = {(each.topic, each.schema_id): each.id for each in self._summary.channels.values()}
         self.records = sum(self._summary.counts.values())
+        self._described: dict[int, bytes] = {}
         self._begin_chunk()
         if found is None:
             self._file = disk.create(self.open_path)
@@ -178,7 +179,9 @@ class SegmentWriter:
         return number
 
     def _begin_channel(self, number: int) -> list[int]:
-        described = encoded(self._summary.channels[number])
+        described = self._described.get(number)
+        if described is None:
+            described = self._described[number] = encoded(self._summary.channels[number])
         self._parts.append(described)
         self._chunk_size += len(described)
         index = self._index[number] = []

@@ -20,7 +20,7 @@ from stream.recorded_log import DocumentSender, Identities, RecordedLog
 # A worker that falls behind must hold up neither the recorder, which shares its subscription, nor the bus that it
 # publishes on itself: sources in the same process wait for room, from others it leaves out what it cannot hold.
 _ROOM_BYTES = 32 << 20
-_MOST_BYTES = 256 << 20
+_MOST_BYTES = 96 << 20
 # a recorder has on disk what it was given within a second; what is not there after this is lost
 _PATIENCE_S = 5.0
 _RETRY_S = 0.2

@@ -24,6 +24,8 @@ _ENDPOINT = re.compile(r"[a-z]+/\S+:\d{1,5}(\?\S*)?")
 # given it up too: waiting longer only keeps it from connecting anew. A router does not wait for one slow consumer,
 # which holds up all others meanwhile.
 _WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+_QUEUED_MESSAGES = 1024
+_PATIENCE_S = 5.0
 _SOURCE_WAITS_US = 8_000_000
 _ROUTER_WAITS_US = 200_000
 
@@ -83,7 +85,7 @@ class ZenohBus:
                 f"is the address right and free, and the other side running?"
             ) from error
         self._publishers: dict[str, zenoh.Publisher] = {}
-        self._subscribers: list[Any] = []
+        self._subscribers: list[tuple[Any, threading.Thread]] = []
         self._handlers: dict[str, list[Handler]] = {}
         self._lock = threading.Lock()
 
@@ -116,15 +118,25 @@ class ZenohBus:
                 return
             handlers = self._handlers[key_expression] = [handler]
 
-        def on_sample(sample: zenoh.Sample) -> None:
-            key, payload = str(sample.key_expr), sample.payload.to_bytes()
-            for each in handlers:
-                each(key, payload)
+        # the default queue between Zenoh and Python has no bound; one that is full holds up who sends
+        subscriber = self._session.declare_subscriber(key_expression, zenoh.handlers.FifoChannel(_QUEUED_MESSAGES))
 
-        self._subscribers.append(self._session.declare_subscriber(key_expression, on_sample))
+        def hand_on() -> None:
+            for sample in subscriber:
+                key, payload = str(sample.key_expr), sample.payload.to_bytes()
+                for each in handlers:
+                    each(key, payload)
+
+        thread = threading.Thread(target=hand_on, name=f"gyrofleet-bus {key_expression}", daemon=True)
+        thread.start()
+        self._subscribers.append((subscriber, thread))
 
     def close(self) -> None:
         """Leave the bus."""
+        for subscriber, thread in self._subscribers:
+            subscriber.undeclare()
+            if thread is not threading.current_thread():
+                thread.join(_PATIENCE_S)
         self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:

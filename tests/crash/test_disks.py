@@ -1,12 +1,8 @@
 """Disks that are full and disks that fail, under real processes: nothing acknowledged is lost, and it goes on."""
 
-import json
 import os
 import shutil
-import signal
-import socket
 import subprocess
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,76 +12,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-Start = Callable[..., "Service"]
+Start = Callable[..., Any]
 SAMPLES = 300_000
-
-
-class Service:
-    """A command in the background whose lines of JSON are gathered."""
-
-    def __init__(self, command: list[str], folder: Path) -> None:
-        self.process = subprocess.Popen(
-            command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-        )
-        self.lines: list[dict[str, Any]] = []
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-        self._errors = threading.Thread(target=self._drain, daemon=True)
-        self._errors.start()
-        self.errors = ""
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self.lines.append(json.loads(line))
-
-    def _drain(self) -> None:
-        assert self.process.stderr is not None
-        for line in self.process.stderr:
-            self.errors += line
-
-    def until(self, condition: Callable[[dict[str, Any]], bool], patience_s: float = 40.0) -> dict[str, Any]:
-        deadline = time.monotonic() + patience_s
-        while time.monotonic() < deadline:
-            for line in list(self.lines):
-                if condition(line):
-                    return line
-            time.sleep(0.02)
-        raise AssertionError(f"not said: {self.lines[-5:]} {self.errors[-2000:]}")
-
-    def stop(self) -> None:
-        os.killpg(self.process.pid, signal.SIGINT)
-        self.process.wait(timeout=60)
-        self._reader.join(10)
-
-    def kill(self) -> None:
-        if self.process.poll() is None:
-            os.killpg(self.process.pid, signal.SIGKILL)
-            self.process.wait()
-        for reader, pipe in ((self._reader, self.process.stdout), (self._errors, self.process.stderr)):
-            reader.join(10)
-            assert pipe is not None
-            pipe.close()
-
-
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Start]:
-    running: list[Service] = []
-
-    def begin(*command: str) -> Service:
-        running.append(Service(list(command), tmp_path))
-        return running[-1]
-
-    yield begin
-    for service in running:
-        service.kill()
-
-
-@pytest.fixture
-def endpoint() -> str:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
 
 
 def table(path: Path, n: int = SAMPLES) -> Path:

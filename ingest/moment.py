@@ -1,0 +1,30 @@
+"""A moment as people write it: with a date, a time and a time zone."""
+
+from datetime import UTC, datetime
+
+from stream.errors import BadInput
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def moment_ns(text: str) -> int:
+    """Nanoseconds UTC of the moment that `--start` was given.
+
+    Raises
+    ------
+    BadInput
+        If it is no moment, or has no time zone.
+
+    Examples
+    --------
+    >>> moment_ns("2026-11-21T18:00:00+08:00")
+    1795255200000000000
+    """
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise BadInput(f"--start {text!r} is not a moment; write it as 2026-11-21T18:00:00+08:00") from error
+    if moment.tzinfo is None:
+        raise BadInput(f"--start {text!r} has no time zone; add one, as in {text}+08:00 or {text}Z")
+    since = moment - _EPOCH
+    return (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000
