@@ -59,7 +59,7 @@ def estimate(
     point), with --json all.
     """
     from storage.log_tail import LogTail
-    from storage.store import Store, only_one, writer_endpoint
+    from storage.store import Store, only_one, recorder_endpoint, writer_endpoint
     from stream.delivery import DurablePublisher
     from stream.errors import BusError
     from stream.estimators.base import default_estimators
@@ -67,8 +67,7 @@ def estimate(
     from stream.worker import EstimationWorker
     from stream.zenoh_bus import ZenohBus
 
-    endpoint = writer_endpoint(folder)
-    connect = connect or endpoint
+    connect = connect or writer_endpoint(folder)
     if connect is None:
         raise BusError(f"no `gyrofleet record` writes {folder} now; start one, or give --connect with its address")
     console = notes()
@@ -77,7 +76,7 @@ def estimate(
 
     also = {BiasStability(each).key: functools.partial(BiasStability, each) for each in averages_s}
     # the log of a store that another recorder writes would not go with what comes over the bus
-    log = LogTail(Store.open(folder)) if connect == endpoint else None
+    log = LogTail(Store.open(folder)) if connect == recorder_endpoint(folder) else None
     checkpoint = None if log is None else folder / "checkpoints" / "estimate.checkpoint"
 
     def show(document: "AnyDocument") -> None:

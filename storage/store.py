@@ -124,7 +124,9 @@ class WriterLock:
     """
 
     def __init__(self, store: Store, role: str, endpoint: str = "") -> None:
-        self._file = (store.folder / _LOCK).open("a+")
+        path = store.folder / _LOCK
+        path.touch()
+        self._file = path.open("r+")
         if not _locked(self._file):
             self._file.close()
             holder = _holder(store.folder)
@@ -133,14 +135,18 @@ class WriterLock:
                 f"{store.folder} is being written by {holder.get('role', 'another process')}, process "
                 f"{holder.get('process', '?')}; send to it{where}, or wait until it has ended"
             ) from None
-        self._file.truncate(0)
-        self._file.write(json.dumps({"role": role, "process": os.getpid(), "endpoint": endpoint}) + "\n")
-        self._file.flush()
+        self._last_endpoint = endpoint or _holder(store.folder).get("last_endpoint", "")
+        self._write({"role": role, "process": os.getpid(), "endpoint": endpoint})
 
     def release(self) -> None:
         """Let another process write."""
-        self._file.truncate(0)
+        self._write({})
         self._file.close()
+
+    def _write(self, holder: dict[str, object]) -> None:
+        content = (json.dumps({**holder, "last_endpoint": self._last_endpoint}) + "\n").encode()
+        os.pwrite(self._file.fileno(), content, 0)  # in one go: whoever is killed here leaves the one or the other
+        self._file.truncate(len(content))
 
     def __enter__(self) -> Self:
         return self
@@ -186,6 +192,13 @@ def writer_is_active(folder: Path) -> bool:
 def writer_endpoint(folder: Path) -> str | None:
     """Where the process listens that writes the store in `folder` now; None if there is none."""
     return (_holder(folder).get("endpoint") or None) if writer_is_active(folder) else None
+
+
+def recorder_endpoint(folder: Path) -> str | None:
+    """Like `writer_endpoint`; where no process writes the store now, where the last one listened that did."""
+    if writer_is_active(folder):
+        return writer_endpoint(folder)
+    return _holder(folder).get("last_endpoint") or None
 
 
 def _locked(file: IO[str]) -> bool:

@@ -9,7 +9,8 @@ from stream.delivery import StreamId
 from stream.errors import BadInput, WireError
 from stream.estimators.base import Estimator
 from stream.events import AnyDocument, EventMessage, LimitsApplied, RunEnded, decode_event
-from stream.identity import EstimateKey, EventKey, Place, SampleKey, estimate_key, parse_key, sample_key
+from stream.held_ends import HeldEnds, streams_of
+from stream.identity import EstimateKey, EventKey, Place, SampleKey, estimate_key, parse_key
 from stream.signal_analysis import Documents, SignalAnalysis, fresh_followers
 from stream.wire import WireBatch, read_wire_batch
 
@@ -41,8 +42,9 @@ class Estimation:
     publish : callable
         Given the key expression and the document.
     fill : callable, optional
-        Given streams, each with a number: it takes in what is missing before those numbers, if it can be had. Without
-        one, a stream may be joined in its middle.
+        Given a stream and a number: it takes in what is missing before that number, if a log has it soon. A message
+        that comes before it can be had is left out, and comes again out of the log; and the end of a run waits for all
+        its samples. Without one, what is missing is passed over, and a stream may be joined in its middle.
 
     Attributes
     ----------
@@ -52,6 +54,8 @@ class Estimation:
         Set while messages come out of the log, where nothing is missing between them.
     ended : frozenset of str
         Runs to be left out.
+    left_out : bool
+        Set when something is left to be taken out of the log.
     """
 
     def __init__(
@@ -59,7 +63,7 @@ class Estimation:
         every_ns: int,
         factories: Mapping[str, Callable[[], Estimator]],
         publish: Callable[[str, AnyDocument], None],
-        fill: Callable[[Mapping[StreamId, int]], None] | None = None,
+        fill: Callable[[StreamId, int], None] | None = None,
     ) -> None:
         self._every_ns = every_ns
         self._factories = factories
@@ -67,8 +71,9 @@ class Estimation:
         self._fill = fill
         self._signals: dict[tuple[str, str, str], SignalAnalysis] = {}
         self._limits: dict[str, LimitsApplied] = {}
+        self._held = HeldEnds()
         self.positions: dict[StreamId, int] = {}
-        self.catching_up = False
+        self.catching_up = self.left_out = False
         self.ended: frozenset[str] = frozenset()
         self.counts = EstimationCounts()
 
@@ -113,6 +118,25 @@ class Estimation:
         self.positions = {StreamId(key, epoch): next_seq for key, epoch, next_seq in checkpoint.positions}
         self.ended = frozenset(checkpoint.ended)
 
+    def release(self, *, is_last: bool = False) -> None:
+        """Take in the ends of runs that waited for samples: which have come, or do not come any more.
+
+        Parameters
+        ----------
+        is_last : bool
+            Nothing comes any more.
+        """
+        for stream in self._held.streams:
+            while (waiting := self._held.first(stream)) is not None:
+                place, message = waiting
+                if self._must_wait(place, message) and not is_last and not self._held.is_lost(stream, self.positions):
+                    self.left_out = True
+                    break
+                self._held.pop(stream)
+                self.positions[stream] = message.seq + 1
+                if message.document.run not in self.ended:
+                    self._follow(message.document)
+
     def _take_samples(self, key: str, parsed: SampleKey, batch: WireBatch) -> None:
         if batch.unit != parsed.unit or batch.signal != parsed.signal:
             raise WireError(f"it holds samples of {batch.unit}/{batch.signal}")
@@ -120,8 +144,11 @@ class Estimation:
         first, after, counts = batch.seq, batch.next_seq, self.counts
         expected = self._expected(stream, first)
         if first > expected and not self.catching_up and self._fill is not None:
-            self._fill({stream: first})
+            self._fill(stream, first)
             expected = self._expected(stream, first)
+            if first > expected:
+                self.left_out = True
+                return
         if first < expected:
             # what overlaps only in part is kept aside by the recorder too
             counts.duplicates += after <= expected
@@ -140,36 +167,43 @@ class Estimation:
 
     def _take_document(self, key: str, parsed: EventKey | EstimateKey, message: EventMessage) -> None:
         stream = StreamId(key, message.epoch)
-        expected = self._expected(stream, message.seq)
+        expected = self._held.next_seq(stream) or self._expected(stream, message.seq)
         if message.seq > expected and not self.catching_up and self._fill is not None:
-            self._fill({stream: message.seq})
-            expected = self._expected(stream, message.seq)
+            self._fill(stream, message.seq)
+            expected = self._held.next_seq(stream) or self._expected(stream, message.seq)
+            if message.seq > expected:
+                self.left_out = True
+                return
         if message.seq < expected:
+            self._held.hear(stream, message.seq, is_recorded=self.catching_up)
+            return
+        if isinstance(parsed, EventKey) and (self._held.next_seq(stream) or self._must_wait(parsed.place, message)):
+            self._held.hold(stream, parsed.place, message, is_recorded=self.catching_up)
+            self.left_out = True
             return
         self.positions[stream] = message.seq + 1
         if isinstance(parsed, EventKey) and message.document.run not in self.ended:
-            self._follow(parsed.place, message.document)
+            self._follow(message.document)
+
+    def _must_wait(self, place: Place, message: EventMessage) -> bool:
+        """Whether it is the end of a run whose last samples are still to come."""
+        document = message.document
+        if self._fill is None or not isinstance(document, RunEnded) or document.run in self.ended:
+            return False
+        positions = self.positions
+        return any(positions.get(stream, 0) < total for stream, total in streams_of(place, document))
 
     def _expected(self, stream: StreamId, first: int) -> int:
         # with a log it is known which streams were there before; without, one may be joined in its middle
         return self.positions.get(stream, first if self._fill is None else 0)
 
-    def _follow(self, place: Place, document: AnyDocument) -> None:
+    def _follow(self, document: AnyDocument) -> None:
         if isinstance(document, LimitsApplied):
             self._limits[document.run] = document
             for analysis in self._signals.values():
                 if analysis.run == document.run:
                     analysis.apply_limits(document)
         elif isinstance(document, RunEnded):
-            if self._fill is not None and not self.catching_up:
-                self._fill(
-                    {
-                        StreamId(
-                            sample_key(place, total.unit, total.signal), total.epoch.replace("-", "")
-                        ): total.samples
-                        for total in document.totals
-                    }
-                )
             for name in [each for each in self._signals if each[0] == document.run]:
                 analysis = self._signals.pop(name)
                 self._hand_on(analysis, analysis.finish())

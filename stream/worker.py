@@ -21,9 +21,12 @@ from stream.recorded_log import DocumentSender, Identities, RecordedLog
 # publishes on itself: sources in the same process wait for room, from others it leaves out what it cannot hold.
 _ROOM_BYTES = 32 << 20
 _MOST_BYTES = 96 << 20
-# a recorder has on disk what it was given within a second; what is not there after this is lost
-_PATIENCE_S = 5.0
+# a recorder has on disk what it was given within a second; for what is not there after this, nothing is held up: it is
+# looked for in the log again a while later
+_PATIENCE_S = 2.0
 _RETRY_S = 0.2
+_LOOK_AGAIN_S = 2.0
+_MOST_LOOK_AGAIN_S = 60.0
 # how long samples wait so that the documents before a checkpoint reach the log, and when it is tried again
 _SETTLE_S = 1.0
 _SETTLE_AGAIN_S = 5.0
@@ -99,6 +102,9 @@ class EstimationWorker:
             None if log is None else self._fill,
         )
         self._known = Identities(())
+        self._fill_at = 0.0
+        self._fill_wait_s = self._look_wait_s = _LOOK_AGAIN_S
+        self._look_at = time.monotonic() + _LOOK_AGAIN_S
         self.failure: GyrofleetError | None = None
         self.warnings: list[str] = []
         self.resumed = False if log is None else self._resume(log)
@@ -189,12 +195,13 @@ class EstimationWorker:
             if self._log is not None:
                 self._known = Identities(self._log.published(self._estimation.positions))
                 self._recall(saving=True)
+                self._estimation.release()
                 self._known = Identities(())
                 self._estimation.ended = frozenset()
             while self._work():
-                pass
+                self._look_into_log()
             if not self._killed:
-                self._save(is_last=True)
+                self._finish()
         except Exception as error:  # noqa: BLE001  whatever it is, a worker that stopped must say so
             with self._state:
                 self.failure = (
@@ -209,9 +216,12 @@ class EstimationWorker:
         with self._state:
             while not self._incoming and not self._closing:
                 self._state.wait(0.5)
-                if time.monotonic() >= self._next_save:
+                if time.monotonic() >= min(self._next_save, self._look_at):
                     break
             taken, self._incoming = self._incoming, deque()
+        if taken and not self._estimation.left_out:
+            self._look_wait_s = _LOOK_AGAIN_S
+            self._look_at = time.monotonic() + _LOOK_AGAIN_S
         take = self._estimation.take
         for key, payload in taken:
             if self._killed:
@@ -226,6 +236,24 @@ class EstimationWorker:
         if not is_last and time.monotonic() >= self._next_save:
             self._save_if_it_can_be()
         return not is_last and not self._killed
+
+    def _look_into_log(self) -> None:
+        """Take out of the log what was left to it, and what may have been missed where nothing comes any more."""
+        if time.monotonic() >= self._look_at:
+            self._estimation.left_out = False
+            if self._log is not None:
+                self._recall()
+            self._look_wait_s = min(2 * self._look_wait_s, _MOST_LOOK_AGAIN_S)
+            self._look_at = time.monotonic() + self._look_wait_s
+        self._estimation.release()
+
+    def _finish(self) -> None:
+        """Take in what can be had, and write a checkpoint."""
+        if self._log is not None and (self._checkpoint is not None or self._estimation.left_out):
+            self._recall()
+        # one with a checkpoint goes on waiting when it is started again
+        self._estimation.release(is_last=self._checkpoint is None)
+        self._save(is_last=True)
 
     def _save_if_it_can_be(self) -> None:
         try:
@@ -270,16 +298,23 @@ class EstimationWorker:
         estimation.catching_up = False
         self.counts.recalled += self.counts.samples - before
 
-    def _fill(self, needed: Mapping[StreamId, int]) -> None:
-        """Read from the log what is missing of streams before those numbers."""
+    def _fill(self, stream: StreamId, first: int) -> None:
+        """Read from the log what is missing of a stream before that number, if it comes there soon."""
+        now = time.monotonic()
+        if now < self._fill_at or self._closing:
+            return
         positions = self._estimation.positions
-        deadline = time.monotonic() + _PATIENCE_S
-        while any(positions.get(stream, 0) < first for stream, first in needed.items()):
+        deadline = now + _PATIENCE_S
+        while True:
             self._recall()
-            if time.monotonic() > deadline:
+            if positions.get(stream, 0) >= first:
+                self._fill_wait_s = _LOOK_AGAIN_S
                 return
-            if any(positions.get(stream, 0) < first for stream, first in needed.items()):
-                time.sleep(_RETRY_S)
+            if time.monotonic() > deadline or self._closing:
+                break
+            time.sleep(_RETRY_S)
+        self._fill_at = time.monotonic() + self._fill_wait_s
+        self._fill_wait_s = min(2 * self._fill_wait_s, _MOST_LOOK_AGAIN_S)
 
     def _publish(self, key: str, document: AnyDocument) -> None:
         if document.uid in self._known:

@@ -13,6 +13,7 @@ import venv
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+PARALLEL = ("--numprocesses", "auto", "--dist", "worksteal")
 
 
 def run(*command: str | Path, cwd: Path = ROOT) -> None:
@@ -46,7 +47,7 @@ def main() -> None:
     run(bin_ / "ruff", "format", "--check", ".")
     run(bin_ / "mypy")
     run(bin_ / "lint-imports")
-    run(bin_ / "python", "-m", "pytest")
+    run(bin_ / "python", "-m", "pytest", *PARALLEL)
 
     with tempfile.TemporaryDirectory() as temporary:
         there = Path(temporary)
@@ -62,7 +63,7 @@ def main() -> None:
         if shared.exists():
             (there / "shared").symlink_to(shared)
         again = ("tests/laws", "tests/e2e/test_demo.py")
-        run(clean / "python", "-m", "pytest", *again, cwd=there / "project")
+        run(clean / "python", "-m", "pytest", *PARALLEL, *again, cwd=there / "project")
 
 
 if __name__ == "__main__":
