@@ -29,6 +29,7 @@ from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING, Place, event_key
 _QUEUE_BYTES = 64 << 20
 _ROOM_PATIENCE_S = 2.0  # of a callback of the bus, far below the 60 s after which a stalled transport is closed
 _SEAL_GRACE_S = 1.0  # the last estimates of a run come just after its end
+_MEND_AFTER_S = 5.0  # an abandoned segment is sealed with the next one, and not only when that is full
 _RETRY_S = 1.0
 _CLOCK_STEP_NS = 100_000_000
 _NOTES_KEY = event_key(Place("store", "recorder"))
@@ -226,13 +227,12 @@ class Recorder:
 
     def _seal(self) -> None:
         self._seal_at = None
-        self._log.recover()  # segments that were abandoned since
+        recovered = self._log.recover()  # segments that were abandoned since
         self._note_recoveries()
         self._sync()
-        if self._log.seal() is None:
-            return
-        self.counts.segments += 1
-        if self._builder is not None:
+        sealed = self._log.seal()
+        self.counts.segments += sealed is not None
+        if self._builder is not None and (recovered or sealed is not None):
             self._builder.wake()
 
     def _look_around(self, now: float) -> None:
@@ -264,6 +264,7 @@ class Recorder:
         self._intake.undo(undone)
         is_again = time.monotonic() - self._troubled_at < _RETRY_S
         self._troubled_at = time.monotonic()
+        self._seal_at = self._troubled_at + _MEND_AFTER_S
         text = f"writing to {self._store.folder} failed: {error}; the segment is given up, sources keep what it lacks"
         self._warn(text)
         if self._closing:

@@ -10,6 +10,7 @@ promises nothing: a plain Zenoh publisher, and a subscriber that hands every mes
 """
 
 import argparse
+import atexit
 import json
 import os
 import signal
@@ -122,7 +123,9 @@ def peer(endpoint: str, path: str) -> None:
 def role(*arguments: object) -> subprocess.Popen[str]:
     """One of the roles above as a process of its own."""
     command = [sys.executable, str(HERE), "--role", *(str(each) for each in arguments)]
-    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    atexit.register(process.kill)
+    return process
 
 
 def line(process: subprocess.Popen[str]) -> str:
@@ -160,6 +163,7 @@ def ours(folder: Path, batch: int, signals: int, seconds: float, *, with_lake: b
     recorder = subprocess.Popen(
         command + ([] if with_lake else ["--no-lake"]), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
+    atexit.register(recorder.kill)
     line(recorder)
     worker = role("estimator", endpoint, store)
     line(worker)
@@ -218,6 +222,7 @@ def main() -> None:
     parser.add_argument("--signals", type=int, default=1000)
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--with-lake", action="store_true", help="the recorder makes the lake as well, meanwhile")
+    parser.add_argument("--no-peer", action="store_true")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--role", nargs="+", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -232,19 +237,18 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 shape = (arguments.batch, arguments.signals, arguments.seconds)
                 found = ours(Path(folder), *shape, with_lake=arguments.with_lake)
-                beside = found if os.environ.get("NOPEER") else theirs(Path(folder), *shape)
+                beside = None if arguments.no_peer else theirs(Path(folder), *shape)
             tell(arguments, found, beside)
 
 
-def tell(arguments: argparse.Namespace, found: dict[str, float], beside: dict[str, float]) -> None:
-    ratio = found["samples_per_s"] / beside["samples_per_s"]
+def tell(arguments: argparse.Namespace, found: dict[str, float], beside: dict[str, float] | None) -> None:
     if arguments.json:
-        print(json.dumps({"gyrofleet": found, "peer": beside, "ratio": ratio}))
+        print(json.dumps({"gyrofleet": found, "peer": beside}))
         return
     print(f"{arguments.signals} signals, {arguments.batch} samples a batch, {found['samples'] / 1e6:.0f} M samples")
     print(
         f"durable, acknowledged and estimated: {found['samples_per_s'] / 1e6:.2f} M samples/s "
-        f"(acknowledged alone {found['durable_samples_per_s'] / 1e6:.2f}); {ratio:.2f} times the peer"
+        f"(acknowledged alone {found['durable_samples_per_s'] / 1e6:.2f})"
     )
     print(
         f"memory: source {found['source_mb']:.0f}, recorder {found['recorder_mb']:.0f}, estimator "
@@ -252,8 +256,11 @@ def tell(arguments: argparse.Namespace, found: dict[str, float], beside: dict[st
         f"{found['estimator_cpu_share']:.2f}; log {found['bytes_per_sample']:.3f} bytes a sample; "
         f"{found['recalled_share']:.1%} of the samples read again in the log"
     )
+    if beside is None:
+        return
+    ratio = found["samples_per_s"] / beside["samples_per_s"]
     print(
-        f"peer (plain Zenoh, the MCAP library's writer, no acknowledgement, no estimates): "
+        f"{ratio:.2f} times the peer (plain Zenoh, the MCAP library's writer, no acknowledgement, no estimates): "
         f"{beside['samples_per_s'] / 1e6:.2f} M samples/s, {beside['lost_share']:.1%} lost, "
         f"{beside['recorder_mb']:.0f} MB, {beside['bytes_per_sample']:.3f} bytes a sample"
     )
