@@ -19,6 +19,7 @@ from stream.estimators.spectral_segments import (
     SegmentState,
     append,
     empty_state,
+    less,
     state_behind,
     take,
 )
@@ -127,9 +128,7 @@ class SpectralDensity(Follower):
             return
         if math.isnan(self._reference):
             self._reference = first_finite(values)
-        with np.errstate(over="ignore", invalid="ignore"):
-            relative = values - self._reference
-        take(self._state, first_slot, relative)
+        take(self._state, first_slot, less(values, self._reference))
 
     def _go_on_from(self, earlier: Self) -> None:
         self._state = state_behind(earlier._state)

@@ -166,6 +166,15 @@ def _window(values: FloatArray, window: FloatArray, out: FloatArray) -> bool:
 
 
 @njit(cache=True, nogil=True)
+def less(values: FloatArray, reference: float) -> FloatArray:
+    """The values less a reference; without NumPy's warnings, and the cost of turning them off."""
+    out = np.empty_like(values)
+    for i in range(values.shape[0]):
+        out[i] = values[i] - reference
+    return out
+
+
+@njit(cache=True, nogil=True)
 def _add_power(transform: npt.NDArray[np.complex128], power: FloatArray) -> None:
     """Add the squares of the absolute values."""
     for i in range(power.shape[0]):
