@@ -2,10 +2,9 @@
 
 import json
 import signal
-import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,32 +15,6 @@ import pytest
 from stream.estimators.base import default_estimators
 
 Spawn = Callable[..., subprocess.Popen[str]]
-
-
-@pytest.fixture
-def endpoint() -> str:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
-
-
-@pytest.fixture
-def spawn(tmp_path: Path, command_line: Callable[..., list[str]]) -> Iterator[Spawn]:
-    """Start a command in the background; whatever still runs at the end of the test is killed."""
-    running: list[subprocess.Popen[str]] = []
-
-    def start(*arguments: object) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            command_line(*arguments), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        running.append(process)
-        return process
-
-    yield start
-    for process in running:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
 
 
 def recorder(spawn: Spawn, endpoint: str) -> subprocess.Popen[str]:

@@ -3,14 +3,10 @@
 import json
 import random
 import signal
-import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
-
-import pytest
 
 Spawn = Callable[..., subprocess.Popen[str]]
 
@@ -19,32 +15,6 @@ COUNT = (
     "select signal, count(*) as n, count(distinct (unit, t_ns)) as moments, count(distinct run) as runs "
     "from samples group by signal order by signal"
 )
-
-
-@pytest.fixture
-def endpoint() -> str:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
-
-
-@pytest.fixture
-def spawn(tmp_path: Path, command_line: Callable[..., list[str]]) -> Iterator[Spawn]:
-    """Start a command in the background; whatever still runs at the end of the test is killed."""
-    running: list[subprocess.Popen[str]] = []
-
-    def start(*arguments: object) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            command_line(*arguments), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        running.append(process)
-        return process
-
-    yield start
-    for process in running:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
 
 
 def started(process: subprocess.Popen[str]) -> dict[str, Any]:
