@@ -11,7 +11,8 @@ from storage.store import Store, writer_is_active
 from storage.verify_log import LogState, verify_log
 from stream.checkpoint import generations, read_checkpoint
 from stream.delivery import StreamId
-from stream.errors import EstimatorError, StoreError
+from stream.errors import EstimatorError, GyrofleetError, StoreError
+from stream.spool import held_messages
 
 CHECKPOINT = Path("checkpoints") / "estimate.checkpoint"
 
@@ -28,7 +29,7 @@ def verify(store: Store, progress: Callable[[float], None] | None = None) -> tup
     """
     began = time.monotonic()
     state = verify_log(store, progress)
-    findings = [*state.findings, *lake_findings(store, state), *checkpoint_findings(store, state)]
+    findings = [*state.findings, *lake_findings(store, state), *checkpoint_findings(store, state), *_spools(store)]
     try:
         in_force = parts(store)
     except StoreError:
@@ -113,4 +114,18 @@ def checkpoint_findings(store: Store, state: LogState) -> list[Finding]:
         else:
             remedy = "move it aside; estimates are then made from the log"
             found.append(Finding("checkpoint_ahead", Severity.DAMAGE, str(path), what, remedy))
+    return found
+
+
+def _spools(store: Store) -> list[Finding]:
+    found = []
+    for folder in sorted(path for path in (store.folder / "spool").glob("*") if path.is_dir()):
+        try:
+            held = held_messages(folder)
+        except GyrofleetError as error:
+            found.append(Finding("spool_damaged", Severity.DAMAGE, str(folder), str(error), "look at it by hand"))
+            continue
+        if held:
+            what = f"{held:,} messages of a source wait there to be sent; they are safe"
+            found.append(Finding("spool_waits", Severity.NOTE, str(folder), what, "give the `gyrofleet run` again"))
     return found
