@@ -10,7 +10,7 @@ import msgspec
 from msgspec.structs import replace
 
 from ingest.live_source import PowerUp, SimulatedStation, station_units
-from ingest.run_state import RunParameters, RunState, begin_run, read_run, write_run
+from ingest.run_state import Outcome, RunParameters, RunState, begin_run, read_run, write_run
 from stream.acknowledgement import StreamId
 from stream.batch import SampleBatch
 from stream.delivery import Sender
@@ -125,7 +125,7 @@ class LiveRun:
         """What a batch is sent under."""
         return sample_key(self.place, batch.unit, batch.signal)
 
-    def end(self, sender: Sender, outcome: str = "completed") -> None:
+    def end(self, sender: Sender, outcome: Outcome = "completed") -> None:
         """Say that nothing more is measured, and how much was."""
         if self.state.phase == "ended":
             return

@@ -8,9 +8,10 @@ from pathlib import Path
 
 from ingest.pipeline import EmbeddedPipeline
 from storage.replay import Comparing, Comparison, StoredMessage, StoredRun
+from storage.store import Store
 from stream.bus import LocalBus
 from stream.delivery import DurablePublisher, Sender
-from stream.errors import BadInput
+from stream.errors import BadInput, NotFound, StoreError
 from stream.estimators.base import Estimator, default_estimators
 from stream.estimators.bias_stability import BiasStability
 from stream.events import decode_event
@@ -67,6 +68,15 @@ def interval_s(run: StoredRun) -> float:
     if run.estimates and not run.every_ns:
         raise BadInput(f"the estimates of run {run.run} do not say how often they came; give --every SECONDS")
     return next(iter(run.every_ns)) / 1e9 if run.every_ns else _DEFAULT_EVERY_S
+
+
+def estimated_every_s(folder: Path, run: str) -> float:
+    """Interval of a run's estimates so far, seconds; where there are none, that of `gyrofleet estimate`."""
+    try:
+        found = StoredRun(Store.open(folder), run).every_ns
+    except (NotFound, StoreError):
+        found = set()
+    return min(found) / 1e9 if found else _DEFAULT_EVERY_S
 
 
 def compared(run: StoredRun, every_s: float, speed: float, progress: Progress) -> tuple[Replayed, Comparison]:

@@ -101,7 +101,7 @@ def run(
         if live.is_over:
             tell_run(live, "ended", "nothing to do, all of it is recorded", as_json=as_json)
             return
-        with _path_to(folder, connect, spool) as path:
+        with _path_to(folder, run_id, connect, spool) as path:
             code = _send(live, path, stop, _Watch(path.publisher, as_json=as_json), is_ended=is_ended)
     sys.exit(code)
 
@@ -166,7 +166,7 @@ class _Path(NamedTuple):
 
 
 @contextmanager
-def _path_to(folder: Path, connect: str | None, spool: "Spool") -> Iterator[_Path]:
+def _path_to(folder: Path, run_id: str, connect: str | None, spool: "Spool") -> Iterator[_Path]:
     if connect is not None:
         from stream.delivery import DurablePublisher
         from stream.zenoh_bus import ZenohBus
@@ -175,8 +175,11 @@ def _path_to(folder: Path, connect: str | None, spool: "Spool") -> Iterator[_Pat
             yield _Path(publisher, publisher, publisher.drain, f"to the recorder at {connect}", None)
     else:
         from ingest.pipeline import EmbeddedPipeline
+        from ingest.replaying import estimated_every_s
 
-        with EmbeddedPipeline(folder, "gyrofleet run", spool=spool) as pipeline:
+        # of the same interval as those of a `gyrofleet estimate` that may have begun them, else they would differ
+        every_s = estimated_every_s(folder, run_id)
+        with EmbeddedPipeline(folder, "gyrofleet run", spool=spool, estimate_every_s=every_s) as pipeline:
             yield _Path(pipeline, pipeline.publisher, pipeline.finish, f"recorded in this process to {folder}", folder)
 
 

@@ -14,6 +14,8 @@ from stream.errors import BadInput, StoreError
 _FILE = "run.json"
 _FORMAT = 1
 
+Outcome = Literal["completed", "stopped"]
+
 
 class RunParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What a run was started with; `speed` 0 is as fast as possible, `start` the moment of its first samples."""
@@ -64,7 +66,7 @@ class RunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     starts: int = 1
     power_ups: tuple[PowerUp, ...]
     phase: Literal["starting", "running", "ending", "ended"] = "starting"
-    outcome: str = "completed"
+    outcome: Outcome = "completed"
 
 
 def begin_run(run: str, parameters: RunParameters, now_ns: int) -> RunState:

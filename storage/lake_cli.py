@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from storage.retention import Dropped, Rule
 
 _POLL_S = 0.5
-_PATIENCE_S = 30.0  # a recorder builds for some seconds at a time
+_PATIENCE_S = 10.0  # a recorder builds for some seconds at a time
 
 _older_than = click.option("--older-than", metavar="AGE", help="Drop raw rows that arrived longer ago, as 90d or 12h.")
 _max_size = click.option("--max-size", metavar="SIZE", help="Drop the oldest raw rows beyond this size, as 500GB.")
@@ -44,7 +44,7 @@ def lake(
     from stream.errors import StoreError
 
     console = notes()
-    store = Store.create(folder)
+    store = Store.open(folder)
     rule = _rule(older_than, max_size, required=False)
 
     def tell(event: str, text: str, **numbers: object) -> None:
@@ -84,6 +84,7 @@ def rebuild(folder: Path, *, force: bool, as_json: bool) -> None:
     from storage.store import Store
 
     store = Store.open(folder)
+    _tell_waiting(as_json=as_json)
     with builder_lock(store, patience_s=_PATIENCE_S), progress_bar(hidden=as_json) as progress:
         task = progress.add_task("segments", total=None)
         for step in steps(store, force=force):
@@ -115,19 +116,30 @@ def retain(folder: Path, older_than: str | None, max_size: str | None, *, dry_ru
 
     A document in the log says what was dropped, before it is.
     """
-    from storage.lake import Lake, builder_lock
-    from storage.retention import apply_rule
+    from storage.lake import Lake, build_missing, builder_lock
+    from storage.lake_manifest import read_manifest
+    from storage.retention import apply_rule, would_drop
     from storage.store import Store
 
     rule = _rule(older_than, max_size, required=True)
     assert rule is not None
     store = Store.open(folder)
-    with builder_lock(store, patience_s=_PATIENCE_S):
-        dropped = apply_rule(Lake(store), rule, dry_run=dry_run)
+    if dry_run:
+        dropped = would_drop(read_manifest(store), rule)
+    else:
+        _tell_waiting(as_json=as_json)
+        with builder_lock(store, patience_s=_PATIENCE_S):
+            dropped = apply_rule(Lake(store), rule)
+            list(build_missing(store))  # the document that says so, where no recorder has taken it
     if as_json:
         print_json({"dry_run": dry_run, **dropped._asdict()})
     else:
         notes().print(told(dropped, rule, dry_run=dry_run), soft_wrap=True)
+
+
+def _tell_waiting(*, as_json: bool) -> None:
+    if not as_json:
+        notes().print(f"a builder that is at work on the lake is waited for, up to {_PATIENCE_S:g} s")
 
 
 def told(dropped: "Dropped", rule: "Rule", *, dry_run: bool = False) -> str:

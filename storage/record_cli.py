@@ -2,6 +2,7 @@
 
 import threading
 import time
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from storage.recovery import Recovery
 
 _SHOWN_REJECTIONS = 5
+_TELL_EVERY_S = 5.0
+_SILENCE_S = 30.0
 
 
 @click.command("record")
@@ -73,8 +76,8 @@ def record(
     def warn(text: str) -> None:
         with said:
             if as_json:
-                print_json({"event": "warning", "text": text})
-            console.print(f"warning: {text}", soft_wrap=True, markup=False)
+                print_json({"event": "warning", "at": _now(), "text": text})
+            console.print(f"{_now()} warning: {text}", soft_wrap=True, markup=False)
 
     store = Store.create(folder)
     with WriterLock(store, "gyrofleet record", endpoint), until_stopped() as stopped:
@@ -96,12 +99,9 @@ def record(
                 print_json({"event": "recording", "store": str(folder), "listen": endpoint})
             else:
                 console.print(f"recording from {endpoint} to {folder}; Ctrl-C ends")
-            told_at, told_samples = time.monotonic(), 0
+            progress = _Progress(recorder, as_json=as_json)
             while not stopped.wait(0.2) and recorder.failure is None:
-                if time.monotonic() - told_at >= 5.0 and recorder.counts.samples != told_samples and not as_json:
-                    rate = (recorder.counts.samples - told_samples) / (time.monotonic() - told_at)
-                    told_at, told_samples = time.monotonic(), recorder.counts.samples
-                    console.print(f"{told_samples:,} samples, {rate:,.0f}/s")
+                progress.look()
             if not as_json:
                 console.print("stopping: writing what has arrived, sources keep the rest")
     _tell_counts(recorder, as_json=as_json)
@@ -136,6 +136,40 @@ def _tell_recovery(recovery: "Recovery") -> None:
         console.print(f"  lost: {lost}", soft_wrap=True, markup=False)
     if recovery.kept_aside is not None:
         console.print(f"  the file as it was: {recovery.kept_aside}", soft_wrap=True, markup=False)
+
+
+class _Progress:
+    """Says how recording goes on, and that nothing comes any more."""
+
+    def __init__(self, recorder: "Recorder", *, as_json: bool) -> None:
+        self._recorder = recorder
+        self._as_json = as_json
+        self._told_at = self._moved_at = time.monotonic()
+        self._messages = self._samples = 0
+        self._is_silent = False
+
+    def look(self) -> None:
+        """Once in a while say something."""
+        now, counts = time.monotonic(), self._recorder.counts
+        if counts.messages != self._messages:
+            self._messages, self._moved_at, self._is_silent = counts.messages, now, False
+        elif self._messages and not self._is_silent and now - self._moved_at >= _SILENCE_S:
+            self._is_silent = True
+            self._tell("silent", f"nothing has come for {_SILENCE_S:g} s", samples=counts.samples)
+        if now - self._told_at >= _TELL_EVERY_S and counts.samples != self._samples:
+            rate = (counts.samples - self._samples) / (now - self._told_at)
+            self._told_at, self._samples = now, counts.samples
+            self._tell("progress", f"{counts.samples:,} samples, {rate:,.0f}/s", samples=counts.samples, per_s=rate)
+
+    def _tell(self, event: str, text: str, **numbers: float) -> None:
+        if self._as_json:
+            print_json({"event": event, "at": _now(), "text": text, **numbers})
+        else:
+            notes().print(f"{_now()} {text}")
+
+
+def _now() -> str:
+    return datetime.now().astimezone().isoformat(timespec="seconds")
 
 
 def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:

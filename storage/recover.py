@@ -107,7 +107,7 @@ def _append(log: EventLog, documents: list[StoreNoted]) -> None:
 
 def _mend_checkpoints(findings: list[Finding]) -> Iterator[Action]:
     for finding in findings:
-        if finding.kind in {"checkpoint_damaged", "checkpoint_ahead"}:
+        if finding.kind == "checkpoint_damaged":
             aside = keep_aside(Path(finding.where))
             yield Action("checkpoint_set_aside", finding.where, f"kept as {aside}")
 

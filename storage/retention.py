@@ -26,9 +26,21 @@ class Rule(NamedTuple):
     max_bytes: int | None = None
 
     def __str__(self) -> str:
-        said = [] if self.older_than_s is None else [f"older than {self.older_than_s:g} s"]
+        said = [] if self.older_than_s is None else [f"older than {told_age(self.older_than_s)}"]
         said += [] if self.max_bytes is None else [f"beyond {self.max_bytes:,} bytes"]
         return " or ".join(said) or "none"
+
+
+def told_age(age_s: float) -> str:
+    """An age in its largest whole unit.
+
+    Examples
+    --------
+    >>> told_age(7776000.0), told_age(90.0)
+    ('90 d', '90 s')
+    """
+    name = next((name for name in ("d", "h", "m") if age_s and age_s % _UNITS[name] == 0), "s")
+    return f"{age_s / _UNITS[name]:g} {name}"
 
 
 class Dropped(NamedTuple):
@@ -102,7 +114,12 @@ def choose(manifest: Manifest, rule: Rule, now_ns: int) -> list[Part]:
     return chosen
 
 
-def apply_rule(lake: Lake, rule: Rule, *, dry_run: bool = False, now_ns: int | None = None) -> Dropped:
+def would_drop(manifest: Manifest, rule: Rule) -> Dropped:
+    """What the rule would let go of now."""
+    return _sum(choose(manifest, rule, time.time_ns()))
+
+
+def apply_rule(lake: Lake, rule: Rule, *, now_ns: int | None = None) -> Dropped:
     """Let go of what the rule says.
 
     Parameters
@@ -111,8 +128,6 @@ def apply_rule(lake: Lake, rule: Rule, *, dry_run: bool = False, now_ns: int | N
         Whose raw rows.
     rule : Rule
         Which.
-    dry_run : bool
-        Only tell.
     now_ns : int, optional
         The moment that ages count from.
 
@@ -122,18 +137,22 @@ def apply_rule(lake: Lake, rule: Rule, *, dry_run: bool = False, now_ns: int | N
         If the document cannot be brought into the log; then nothing is let go of.
     """
     chosen = choose(lake.manifest, rule, time.time_ns() if now_ns is None else now_ns)
-    dropped = Dropped(
-        parts=len(chosen),
-        segments=sum(len(part.segments) for part in chosen),
-        samples=sum(part.samples for part in chosen),
-        bytes=sum(part.files[SAMPLES_FILE].bytes for part in chosen),
-    )
-    if not chosen or dry_run:
+    dropped = _sum(chosen)
+    if not chosen:
         return dropped
     document = _document(chosen, rule, dropped)
     note(lake.store, [document], role="gyrofleet retain")
     lake.drop_raw({segment: document.uid for part in chosen for segment in part.segments})
     return dropped
+
+
+def _sum(chosen: list[Part]) -> Dropped:
+    return Dropped(
+        parts=len(chosen),
+        segments=sum(len(part.segments) for part in chosen),
+        samples=sum(part.samples for part in chosen),
+        bytes=sum(part.files[SAMPLES_FILE].bytes for part in chosen),
+    )
 
 
 def _document(chosen: list[Part], rule: Rule, dropped: Dropped) -> StoreNoted:

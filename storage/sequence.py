@@ -10,6 +10,8 @@ from stream.events import RunEnded, decode_event
 from stream.identity import SampleKey, parse_key
 from stream.wire import read_batch_head
 
+DOCUMENTS = "documents"
+
 
 class Place(NamedTuple):
     """Where a message stands in its stream: its numbers, its time, and the run it belongs to."""
@@ -52,7 +54,7 @@ class LostStretch:
     def signal(self) -> str:
         """Which signal; of documents, that they are documents."""
         parsed = parse_key(self.key)
-        return parsed.signal if isinstance(parsed, SampleKey) else "documents"
+        return parsed.signal if isinstance(parsed, SampleKey) else DOCUMENTS
 
     @property
     def count(self) -> int:
@@ -62,9 +64,10 @@ class LostStretch:
     def __str__(self) -> str:
         """In words."""
         ends = [f"{at} ns" if at is not None else "an unknown moment" for at in (self.first_ns, self.last_ns)]
-        what = "documents" if self.signal == "documents" else "samples"
+        what = "documents" if self.signal == DOCUMENTS else "samples"
+        whose = f"of {self.key}" if self.signal == DOCUMENTS else f"of unit {self.unit}, signal {self.signal}"
         return (
-            f"unit {self.unit}, signal {self.signal}: {self.count:,} {what} (numbers {self.first_seq} to "
+            f"{self.count:,} {what} {whose} (numbers {self.first_seq} to "
             f"{self.last_seq} of epoch {self.epoch}) between {ends[0]} and {ends[1]}"
         )
 

@@ -107,13 +107,11 @@ def checkpoint_findings(store: Store, state: LogState) -> list[Finding]:
         ]
         if not ahead or state.damaged or any(each.kind == "segment_unfinished" for each in state.findings):
             continue
-        what = f"it knows {len(ahead)} streams beyond what the log holds, the first {ahead[0].key}"
-        if salvaged(state) or state.check.lost or state.noted & {"segment_salvaged", "segment_missing"}:
-            what += ": it has seen what the log has lost"
-            found.append(Finding("checkpoint_ahead", Severity.NOTE, str(path), what))
-        else:
-            remedy = "move it aside; estimates are then made from the log"
-            found.append(Finding("checkpoint_ahead", Severity.DAMAGE, str(path), what, remedy))
+        what = (
+            f"it has seen {len(ahead)} streams further than the log has them, the first {ahead[0].key}: their sources "
+            "send that again, or it is lost and said so"
+        )
+        found.append(Finding("checkpoint_ahead", Severity.NOTE, str(path), what))
     return found
 
 

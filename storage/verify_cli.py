@@ -1,6 +1,7 @@
 """The commands `gyrofleet verify` and `gyrofleet recover`."""
 
 import sys
+from collections import Counter
 from pathlib import Path
 
 import click
@@ -8,6 +9,7 @@ from rich.table import Table
 
 from stream.console import notes, print_json, progress_bar, reporting, results, store_option
 
+_SHOWN_OF_A_KIND = 8
 _COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "default"}
 
 
@@ -34,10 +36,17 @@ def verify(folder: Path, *, as_json: bool) -> None:
         table = Table(header_style="bold")
         for title in ("", "where", "what", "what `gyrofleet recover` does"):
             table.add_column(title, overflow="fold")
+        shown: Counter[str] = Counter()
         for finding in found.findings:
+            shown[finding.kind] += 1
+            if shown[finding.kind] > _SHOWN_OF_A_KIND:
+                continue
             colour = _COLOURS[finding.severity]
             table.add_row(f"[{colour}]{finding.severity}[/]", finding.where, finding.what, finding.remedy)
         results().print(table)
+        for kind, count in shown.items():
+            if count > _SHOWN_OF_A_KIND:
+                results().print(f"{count - _SHOWN_OF_A_KIND:,} more of {kind}; --json lists all")
     results().print(
         f"{found.segments:,} segments with {found.samples:,} samples in {found.messages:,} messages, {found.parts:,} "
         f"parts of the lake with {found.lake_samples:,} samples, read in {found.seconds:.1f} s: "

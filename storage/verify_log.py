@@ -11,7 +11,7 @@ from storage.log_manifest import SegmentEntry, manifest_path, read_log_manifest
 from storage.mcap_records import EVENTS, LogRecord
 from storage.recovery import left_open
 from storage.segment_reader import SegmentScan, read_segment
-from storage.sequence import LostStretch, SequenceCheck, place_of
+from storage.sequence import DOCUMENTS, LostStretch, SequenceCheck, place_of
 from storage.store import Store, writer_is_active
 from stream.delivery import StreamId
 from stream.errors import GyrofleetError, StoreError
@@ -176,7 +176,8 @@ def _verify_numbers(
             what = f"run {run} ended with {samples:,} samples, not all of them are there"
             state.add("run_incomplete", Severity.NOTE, f"{stream.key} {stream.epoch}", what)
     known = {(each.get("key"), each.get("epoch"), each.get("first_seq"), each.get("last_seq")) for each in documented}
-    for lost in state.check.lost:
+    # samples first, then documents
+    for lost in sorted(state.check.lost, key=lambda lost: lost.signal == DOCUMENTS):
         where = f"{lost.key} {lost.epoch}"
         if (lost.key, lost.epoch, lost.first_seq, lost.last_seq) in known:
             state.add("loss_documented", Severity.NOTE, where, f"lost, and said so in the log: {lost}")

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import isfinite
 from typing import Any, TypeVar
 from uuid import UUID
 
@@ -56,7 +57,7 @@ class SampleBatch:
     Raises
     ------
     BadInput
-        If the arrays do not fit together, or an integer does not fit its field.
+        If the arrays do not fit together, a scale is not finite, or an integer does not fit its field.
 
     Examples
     --------
@@ -94,6 +95,8 @@ class SampleBatch:
             array = getattr(self, name)
             if array is not None and len(array) != n:
                 raise BadInput(f"{self._who}: {len(array)} {name} for {n} samples")
+        if not (isfinite(self.scale) and isfinite(self.offset)):
+            raise BadInput(f"{self._who}: scale {self.scale} or offset {self.offset} is not a finite number")
         if not 1 <= self.dt_ns <= INT64_MAX or not 0 <= self.seq <= INT64_MAX - n:
             raise BadInput(f"{self._who}: dt_ns {self.dt_ns} or seq {self.seq} is outside its range")
         if not -INT64_MAX <= self.t0_ns <= INT64_MAX or not -INT64_MAX <= self.last_ns <= INT64_MAX:

@@ -2,14 +2,14 @@
 
 import threading
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Protocol, Self
 
 Handler = Callable[[str, bytes], None]
 
 
 class Bus(Protocol):
-    """Publish and subscribe by key expression. A handler gets (key, payload); it must not raise."""
+    """Publish and subscribe by key expression. A handler gets (key, payload); one that raises hinders no other."""
 
     def publish(self, key: str, payload: bytes) -> None:
         """Send `payload` under `key`; waits where the bus is congested."""
@@ -56,8 +56,7 @@ class LocalBus:
                 if _matches(expression, key)
                 for handler in handlers
             ]
-        for handler in matching:
-            handler(key, payload)
+        hand_on(matching, key, payload)
 
     def subscribe(self, key_expression: str, handler: Handler) -> None:
         """Call `handler` for every message that matches."""
@@ -74,6 +73,26 @@ class LocalBus:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def hand_on(handlers: Iterable[Handler], key: str, payload: bytes) -> None:
+    """Give a message to handlers; what one of them raises is told by `threading.excepthook`, and the next has it too.
+
+    Examples
+    --------
+    >>> seen, told, hook = [], [], threading.excepthook
+    >>> threading.excepthook = lambda failure: told.append(failure.exc_type)
+    >>> hand_on([lambda key, payload: 1 / 0, lambda key, payload: seen.append(key)], "gyrofleet/x", b"")
+    >>> threading.excepthook = hook
+    >>> seen, told
+    (['gyrofleet/x'], [<class 'ZeroDivisionError'>])
+    """
+    for handler in handlers:
+        try:
+            handler(key, payload)
+        except Exception as error:  # noqa: BLE001  whatever it is, it is a mistake of this handler alone
+            failure = (type(error), error, error.__traceback__, threading.current_thread())
+            threading.excepthook(threading.ExceptHookArgs(failure))
 
 
 def _matches(expression: str, key: str) -> bool:

@@ -24,7 +24,7 @@ _json = msgspec.json.Encoder(decimal_format="number")
 
 DEFAULT_STORE = "gyrofleet-data"
 _PATIENCE_S = 3.0
-_INTERRUPTED = "interrupted; what was recorded is kept, and an import is completed by giving the same command again"
+_INTERRUPTED = "interrupted; what is done is kept, and the same command goes on from there"
 
 store_option = click.option(
     "--store",

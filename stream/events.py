@@ -44,7 +44,7 @@ class Document(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", omit
     """
 
     run: str
-    t_ns: int
+    t_ns: Annotated[int, msgspec.Meta(ge=-(2**63) + 1, le=2**63 - 1)]
     uid: str = msgspec.field(default_factory=new_uid)
 
 
@@ -335,6 +335,8 @@ def decode_event(payload: bytes) -> EventMessage:
         schema = _head_decoder.decode(payload).schema
         if schema > EVENT_SCHEMA:
             raise NewerSchema(f"event of schema {schema}, this gyrofleet reads up to {EVENT_SCHEMA}: upgrade this side")
+        if schema < 1:
+            raise WireError(f"not a run document: schema {schema}")
         return _decoder.decode(payload)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise WireError(f"not a run document: {error}") from error

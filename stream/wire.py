@@ -1,6 +1,7 @@
 """Wire form of a sample batch: Protobuf, its arrays as little-endian bytes (``samples.proto``)."""
 
 import functools
+from math import isfinite
 from typing import NamedTuple
 from uuid import UUID
 
@@ -209,6 +210,8 @@ def _checked(payload: bytes) -> tuple[samples_pb2.SampleBatch, int, tuple[bytes,
         _check_lengths(message, lengths)
     t0_ns, dt_ns = message.t0_ns, message.dt_ns
     last_ns = int.from_bytes(times_ns[-8:], "little", signed=True) if times_ns else t0_ns + (n - 1) * dt_ns
+    if not (isfinite(message.scale) and isfinite(message.offset)):
+        raise _wrong(message, f"scale {message.scale} or offset {message.offset} is not a finite number")
     if dt_ns < 1 or not 0 <= message.seq <= INT64_MAX - n:
         raise _wrong(message, f"dt_ns {dt_ns} or seq {message.seq} is outside its range")
     if t0_ns < -INT64_MAX or not -INT64_MAX <= last_ns <= INT64_MAX:

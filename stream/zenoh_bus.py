@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import zenoh
 
-from stream.bus import Handler
+from stream.bus import Handler, hand_on
 from stream.errors import BusError
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -109,7 +109,7 @@ class ZenohBus:
             raise BusError(f"cannot publish {key}: {_told(error)}") from error
 
     def subscribe(self, key_expression: str, handler: Handler) -> None:
-        """Call `handler` with (key, payload) for every message that matches; it must not raise."""
+        """Call `handler` with (key, payload) for every message that matches; one that raises hinders no other."""
         with self._lock:
             handlers = self._handlers.get(key_expression)
             if handlers is not None:
@@ -121,13 +121,11 @@ class ZenohBus:
         # the default queue between Zenoh and Python has no bound; one that is full holds up who sends
         subscriber = self._session.declare_subscriber(key_expression, zenoh.handlers.FifoChannel(_QUEUED_MESSAGES))
 
-        def hand_on() -> None:
+        def take() -> None:
             for sample in subscriber:
-                key, payload = str(sample.key_expr), sample.payload.to_bytes()
-                for each in handlers:
-                    each(key, payload)
+                hand_on(handlers, str(sample.key_expr), sample.payload.to_bytes())
 
-        thread = threading.Thread(target=hand_on, name=f"gyrofleet-bus {key_expression}", daemon=True)
+        thread = threading.Thread(target=take, name=f"gyrofleet-bus {key_expression}", daemon=True)
         thread.start()
         self._subscribers.append((subscriber, thread))
 

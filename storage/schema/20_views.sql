@@ -41,6 +41,9 @@ with started as (
 ), ended as (
   select run, max(t_ns) as t_ns, arg_max(document->>'$.outcome', arrival_ns) as outcome
   from lake_documents where kind = 'RunEnded' group by run
+), resumed as (
+  select run, count(*) as resumptions, sum((document->>'$.gap_ns')::bigint) / 1e9 as gap_s
+  from lake_documents where kind = 'RunResumed' group by run
 ), recorded as (
   select run, list(distinct unit order by unit) as units, sum(samples)::bigint as samples,
     any_value(site) as site, any_value(station) as station,
@@ -59,6 +62,8 @@ select
     then make_timestamp_ns(coalesce(e.t_ns, r.t_last_ns)) end as ended,
   (coalesce(r.t_last_ns, e.t_ns) - coalesce(r.t_first_ns, s.t_ns)) / 1e9 as duration_s,
   case when e.run is null then 'open' else coalesce(e.outcome, 'completed') end as outcome,
+  coalesce(g.resumptions, 0) as resumptions,
+  coalesce(g.gap_s, 0) as gap_s,
   r.units,
   r.signals,
   coalesce(r.samples, 0) as samples,
@@ -70,7 +75,8 @@ select
   make_timestamp_ns(r.arrival_first_ns) as recorded
 from recorded r
 full join started s using (run)
-left join ended e using (run);
+left join ended e using (run)
+left join resumed g using (run);
 
 create view steps as
 select

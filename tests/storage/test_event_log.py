@@ -161,7 +161,7 @@ def test_a_segment_without_its_beginning_is_read(tmp_path: Path) -> None:
     }
     (lost,) = [each for each in recovery.lost if each.unit == "U0"]
     assert (lost.first_ns, lost.last_ns) == (None, 100 * 10**6)
-    assert "100 samples (numbers 0 to 99" in str(lost)
+    assert "100 samples of unit U0, signal rate (numbers 0 to 99" in str(lost)
     assert recovery.kept_aside is not None
     assert recovery.kept_aside.read_bytes()[end:] == content[end:]
 

@@ -14,9 +14,10 @@ from storage.catalog import Catalog
 from storage.compaction import compact
 from storage.lake import Lake, builder_lock, parts
 from storage.lake_check import lake_problems
+from storage.lake_manifest import read_manifest
 from storage.reading import find_signal, read_signal, stored_between
 from storage.rebuild import rebuild
-from storage.retention import Rule, apply_rule, parse_age, parse_size
+from storage.retention import Rule, apply_rule, parse_age, parse_size, would_drop
 from storage.segment_part import RAW_ROWS_DROPPED
 from storage.segment_reader import read_segment
 from storage.store import Store
@@ -135,7 +136,7 @@ def test_by_size_the_oldest_go_first(days: Filler) -> None:
     store = days.store
     sizes = [part.files["samples.parquet"].bytes for part in parts(store)]
     with builder_lock(store):
-        dropped = apply_rule(Lake(store), Rule(max_bytes=sum(sizes[5:])), dry_run=True)
+        dropped = would_drop(read_manifest(store), Rule(max_bytes=sum(sizes[5:])))
         assert dropped.bytes == sum(sizes[:5])
         assert all(part.dropped is None for part in parts(store))
         apply_rule(Lake(store), Rule(max_bytes=sum(sizes[5:])))

@@ -79,7 +79,7 @@ def test_a_segment_that_has_gone_is_a_loss_that_the_log_comes_to_say(store: Stor
     found, _ = verify(store)
     by_kind = {finding.kind: finding for finding in found.findings}
     assert set(by_kind) == {"segment_missing", "numbers_missing", "lake_has_more"}
-    assert "1,000 samples (numbers 1000 to 1999" in by_kind["numbers_missing"].what
+    assert "1,000 samples of unit U1, signal rate (numbers 1000 to 1999" in by_kind["numbers_missing"].what
     assert "between 999000000 ns and 2000000000 ns" in by_kind["numbers_missing"].what
     assert not found.is_sound
     actions = [action.what for action in recover(store)]

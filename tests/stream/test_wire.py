@@ -41,8 +41,8 @@ def batches(draw: st.DrawFn) -> SampleBatch:
         values=None if is_counts else draw(hnp.arrays(np.float64, n, elements=floats)),
         times_ns=times,
         irregular=draw(st.booleans()),
-        scale=draw(st.floats(allow_nan=False)),
-        offset=draw(st.floats(allow_nan=False)),
+        scale=draw(st.floats(allow_nan=False, allow_infinity=False)),
+        offset=draw(st.floats(allow_nan=False, allow_infinity=False)),
         flags=draw(st.none() | hnp.arrays(np.uint8, n)),
     )
 

@@ -73,16 +73,18 @@ def test_all_ways_of_reading_refuse_the_same_and_agree(payload: bytes) -> None:
     assert [wire.counts, wire.values, wire.times_ns] == arrays
 
 
-@given(int64s, int64s, int64s, st.none() | hnp.arrays(np.int64, 2, elements=int64s))
+@given(int64s, int64s, int64s, st.none() | hnp.arrays(np.int64, 2, elements=int64s), st.floats())
 @settings(max_examples=1000, deadline=None)
 def test_what_a_batch_itself_refuses_is_refused_on_the_wire(
-    seq: int, t0_ns: int, dt_ns: int, times: np.ndarray[tuple[int], np.dtype[np.int64]] | None
+    seq: int, t0_ns: int, dt_ns: int, times: np.ndarray[tuple[int], np.dtype[np.int64]] | None, scale: float
 ) -> None:
     message = samples_pb2.SampleBatch(schema=1, unit="U", epoch=bytes(16), seq=seq, samples=2, t0_ns=t0_ns, dt_ns=dt_ns)
     message.values = bytes(16)
+    message.scale = scale
     message.times_ns = b"" if times is None else times.tobytes()
     try:
-        SampleBatch("U", "", "", UUID(int=0), seq, t0_ns, dt_ns, "", values=np.zeros(2), times_ns=times)
+        common = ("U", "", "", UUID(int=0), seq, t0_ns, dt_ns, "")
+        SampleBatch(*common, values=np.zeros(2), times_ns=times, scale=scale)
         is_taken = True
     except BadInput:
         is_taken = False

@@ -1,0 +1,428 @@
+"""Messages that are none, by the ten thousand, beside a good source: does the recorder keep them aside and live.
+
+``python tests/crash/fuzz.py --count 100000``. Random bytes, messages that are cut, flipped, grown, of a wrong schema,
+with wrong lengths and numbers, under odd keys or those of others, too large; and messages of the good source's own
+numbers that are forged: once more, overlapping, far ahead. Before the recorder, a handler that raises hears everything.
+All that is malformed must be found in the log, byte for byte, and nothing of it in the lake; every good sample must be
+there once and unchanged, and estimated. With ``--process`` the recorder is a process, reached over Zenoh.
+
+A message that is well formed and has just the next number of a stream is taken: nobody can know that it is forged.
+"""
+
+import argparse
+import json
+import random
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
+from uuid import UUID
+
+import numpy as np
+
+from storage.catalog import Catalog
+from storage.event_log import EventLog
+from storage.intake import MAX_PAYLOAD_BYTES
+from storage.lake import build_missing, builder_lock
+from storage.log_tail import LogTail
+from storage.mcap_records import REJECTED
+from storage.recorder import Recorder
+from storage.segment_reader import SegmentScan
+from storage.store import Store, WriterLock
+from storage.verify import verify
+from stream import samples_pb2
+from stream.batch import SampleBatch
+from stream.bus import Bus, LocalBus
+from stream.delivery import DurablePublisher
+from stream.errors import BusError, GyrofleetError
+from stream.events import NoteAdded, RunEnded, RunStarted, StreamTotal, decode_event, encode_event
+from stream.identity import EVERYTHING, Place, SampleKey, estimate_key, event_key, parse_key, sample_key
+from stream.wire import decode_batch, encode_batch
+from stream.worker import EstimationWorker
+from stream.zenoh_bus import ZenohBus
+
+PLACE = Place("plant", "bench")
+GOOD = sample_key(PLACE, "GOOD", "rate")
+VICTIM = sample_key(PLACE, "VICTIM", "rate")
+EPOCH, OTHER = UUID(int=1), UUID(int=2)
+AHEAD = 5000  # number of the well-formed messages that are made malformed: far from what any stream expects
+BATCH = 100
+GOOD_EVERY = 20  # messages
+PATIENCE_S = 120.0
+ODD_KEYS = (
+    "gyrofleet/x", "gyrofleet/plant", "gyrofleet/plant/bench", "gyrofleet/plant/bench/U1", "gyrofleet//bench/U1/rate",
+    "gyrofleet/plant/bench/U1/rate/estimate", "gyrofleet/plant/bench/U1/rate/other/x", "gyrofleet/a/b/c/d/e/f/g",
+    "gyrofleet/plant/bench/U1/rate/estimate/allan/x", "gyrofleet/plant/bench/event/x/y/z/1", "gyrofleet/" + "x" * 3000,
+    "gyrofleet/\u96f6\u504f", "gyrofleet/plant/bench/U1/rate/", "gyrofleet/plant/bench/\x00/\n/'/\"",
+)  # fmt: skip
+ODD_JSON = (
+    b"", b"{}", b"null", b"[]", b"7", b'"x"', b"{" * 5000, b"[" * 100_000, b'{"schema":1}', b'{"schema":"1"}',
+    b"\xff\xfe", b'{"schema":1,"epoch":"v","seq":5000,"document":{"kind":"NoSuchThing","run":"r","t_ns":0}}',
+    b'{"schema":1,"epoch":"v","seq":5000,"document":{"run":"r","t_ns":0}}',
+    b'{"schema":1,"epoch":"v","seq":5000,"document":{"kind":"NoteAdded","run":7,"t_ns":0,"text":"x"}}',
+    b'{"schema":1,"epoch":"v","seq":5000,"document":{"kind":"NoteAdded","run":"r","t_ns":NaN,"text":"x"}}',
+    b'{"schema":1,"epoch":"v","seq":0,"document":{"kind":"NoteAdded","run":"r","t_ns":1e400,"text":"x"}}',
+    b'{"schema":1,"epoch":"v","seq":0,"document":{"kind":"NoteAdded","run":"r","t_ns":99999999999999999999,"text":"x"}}',
+    b'{"schema":1,"epoch":"v","seq":0,"document":{"kind":"NoteAdded","run":"r","t_ns":-9223372036854775808,"text":"x"}}',
+    b'{"schema":1,"epoch":"v","seq":99999999999999999999,"document":{"kind":"NoteAdded","run":"r","t_ns":0,"text":"x"}}',
+    b'{"schema":0,"epoch":"v","seq":0,"document":{"kind":"NoteAdded","run":"r","t_ns":0,"text":"x"}}',
+    b'{"schema":-1,"epoch":"v","seq":0,"document":{"kind":"NoteAdded","run":"r","t_ns":0,"text":"x"}}',
+    b'{"schema":2,"epoch":"v","seq":0,"document":{"kind":"NoteAdded","run":"r","t_ns":0,"text":"x"}}',
+    b'{"schema":1,"epoch":"v","seq":-1,"document":{"kind":"NoteAdded","run":"r","t_ns":0,"text":"x"}}',
+)  # fmt: skip
+
+
+class Message(NamedTuple):
+    """What is sent under which key; whether it must be kept aside."""
+
+    how: str
+    key: str
+    payload: bytes
+    is_malformed: bool
+
+
+def is_malformed(key: str, payload: bytes) -> bool | None:
+    """Whether nobody can read it; None where it can be read, and its stream would take it."""
+    try:
+        parsed = parse_key(key)
+        if len(payload) > MAX_PAYLOAD_BYTES:
+            return True
+        if isinstance(parsed, SampleKey):
+            batch = decode_batch(payload)
+            seq = batch.seq
+            if (batch.unit, batch.signal) != (parsed.unit, parsed.signal):
+                return True
+        else:
+            seq = decode_event(payload).seq
+    except GyrofleetError:
+        return True
+    return False if seq else None
+
+
+class Forge:
+    """Makes messages that are not what they should be.
+
+    Parameters
+    ----------
+    rng : random.Random
+        Decides.
+    """
+
+    def __init__(self, rng: random.Random) -> None:
+        self.rng = rng
+        counts = np.arange(BATCH, dtype=np.int32)
+        plain = SampleBatch("VICTIM", "rate", "r1", OTHER, AHEAD, 10**12, 10**7, "deg/s", counts=counts, scale=0.01)
+        times = SampleBatch(
+            "VICTIM", "rate", "r1", OTHER, AHEAD, 10**12, 10**7, "deg/s", values=np.linspace(0, 1, BATCH),
+            times_ns=10**12 + 10**7 * np.arange(BATCH), flags=np.ones(BATCH, np.uint8),
+        )  # fmt: skip
+        self.batches = [encode_batch(plain), encode_batch(times)]
+        notes = [NoteAdded(run="r1", t_ns=5, text="door opened"), RunStarted(run="r1", t_ns=5, units=("VICTIM",))]
+        self.documents = [encode_event(note, "v", AHEAD) for note in notes]
+        self.event_keys = [event_key(PLACE), estimate_key(PLACE, "VICTIM", "rate", "allan_deviation")]
+        self.never_right = [self.field, self.odd_key, self.of_another, self.odd_json]
+        self.kinds = [self.noise, self.cut, self.flip, self.grow, *self.never_right]
+
+    def messages(self) -> Iterator[Message]:
+        """One after the other, without end."""
+        while True:
+            kind = self.rng.choice(self.kinds)
+            key, payload = kind()
+            judged = True if kind in self.never_right else is_malformed(key, payload)
+            if judged is not None:
+                yield Message(kind.__name__, key, payload, judged)
+
+    def whole(self) -> tuple[str, bytes]:
+        """A well-formed message."""
+        if self.rng.random() < 0.5:
+            return VICTIM, self.rng.choice(self.batches)
+        return self.rng.choice(self.event_keys), self.rng.choice(self.documents)
+
+    def noise(self) -> tuple[str, bytes]:
+        key, _ = self.whole()
+        return key, self.rng.randbytes(self.rng.choice([0, 1, 7, 64, 2000]))
+
+    def cut(self) -> tuple[str, bytes]:
+        key, payload = self.whole()
+        return key, payload[: self.rng.randrange(len(payload))]
+
+    def flip(self) -> tuple[str, bytes]:
+        key, payload = self.whole()
+        flipped = bytearray(payload)
+        for _ in range(self.rng.randint(1, 3)):
+            flipped[self.rng.randrange(min(len(flipped), 200))] ^= 1 << self.rng.randrange(8)
+        return key, bytes(flipped)
+
+    def grow(self) -> tuple[str, bytes]:
+        key, payload = self.whole()
+        at = self.rng.randrange(len(payload) + 1)
+        return key, payload[:at] + self.rng.randbytes(self.rng.randint(1, 40)) + payload[at:]
+
+    def field(self) -> tuple[str, bytes]:
+        """One field of a batch has a value that it cannot have."""
+        message = samples_pb2.SampleBatch.FromString(self.batches[0])
+        wrong: dict[str, list[Any]] = {
+            "schema": [0, 2, 2**32 - 1],
+            "samples": [0, 1, 99, 101, 2**32 - 1],
+            "epoch": [b"", bytes(15), bytes(17)],
+            "seq": [-1, -(2**63), 2**63 - 1],
+            "dt_ns": [0, -1, -(2**63), 2**63 - 1],
+            "t0_ns": [-(2**63)],
+            "scale": [float("nan"), float("inf"), float("-inf")],
+            "offset": [float("nan"), float("inf"), float("-inf")],
+            "counts": [b"", bytes(3), bytes(4 * BATCH + 4)],
+            "values": [bytes(3), bytes(8 * BATCH - 8)],
+            "times_ns": [bytes(7), struct.pack("<q", -(2**63)) * BATCH],
+            "flags": [bytes(1), bytes(BATCH + 1)],
+        }
+        name = self.rng.choice(sorted(wrong))
+        setattr(message, name, self.rng.choice(wrong[name]))
+        return VICTIM, message.SerializeToString()
+
+    def odd_key(self) -> tuple[str, bytes]:
+        _, payload = self.whole()
+        key = self.rng.choice(ODD_KEYS)
+        return (f"gyrofleet/odd/{self.rng.randrange(500)}" if self.rng.random() < 0.3 else key), payload
+
+    def of_another(self) -> tuple[str, bytes]:
+        """What belongs under another key."""
+        wrong = [GOOD, sample_key(PLACE, "VICTIM", "temperature"), sample_key(PLACE, "X", "rate")]
+        if self.rng.random() < 0.5:
+            return self.rng.choice([*wrong, *self.event_keys]), self.rng.choice(self.batches)
+        return self.rng.choice([*wrong, VICTIM]), self.rng.choice(self.documents)
+
+    def odd_json(self) -> tuple[str, bytes]:
+        return self.rng.choice(self.event_keys), self.rng.choice(ODD_JSON)
+
+
+class GoodSource:
+    """A source that is as it should be, and what others forge in its name."""
+
+    def __init__(self, bus: Bus, rng: random.Random) -> None:
+        self._rng = rng
+        self.publisher = DurablePublisher(bus)
+        self.counts: list[np.ndarray[Any, np.dtype[np.int32]]] = []
+        self._draw = np.random.default_rng(rng.randrange(2**32))
+        self.publisher.send_event(event_key(PLACE), RunStarted(run="good", t_ns=0))
+
+    @property
+    def samples(self) -> int:
+        """How many were sent."""
+        return BATCH * len(self.counts)
+
+    def send(self) -> None:
+        """Send the next batch."""
+        counts = self._draw.normal(0, 50, BATCH).astype(np.int32)
+        self.publisher.send_batch(GOOD, self._batch(self.samples, counts))
+        self.counts.append(counts)
+
+    def forged(self) -> Message:
+        """One that has numbers of this source, but not the next."""
+        counts = np.full(BATCH, 666, np.int32)
+        how = self._rng.choices(["again", "ahead", "overlap"], [5, 4, 1])[0]
+        if how == "overlap":
+            self.publisher.drain()  # with which numbers it overlaps is known only when they are recorded
+        seq = {"again": 0, "ahead": self.samples + 10**6, "overlap": self.samples - BATCH // 2}[how]
+        return Message(how, GOOD, encode_batch(self._batch(seq, counts)), how == "overlap")
+
+    def end(self) -> None:
+        """End the run."""
+        total = StreamTotal(unit="GOOD", signal="rate", epoch=str(EPOCH), samples=self.samples)
+        self.publisher.send_event(event_key(PLACE), RunEnded(run="good", t_ns=self.samples * 10**7, totals=(total,)))
+        self.publisher.drain()
+        self.publisher.close()
+
+    @staticmethod
+    def _batch(seq: int, counts: np.ndarray[Any, np.dtype[np.int32]]) -> SampleBatch:
+        return SampleBatch("GOOD", "rate", "good", EPOCH, seq, seq * 10**7, 10**7, "deg/s", counts=counts, scale=0.01)
+
+
+class Trial:
+    """What was sent, and what must therefore be in the log."""
+
+    def __init__(self, bus: Bus, rng: random.Random) -> None:
+        self._bus = bus
+        self._rng = rng
+        self.source = GoodSource(bus, rng)
+        self.by_kind: Counter[str] = Counter()
+        self.aside: Counter[tuple[str, str]] = Counter()
+        self.refused = 0
+
+    def run(self, count: int, oversize: int, wait_for: Callable[[int], None]) -> None:
+        """Send so many malformed messages, and good ones between them; `wait_for` so many that are kept aside."""
+        forge = Forge(self._rng).messages()
+        self.source.send()
+        for number in range(count):
+            if number % GOOD_EVERY == 0:
+                self.source.send()
+            self.send(self.source.forged() if self._rng.random() < 0.1 else next(forge))
+            if number % 1000 == 0:
+                wait_for(self.aside.total())
+        for _ in range(oversize):
+            wait_for(self.aside.total())
+            self.send(Message("oversize", VICTIM, bytes(MAX_PAYLOAD_BYTES) + self._rng.randbytes(10), True))
+            self.source.send()
+        wait_for(self.aside.total())
+        self.source.end()
+
+    def send(self, message: Message) -> None:
+        """Send one."""
+        try:
+            self._bus.publish(message.key, message.payload)
+        except BusError:
+            self.refused += 1  # Zenoh itself takes no such key
+            return
+        self.by_kind[message.how] += 1
+        if message.is_malformed:
+            self.aside[message.key[:1000], sha256(message.payload[:MAX_PAYLOAD_BYTES]).hexdigest()] += 1
+
+    def wrong(self, store: Store) -> list[str]:
+        """What is not in the store as it must be."""
+        found: Counter[tuple[str, str]] = Counter()
+        for segment in sorted(store.log.glob("*.mcap")):
+            for record in SegmentScan(segment, sealed=True):
+                if record.schema == REJECTED:
+                    found[record.topic, sha256(record.data).hexdigest()] += 1
+        wrong = []
+        if found != self.aside:
+            missing, more = list(self.aside - found), list(found - self.aside)
+            wrong.append(f"kept aside: {len(missing)} are missing, {missing[:3]}, {len(more)} too many, {more[:3]}")
+        with builder_lock(store):
+            list(build_missing(store))
+        verified, _ = verify(store)
+        if not verified.is_sound:
+            wrong.append(f"verify: {[(each.kind, each.where, each.what) for each in verified.findings][:5]}")
+        with Catalog(store) as catalog:
+            rows = catalog.rows("select unit, seq, counts from samples order by unit, seq")
+            finals = catalog.rows(
+                "select distinct samples, missing from estimates where unit = 'GOOD' and final and signal = 'rate'"
+            )
+        sent = np.concatenate(self.source.counts).tolist()
+        if rows != [("GOOD", seq, count) for seq, count in enumerate(sent)]:
+            wrong.append(f"{len(rows)} samples in the lake, {len(sent)} good ones were sent; or they are others")
+        if finals and finals != [(len(sent), 0)]:
+            wrong.append(f"estimated of samples and missing: {finals}, sent were {len(sent)}")
+        return wrong
+
+
+class Raising:
+    """A handler that fails at every message, and how often that was told."""
+
+    def __init__(self) -> None:
+        self.heard = self.told = 0
+
+    def __call__(self, key: str, payload: bytes) -> None:
+        self.heard += 1
+        raise ValueError("a handler with a mistake")
+
+    def tell(self, failure: threading.ExceptHookArgs) -> None:
+        self.told += failure.exc_type is ValueError
+        if failure.exc_type is not ValueError:
+            sys.__excepthook__(failure.exc_type, failure.exc_value or failure.exc_type(), failure.exc_traceback)
+
+
+def in_this_process(folder: Path, count: int, rng: random.Random, oversize: int) -> tuple[Trial, list[str]]:
+    """A recorder and an estimator on a bus in this process."""
+    store = Store.create(folder)
+    raising = Raising()
+    threading.excepthook = raising.tell
+    wrong = []
+    with ExitStack() as stack:
+        bus = stack.enter_context(LocalBus())
+        bus.subscribe(EVERYTHING, raising)
+        stack.enter_context(WriterLock(store, "fuzz"))
+        log = EventLog(store, rotate_bytes=8 << 20)
+        recorder = stack.enter_context(Recorder(store, bus, log, sync_interval_s=0.005, builds_lake=False))
+        estimates = stack.enter_context(DurablePublisher(bus))
+        worker = stack.enter_context(EstimationWorker(bus, estimates, every_s=60.0, log=LogTail(store)))
+
+        def wait_for(rejected: int) -> None:
+            deadline = time.monotonic() + PATIENCE_S
+            while recorder.counts.rejected < rejected and recorder.failure is None:
+                if time.monotonic() > deadline:
+                    raise TimeoutError(f"{recorder.counts.rejected} were counted as rejected, {rejected} are malformed")
+                time.sleep(0.005)
+
+        trial = Trial(bus, rng)
+        trial.run(count, oversize, wait_for)
+        worker.close()
+        estimates.drain()
+        if recorder.counts.rejected != trial.aside.total():
+            wrong.append(f"{recorder.counts.rejected} were counted as rejected, {trial.aside.total()} are malformed")
+    if raising.told != raising.heard or not raising.heard:
+        wrong.append(f"a handler failed at {raising.heard} messages, {raising.told} times it was told")
+    found = trial.wrong(store)
+    with Catalog(store) as catalog:
+        if not catalog.rows("select 1 from estimates where unit = 'GOOD' and final limit 1"):
+            wrong.append("there is no final estimate")
+    return trial, wrong + found
+
+
+def over_zenoh(folder: Path, count: int, rng: random.Random, oversize: int) -> tuple[Trial, list[str]]:
+    """`gyrofleet record` as a process of its own."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    program = str(Path(sys.executable).with_name("gyrofleet"))
+    command = [program, "record", "--listen", endpoint, "--store", str(folder), "--sync-ms", "5", "--json"]
+    recorder = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert recorder.stdout is not None
+    try:
+        recorder.stdout.readline()
+        with ZenohBus(connect=[endpoint]) as bus:
+            trial = Trial(bus, rng)
+            trial.run(count, oversize, lambda _: trial.source.publisher.drain())
+        recorder.send_signal(signal.SIGINT)
+        said = json.loads(recorder.communicate(timeout=PATIENCE_S)[0].splitlines()[-1])
+    finally:
+        recorder.kill()
+        recorder.wait()
+    wrong = [] if recorder.returncode == 0 else [f"the recorder ended with exit code {recorder.returncode}"]
+    if said["rejected"] != trial.aside.total():
+        wrong.append(f"{said['rejected']} were counted as rejected, {trial.aside.total()} are malformed")
+    return trial, wrong + trial.wrong(Store.open(folder))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=100_000)
+    parser.add_argument("--oversize", type=int, default=3)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--process", action="store_true", help="The recorder is a process, reached over Zenoh.")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory() as temporary:
+        tried = over_zenoh if arguments.process else in_this_process
+        rng = random.Random(arguments.seed)
+        trial, wrong = tried(Path(temporary) / "store", arguments.count, rng, arguments.oversize)
+    result = {
+        "messages": trial.by_kind.total(),
+        "by_kind": dict(sorted(trial.by_kind.items())),
+        "malformed": trial.aside.total(),
+        "refused_by_zenoh": trial.refused,
+        "good_samples": trial.source.samples,
+        "resent": trial.source.publisher.resent,
+        "seconds": round(time.monotonic() - began),
+        "wrong": wrong,
+    }
+    if arguments.json:
+        print(json.dumps(result))
+    else:
+        for name, value in result.items():
+            print(f"{name}: {value}")
+    sys.exit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main()

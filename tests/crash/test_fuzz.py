@@ -1,0 +1,22 @@
+"""Short forms of the trials of malformed messages: `python tests/crash/fuzz.py --count 100000` is the long one."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+@pytest.mark.parametrize(("count", "how"), [(5000, ()), (2000, ("--process",))], ids=["in this process", "over Zenoh"])
+def test_what_is_malformed_is_kept_aside_and_hinders_nobody(count: int, how: tuple[str, ...]) -> None:
+    command = [sys.executable, Path(__file__).with_name("fuzz.py"), "--count", str(count), "--oversize", "1", *how]
+    done = subprocess.run([*command, "--seed", "20261121", "--json"], capture_output=True, text=True, timeout=300)
+    assert done.stdout, done.stderr
+    result: dict[str, Any] = json.loads(done.stdout)
+    assert result["wrong"] == []
+    assert done.returncode == 0, done.stderr
+    assert result["malformed"] > 0.75 * count
+    assert len(result["by_kind"]) == 12
+    assert result["good_samples"] > 4 * count
