@@ -51,7 +51,7 @@ class LiveRun:
         self._spool = spool
         self.folder: Path = spool.folder
         self._clock_ns = clock_ns
-        found = read_run(self.folder, parameters)
+        found = read_run(self.folder, run, parameters)
         self.is_resumed = found is not None
         self.state = found or write_run(self.folder, begin_run(run, parameters, clock_ns()))
         self.gap_ns = 0

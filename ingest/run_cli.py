@@ -31,6 +31,7 @@ _INTERRUPTED = 130
 _PATIENCE_S = 5.0
 _TOLD_EVERY_S = 5.0
 _LOOK_EVERY_S = 0.2
+_LONGEST_FOLDER_BYTES = 200
 
 
 @click.command("run")
@@ -108,6 +109,13 @@ def run(
 
 def _spool_folder(folder: Path, run_id: str, *, is_remote: bool) -> Path:
     """Beside the store; where its samples go elsewhere, in no folder that could become one."""
+    from stream.errors import BadInput
+
+    if len(run_id.encode()) > _LONGEST_FOLDER_BYTES:
+        raise BadInput(
+            f"--run {run_id} has {len(run_id.encode())} bytes in UTF-8, and the folder of its spool is named after it: "
+            f"{_LONGEST_FOLDER_BYTES} at most; give a shorter one, or --spool FOLDER"
+        )
     if is_remote and not (folder / "store.json").exists():
         return folder.with_name(folder.name + "-spool") / run_id
     if not is_remote:

@@ -90,13 +90,13 @@ def begin_run(run: str, parameters: RunParameters, now_ns: int) -> RunState:
     return RunState(run=run, parameters=parameters, began_ns=now_ns, t0_ns=t0_ns, power_ups=(PowerUp(0, t0_ns),))
 
 
-def read_run(folder: Path, parameters: RunParameters) -> RunState | None:
-    """The run that is kept in a folder; None where there is none.
+def read_run(folder: Path, run: str, parameters: RunParameters) -> RunState | None:
+    """The run of that id, which is kept in a folder; None where there is none.
 
     Raises
     ------
     BadInput
-        If it was started with other parameters.
+        If it was started with other parameters, or the folder is that of another run.
     StoreError
         If it cannot be read.
     """
@@ -110,6 +110,8 @@ def read_run(folder: Path, parameters: RunParameters) -> RunState | None:
             f"{path} cannot be read: {error}; the run's samples are safe, but it cannot be gone on with: give another "
             f"--run"
         ) from error
+    if state.run != run:
+        raise BadInput(f"{folder} is the spool of run {state.run}, not of {run}: give --spool another folder")
     others = [
         f"--{name.replace('_', '-')} was {was!r}, now {getattr(parameters, name)!r}"
         for name, was in msgspec.structs.asdict(state.parameters).items()

@@ -11,7 +11,8 @@ from pathlib import Path
 from storage.disk import DISK, Disk
 from storage.log_manifest import ManifestWriter, SegmentEntry
 from storage.mcap_records import LogRecord
-from storage.recovery import Recovery, abandoned_name, left_open, recover_segment, take_in
+from storage.recovery import Recovery, abandoned_name, left_open, reached_in, recover_segment, take_in
+from storage.segment_numbers import highest_number
 from storage.segment_reader import SegmentScan, read_marks
 from storage.segment_tally import SegmentTally
 from storage.segment_writer import SegmentWriter
@@ -74,8 +75,14 @@ class EventLog:
         if self._manifest.found.damage:
             lines = ", ".join(str(each.line) for each in self._manifest.found.damage)
             self.warnings.append(f"the log's manifest is damaged in line {lines}; see `gyrofleet verify`")
+        self._number = highest_number(store)
         for sealed in sorted(store.log.glob("*.mcap")):
             self._read_marks(sealed)
+        gone = sorted(name for name in self._manifest.found.entries if not (store.log / name).exists())
+        if gone:
+            more = f" and {len(gone) - 5} more" if len(gone) > 5 else ""
+            names = ", ".join(gone[:5]) + more
+            self.warnings.append(f"segments that were sealed are not in {store.log}: {names}; see `gyrofleet verify`")
         self.recover()
 
     def append(self, place: Place, record: LogRecord) -> None:
@@ -159,9 +166,8 @@ class EventLog:
     def _writer(self) -> SegmentWriter:
         if self._segment is None:
             self._name_abandoned()
-            taken = [int(path.name.split(".")[0]) for path in self._store.log.glob("*.mcap*")]
-            path = self._store.log / f"{max(taken, default=0) + 1:08d}.mcap"
-            segment = SegmentWriter(path, disk=self._disk)
+            segment = SegmentWriter(self._store.log / f"{self._number + 1:08d}.mcap", disk=self._disk)
+            self._number += 1
             self._tally = SegmentTally()
             self._opened_at = time.monotonic()
             self._segment = segment
@@ -191,14 +197,14 @@ class EventLog:
         try:
             found = {stream_of(text): int(next_seq) for text, next_seq in read_marks(sealed).items()}
             if sealed.name not in self._manifest.found.entries:
-                entry, found = take_in(sealed)
+                entry, found = take_in(self._store, sealed)
                 self._list(entry)
         except StoreError as error:
             self.warnings.append(str(error))
-            found = {}
+            found = reached_in(sealed)
             for record in SegmentScan(sealed, sealed=True):
                 place = place_of(record)
                 if place is not None:
-                    found[place.stream] = place.next_seq
+                    found[place.stream] = max(found.get(place.stream, 0), place.next_seq)
         for stream, next_seq in found.items():
             self.marks[stream] = max(self.marks.get(stream, 0), next_seq)

@@ -10,7 +10,7 @@ from storage.mcap_records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogRecord
 from storage.sequence import Place
 from stream.delivery import StreamId
 from stream.errors import GyrofleetError, WireError
-from stream.events import decode_event
+from stream.event_sense import decode_received
 from stream.identity import EstimateKey, EventKey, SampleKey, parse_key
 from stream.wire import decode_batch, encode_preview, read_batch_head
 
@@ -134,7 +134,7 @@ class Intake:
             self._log.append_aside(LogRecord(f"{key}/preview", PREVIEW, arrival_ns, t0_ns, data))
 
     def _take_document(self, key: str, parsed: EventKey | EstimateKey, payload: bytes, arrival_ns: int) -> None:
-        message = decode_event(payload)
+        message = decode_received(payload)
         document = message.document
         is_end = isinstance(parsed, EventKey) and type(document).__name__ == "RunEnded"
         stream = StreamId(key, message.epoch)

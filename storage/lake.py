@@ -233,6 +233,7 @@ class Lake:
             self.store.log / f"{segment}.mcap",
             self.store.tmp / f"lake-{segment}",
             self.free_name(segment),
+            store=self.store.identity,
             without_raw=self.manifest.dropped.get(segment),
         )
 
@@ -253,7 +254,7 @@ class Lake:
             if covered.isdisjoint(part.segments) and all((path / name).is_file() for name in part.files):
                 found.append(part)
                 covered |= set(part.segments)
-                dropped |= noted_drops(path)
+                dropped |= noted_drops(path, self.store.identity)
             else:
                 shutil.rmtree(path)
         lost = {part.name for part in self.manifest.parts if not (self.store.lake / part.name / PART).exists()}
@@ -287,7 +288,7 @@ def remade_manifest(store: Store) -> Manifest:
     dropped: dict[str, str] = {}
     for part in parts:
         with suppress(StoreError):  # a damaged part is made anew, and what it says comes again
-            dropped |= noted_drops(store.lake / part.name)
+            dropped |= noted_drops(store.lake / part.name, store.identity)
     return Manifest(parts=tuple(parts), dropped=dropped)
 
 

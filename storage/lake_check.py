@@ -21,11 +21,14 @@ from storage.lake_manifest import (
     read_part,
     write_manifest,
 )
+from storage.lake_switch import NEW_LAKE
 from storage.lake_tables import open_table
+from storage.segment_part import without_samples
 from storage.store import Store
 from stream.errors import StoreError
 
 _BLOCK = 1 << 20
+_SETTLED_WITHIN_S = 60.0
 
 
 class LakeProblem(NamedTuple):
@@ -48,6 +51,39 @@ def lake_problems(store: Store) -> Iterator[LakeProblem]:
 
     Segments that are not in the lake yet are not a problem.
     """
+    yield from _problems(store, {})
+
+
+def lasting_problems(store: Store) -> list[LakeProblem]:
+    """Like `lake_problems`, of a lake that may be changed meanwhile: what was changed by then is judged again."""
+    sound: dict[str, Part] = {}
+    until = time.monotonic() + _SETTLED_WITHIN_S
+    while True:
+        before = _version(store)
+        found = list(_problems(store, sound))
+        if found and not store.lake.is_dir() and (store.folder / NEW_LAKE).is_dir():
+            time.sleep(0.05)  # the new one is about to take its place
+        now = _version(store)
+        if not found or before == now or time.monotonic() >= until:
+            return found
+        if before[0] != now[0]:
+            sound.clear()
+
+
+def _version(store: Store) -> tuple[int, int]:
+    """Which lake it is, and which manifest of it; 0 for what is not there at this moment."""
+    return _inode(store.lake), _inode(store.lake / MANIFEST)
+
+
+def _inode(path: Path) -> int:
+    try:
+        return path.stat().st_ino
+    except OSError:
+        return 0
+
+
+def _problems(store: Store, sound: dict[str, Part]) -> Iterator[LakeProblem]:
+    """Problems of the parts that are not in `sound`; those that have none are put there."""
     try:
         manifest = read_manifest(store)
     except LakeManifestDamaged as error:
@@ -56,7 +92,11 @@ def lake_problems(store: Store) -> Iterator[LakeProblem]:
         manifest = Manifest(parts=tuple(found_parts(store)))
     seen: set[str] = set()
     for part in manifest.parts:
-        yield from _part_problems(store, part)
+        if sound.get(part.name) != part:
+            found = list(_part_problems(store, part))
+            yield from found
+            if not found:
+                sound[part.name] = part
         again = seen.intersection(part.segments)
         if again:
             yield _problem(part, MANIFEST, f"segments {', '.join(sorted(again))} are in another part as well")
@@ -99,7 +139,12 @@ def _part_problems(store: Store, part: Part) -> Iterator[LakeProblem]:
         yield _problem(part, "", "its folder is missing")
         return
     try:
-        if read_part(folder) != part:
+        said = read_part(folder)
+        if said.dropped is not None and part.dropped is None:
+            is_as_listed = said == without_samples(part, said.dropped.document)  # the part says so before the manifest
+        else:
+            is_as_listed = said == part
+        if not is_as_listed:
             yield _problem(part, PART, "it does not agree with the manifest")
     except StoreError as error:
         yield _problem(part, PART, str(error))

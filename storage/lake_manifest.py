@@ -65,6 +65,8 @@ class Part(msgspec.Struct, frozen=True, kw_only=True):
         Arrival of everything in it.
     dropped : DroppedRows or None
         Set once its raw rows are dropped.
+    sources : dict of str to str
+        SHA-256 of the segments it was made from; an older gyrofleet did not note it.
     """
 
     name: str
@@ -76,6 +78,7 @@ class Part(msgspec.Struct, frozen=True, kw_only=True):
     arrival_first_ns: int | None = None
     arrival_last_ns: int | None = None
     dropped: DroppedRows | None = None
+    sources: dict[str, str] = {}
 
     @property
     def bytes(self) -> int:
@@ -150,6 +153,7 @@ def hull(parts: Iterable[Part], name: str, files: dict[str, PartFile]) -> Part:
         segments=tuple(sorted(segment for part in parts for segment in part.segments)),
         files=files,
         samples=sum(part.samples for part in parts),
+        sources={segment: sha256 for part in parts for segment, sha256 in sorted(part.sources.items())},
         t_first_ns=least("t_first_ns"),
         t_last_ns=most("t_last_ns"),
         arrival_first_ns=least("arrival_first_ns"),

@@ -18,6 +18,7 @@ from storage.disk import DISK, Disk
 from storage.store import Store
 
 FIRST = "0" * 64
+LOST = "lost"
 _NAME = "manifest.jsonl"
 
 
@@ -38,7 +39,7 @@ class SegmentEntry(msgspec.Struct, frozen=True, omit_defaults=True):
         Runs that it has samples or documents of, and those whose end it has.
     origin : str
         How it came to be: recorded, recovered (left open by a process that ended), salvaged (around damage), found
-        (sealed, without a line of its own).
+        (sealed, without a line of its own); lost, where it is not there any more and the log says so.
     """
 
     segment: str
@@ -52,6 +53,11 @@ class SegmentEntry(msgspec.Struct, frozen=True, omit_defaults=True):
     ended: tuple[str, ...] = ()
     origin: str = "recorded"
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether only its number is kept."""
+        return self.origin == LOST
+
 
 class ManifestDamage(NamedTuple):
     """A line of the manifest that does not hold."""
@@ -62,11 +68,21 @@ class ManifestDamage(NamedTuple):
 
 @dataclass
 class LogManifest:
-    """What the manifest says, and where it cannot be believed; the last entry of a segment counts."""
+    """What the manifest says, and where it cannot be believed; the last entry of a segment counts.
+
+    `lost` has those that are not there any more: their numbers are not given again.
+    """
 
     entries: dict[str, SegmentEntry] = field(default_factory=dict)
+    lost: dict[str, SegmentEntry] = field(default_factory=dict)
     damage: list[ManifestDamage] = field(default_factory=list)
     last: str = FIRST
+
+    def take(self, entry: SegmentEntry) -> None:
+        """Let an entry count."""
+        mine, other = (self.lost, self.entries) if entry.is_lost else (self.entries, self.lost)
+        other.pop(entry.segment, None)
+        mine[entry.segment] = entry
 
 
 _decoder = msgspec.json.Decoder(SegmentEntry)
@@ -92,8 +108,7 @@ def read_log_manifest(store: Store) -> LogManifest:
             found.last = chained.decode(errors="replace")
             continue
         found.last = chained.decode()
-        entry = _decoder.decode(text)
-        found.entries[entry.segment] = entry
+        found.take(_decoder.decode(text))
     return found
 
 
@@ -137,12 +152,13 @@ class ManifestWriter:
             self._disk.sync_folder(self._path.parent)
         self._whole_bytes += len(line)
         self.found.last = chained
-        self.found.entries[entry.segment] = entry
+        self.found.take(entry)
 
 
 def rewrite_manifest(store: Store, entries: Iterable[SegmentEntry], disk: Disk = DISK) -> Path | None:
     """Write the manifest anew; what was there is kept aside, and its new place returned."""
     path = manifest_path(store)
+    store.tmp.mkdir(exist_ok=True)
     fresh = store.tmp / _NAME
     fresh.unlink(missing_ok=True)
     last, lines = FIRST, []
@@ -160,7 +176,8 @@ def rewrite_manifest(store: Store, entries: Iterable[SegmentEntry], disk: Disk =
     if path.exists():
         store.aside.mkdir(exist_ok=True)
         aside = store.aside / f"{_NAME}.{time.time_ns()}"
-        disk.rename(path, aside)
+        disk.link(path, aside)  # at no moment is there none
+        disk.sync_folder(store.aside)
     disk.rename(fresh, path)
     disk.sync_folder(path.parent)
     return aside

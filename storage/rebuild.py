@@ -69,11 +69,19 @@ def _begun(beside: Store) -> Lake:
 
 
 def _only_in_old(store: Store, new: Lake) -> list[str]:
-    """Segments of the old lake that are not in the new one; of a lake that cannot be read, none can be told."""
+    """Segments that the old lake has and the new one has not, or has from another file of that name.
+
+    Of a lake that cannot be read, none can be told.
+    """
     if not (store.lake / MANIFEST).exists():
         return []
     try:
         old = read_manifest(store)
     except StoreError:
         return []
-    return sorted(old.segments - new.manifest.segments)
+    before, now = (
+        {segment: sha256 for part in manifest.parts for segment, sha256 in part.sources.items()}
+        for manifest in (old, new.manifest)
+    )
+    others = {segment for segment in before.keys() & now.keys() if before[segment] != now[segment]}
+    return sorted(old.segments - new.manifest.segments | others)

@@ -20,10 +20,11 @@ from storage.mcap_records import EVENTS, LogRecord
 from storage.recovery import Recovery
 from storage.sequence import Place as Position
 from storage.store import Store
+from storage.store_notes import noted
 from stream.bus import Bus
 from stream.delivery import StreamId, StreamPosition, encode_acknowledgement
 from stream.errors import GyrofleetError, StoreError
-from stream.events import StoreNoted, encode_event
+from stream.events import encode_event
 from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING, Place, event_key
 
 _QUEUE_BYTES = 64 << 20
@@ -323,10 +324,10 @@ class Recorder:
 
     def _note(self, what: str, text: str, details: dict[str, Any]) -> None:
         """Put a document of our own into the log."""
-        now_ns = time.time_ns()
         stream = StreamId(_NOTES_KEY, self._epoch)
         seq = self._log.marks.get(stream, 0)
-        document = StoreNoted(run="", t_ns=now_ns, what=what, text=text, details=details)
+        document = noted(self._store.identity, what, text, details)
+        now_ns = document.t_ns
         record = LogRecord(_NOTES_KEY, EVENTS, now_ns, now_ns, encode_event(document, self._epoch, seq))
         self._log.append(Position(stream, seq, seq + 1, now_ns, now_ns, ""), record)
 

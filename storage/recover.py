@@ -1,9 +1,8 @@
 """What `gyrofleet recover` does: put a store right again, destroy nothing, and say in the log what is lost."""
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from uuid import NAMESPACE_OID, uuid5
 
 import msgspec
 
@@ -11,14 +10,22 @@ from storage.event_log import EventLog
 from storage.findings import Finding
 from storage.lake import Lake, build_missing, builder_lock
 from storage.lake_check import mend
-from storage.log_manifest import SegmentEntry, rewrite_manifest
+from storage.log_manifest import (
+    LOST,
+    ManifestWriter,
+    SegmentEntry,
+    manifest_path,
+    read_log_manifest,
+    rewrite_manifest,
+)
 from storage.mcap_records import EVENTS, LogRecord
-from storage.recovery import Recovery, salvage_segment, take_in
+from storage.recovery import Recovery, examine_segment, salvage_segment
 from storage.sequence import LostStretch
 from storage.sequence import Place as Position
 from storage.store import Store, WriterLock
-from storage.verify import checkpoint_findings, lake_findings
-from storage.verify_log import LogState, verify_log
+from storage.store_notes import noted
+from storage.verify import checkpoint_findings, lake_findings, only_in_lake
+from storage.verify_log import LogState, stretch_id, verify_log
 from stream.checkpoint import keep_aside
 from stream.delivery import StreamId
 from stream.errors import StoreError
@@ -26,6 +33,7 @@ from stream.events import StoreNoted, encode_event, new_uid
 from stream.identity import Place, event_key
 
 _NOTES_KEY = event_key(Place("store", "recover"))
+_SALVAGED = "it is what could be saved of a damaged segment"
 
 
 class Action(msgspec.Struct, frozen=True):
@@ -44,65 +52,105 @@ def recover(store: Store) -> Iterator[Action]:
     StoreError
         If another process writes the store, or the disk refuses.
     """
-    with WriterLock(store, "gyrofleet recover"), builder_lock(store):
-        try:
-            state = verify_log(store)
-            yield from _mend_log(store, state)
+    try:
+        with WriterLock(store, "gyrofleet recover"), builder_lock(store):
+            for folder in (store.log, store.tmp):
+                folder.mkdir(exist_ok=True)
+            yield from _mend_log(store)
             yield from _mend_lake(store)
             yield from _mend_checkpoints(checkpoint_findings(store, verify_log(store)))
-        except OSError as error:
-            raise StoreError(f"{store.folder} cannot be put right: {error}; mend the disk and give it again") from error
+    except OSError as error:
+        raise StoreError(f"{store.folder} cannot be put right: {error}; mend the disk and give it again") from error
 
 
-def _mend_log(store: Store, state: LogState) -> Iterator[Action]:
-    documents: list[StoreNoted] = []
-    entries = dict(state.entries)
-    for path in state.damaged:
-        recovery = salvage_segment(store, path, state.before[path.name])
-        details = {"lost": [vars(each) for each in recovery.lost]}
-        documents.append(_document("segment_salvaged", _told(recovery), details))
-        if recovery.entry is None:
-            entries.pop(path.name, None)
-        else:
-            entries[path.name] = recovery.entry
-        yield Action("segment_salvaged", str(path), _told(recovery))
-    gone = [name for name in entries if not (store.log / name).exists()]
-    for name in gone:
-        entry = entries.pop(name)
-        text = f"segment {name} with {entry.samples:,} samples is not there any more"
-        documents.append(_document("segment_missing", text, {"entry": msgspec.to_builtins(entry)}))
-        yield Action("segment_missing", str(store.log / name), f"taken off the manifest: {text}")
-    if documents or any(each.kind == "manifest_damaged" for each in state.findings):
-        aside = rewrite_manifest(store, _listed(store, entries))
-        kept = "" if aside is None else f"; as it was: {aside}"
-        yield Action("manifest_written", str(store.log), f"{len(entries)} segments listed{kept}")
+def _mend_log(store: Store) -> Iterator[Action]:
+    """What is lost is said, durably, before anything is put in force: killed in between, the next one knows."""
+    yield from _mend_manifest(store)
     log = EventLog(store)
     for recovery in log.recovered:
         yield Action("segment_sealed", str(store.log / recovery.segment), _told(recovery))
-        if recovery.lost:
-            details = {"lost": [vars(each) for each in recovery.lost]}
-            documents.append(_document("segment_recovered", _told(recovery), details))
-    said = [lost for document in documents for lost in document.details.get("lost", [])]
-    for lost in state.undocumented:
-        if vars(lost) not in said:
-            documents.append(_document("numbers_missing", str(lost), {"lost": [vars(lost)]}))
-            yield Action("loss_documented", f"{lost.key} {lost.epoch}", str(lost))
-    _append(log, documents)
+    state = verify_log(store)
+    only = only_in_lake(store, state)
+    documents = [*_of_damage(store, state), *_of_missing(store, state, only), *_of_recovered(store, log, state)]
+    said = {stretch_id(lost) for document in documents for lost in document.details.get("lost", [])}
+    undocumented = [lost for lost in state.undocumented if stretch_id(vars(lost)) not in said]
+    documents += [_document(store, "numbers_missing", str(lost), "", (lost,)) for lost in undocumented]
+    _append(log, [document for document in documents if document.uid not in state.uids])
+    for lost in undocumented:
+        yield Action("loss_documented", f"{lost.key} {lost.epoch}", str(lost))
+    for name in state.unsaid:
+        yield Action("loss_documented", str(store.log / name), _SALVAGED)
+    manifest = ManifestWriter(store)
+    for path in state.damaged:
+        recovery = salvage_segment(store, path, state.before[path.name])
+        manifest.add(recovery.entry or _lost(path.name, manifest.found.entries.get(path.name)))
+        yield Action("segment_salvaged", str(path), _told(recovery))
+    for name in (*state.gone, *(f"{segment}.mcap" for segment in only)):
+        manifest.add(_lost(name, state.entries.get(name)))
+        yield Action("segment_missing", str(store.log / name), "listed as lost")
 
 
-def _listed(store: Store, entries: dict[str, SegmentEntry]) -> list[SegmentEntry]:
-    """Every sealed segment; one whose line was lost is read whole."""
-    sealed = sorted(store.log.glob("*.mcap"))
-    return [entries[path.name] if path.name in entries else take_in(path)[0] for path in sealed]
+def _mend_manifest(store: Store) -> Iterator[Action]:
+    """Write a manifest anew that does not hold, with all that it says; segments it lacks are listed by the log."""
+    found = read_log_manifest(store)
+    is_missing = not manifest_path(store).exists() and any(store.log.glob("*.mcap"))
+    if found.damage or is_missing:
+        aside = rewrite_manifest(store, [*found.entries.values(), *found.lost.values()])
+        kept = "" if aside is None else f"; as it was: {aside}"
+        yield Action("manifest_written", str(store.log), f"what it said still counts{kept}")
+
+
+def _of_damage(store: Store, state: LogState) -> Iterator[StoreNoted]:
+    for path in state.damaged:
+        found = examine_segment(path, state.before[path.name])
+        yield _document(store, "segment_salvaged", _told(found), path.name, found.lost)
+
+
+def _of_missing(store: Store, state: LogState, only: list[str]) -> Iterator[StoreNoted]:
+    for name in state.gone:
+        entry = state.entries[name]
+        text = f"segment {name} with {entry.samples:,} samples is not there any more"
+        yield _document(store, "segment_missing", text, name, (), entry=msgspec.to_builtins(entry))
+    for segment in only:
+        text = f"segment {segment}.mcap is not there any more; what it held is in the lake"
+        yield _document(store, "segment_missing", text, f"{segment}.mcap", ())
+
+
+def _of_recovered(store: Store, log: EventLog, state: LogState) -> Iterator[StoreNoted]:
+    told = set()
+    for recovery in log.recovered:
+        if recovery.lost or recovery.damaged_chunks:
+            told.add(recovery.segment.partition(".")[0])
+            yield _document(store, "segment_recovered", _told(recovery), recovery.segment, recovery.lost)
+    for name in state.unsaid:
+        if name.partition(".")[0] not in told:
+            yield _document(store, "segment_recovered", f"{name}: {_SALVAGED}", name, ())
+
+
+def _lost(name: str, entry: SegmentEntry | None) -> SegmentEntry:
+    """The line of a segment that is not there any more; its number is not given again."""
+    known = entry or SegmentEntry(name, 0, "", 0, 0, 0, 0)
+    return msgspec.structs.replace(known, origin=LOST)
 
 
 def _append(log: EventLog, documents: list[StoreNoted]) -> None:
+    """Bring documents to the log; they are durable when this returns."""
     stream = StreamId(_NOTES_KEY, new_uid())
     for seq, document in enumerate(documents):
         payload = encode_event(document, stream.epoch, seq)
         record = LogRecord(_NOTES_KEY, EVENTS, document.t_ns, document.t_ns, payload)
         log.append(Position(stream, seq, seq + 1, document.t_ns, document.t_ns, ""), record)
     log.seal()
+
+
+def _document(
+    store: Store, what: str, text: str, segment: str, lost: tuple[LostStretch, ...], **more: object
+) -> StoreNoted:
+    """A document that has the same identity whenever the same is found, so that it is said once."""
+    details = {"segment": segment, "lost": [vars(each) for each in lost], **more}
+    parts = [store.identity, what, segment, *(str(part) for each in lost for part in stretch_id(vars(each)))]
+    uid = uuid5(NAMESPACE_OID, "\0".join(parts)).hex
+    return msgspec.structs.replace(noted(store.identity, what, text, details), uid=uid)
 
 
 def _mend_checkpoints(findings: list[Finding]) -> Iterator[Action]:
@@ -122,10 +170,6 @@ def _mend_lake(store: Store) -> Iterator[Action]:
         if finding.kind == "lake_disagrees":
             lake.remake(Path(finding.where).name, aside=True)
             yield Action("lake_mended", finding.where, finding.remedy)
-
-
-def _document(what: str, text: str, details: dict[str, Any]) -> StoreNoted:
-    return StoreNoted(run="", t_ns=time.time_ns(), what=what, text=text, details=details)
 
 
 def _told(recovery: Recovery) -> str:

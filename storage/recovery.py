@@ -100,21 +100,45 @@ def recover_segment(store: Store, path: Path, known: dict[StreamId, int], disk: 
 
 
 def salvage_segment(store: Store, path: Path, known: dict[StreamId, int], disk: Disk = DISK) -> Recovery:
-    """Put in the place of a damaged sealed segment what can be read of it; parameters as of `recover_segment`."""
+    """Put in the place of a damaged sealed segment what can be read of it; parameters as of `recover_segment`.
+
+    What `examine_segment` says is lost must be in the log before.
+    """
     aside = _aside(store, path)
     disk.link(path, aside)
     disk.sync_folder(store.aside)
-    try:
-        reached = {stream_of(text): int(next_seq) for text, next_seq in read_marks(aside).items()}
-    except StoreError:
-        reached = {}
-    recovery = _copy(path, SegmentScan(aside, sealed=True), known, reached, disk)
+    recovery = _copy(path, SegmentScan(aside, sealed=True), known, reached_in(aside), disk)
     if recovery.entry is None:
         disk.remove(path)
     return replace(recovery, kept_aside=aside)
 
 
-def take_in(path: Path) -> tuple[SegmentEntry, dict[StreamId, int]]:
+def examine_segment(path: Path, known: dict[StreamId, int]) -> Recovery:
+    """What can be saved of a damaged sealed segment, and what is lost; nothing is changed."""
+    scan = SegmentScan(path, sealed=True)
+    tally, check = SegmentTally(), SequenceCheck()
+    check.next_seq.update(known)
+    for record in scan:
+        place = place_of(record)
+        if place is None or check.follow(place):
+            tally.add(record, place)
+    for stream, next_seq in reached_in(path).items():
+        check.reach(stream, next_seq)
+    damaged = sum(span.end - span.begin for span in scan.damaged)
+    return Recovery(
+        path.name, tally.messages, damaged, len(scan.damaged), tuple(check.lost), None, None, tally.positions
+    )
+
+
+def reached_in(sealed: Path) -> dict[StreamId, int]:
+    """How far the streams of a sealed segment had come in it, whatever it still holds; empty if that is damaged."""
+    try:
+        return {stream_of(text): int(next_seq) for text, next_seq in read_marks(sealed).items()}
+    except (StoreError, ValueError):
+        return {}
+
+
+def take_in(store: Store, path: Path) -> tuple[SegmentEntry, dict[StreamId, int]]:
     """The entry of a sealed segment that the manifest does not list, and its positions.
 
     Raises
@@ -127,7 +151,14 @@ def take_in(path: Path) -> tuple[SegmentEntry, dict[StreamId, int]]:
         tally.add(record, place_of(record))
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-    return tally.entry(SealedSegment(path, path.stat().st_size, sha256), "found"), tally.positions
+    # where the file that it was made of was kept whole, it is what could be saved of that
+    beside = [*store.log.glob(f"{path.name}.*"), *store.aside.glob(f"{path.name}.*")]
+    is_copy = any(".tail." not in each.name and not each.name.endswith(_COPY) for each in beside)
+    positions = dict(tally.positions)
+    for stream, next_seq in reached_in(path).items():
+        positions[stream] = max(positions.get(stream, 0), next_seq)
+    origin = "salvaged" if is_copy else "found"
+    return tally.entry(SealedSegment(path, path.stat().st_size, sha256), origin), positions
 
 
 def _seal(
@@ -177,6 +208,10 @@ def _copy(
         writer.append(record)
     for stream, next_seq in reached.items():
         check.reach(stream, next_seq)
+        # that there was more stays known
+        tally.positions[stream] = max(tally.positions.get(stream, 0), next_seq)
+    if writer is None and tally.positions:
+        writer = SegmentWriter(sealed, _COPY, disk)
     damaged = sum(span.end - span.begin for span in scan.damaged)
     entry = None
     if writer is not None:

@@ -10,10 +10,9 @@ from typing import NamedTuple
 from storage.lake import Lake
 from storage.lake_manifest import Manifest, Part
 from storage.lake_tables import SAMPLES_FILE
-from storage.segment_part import RAW_ROWS_DROPPED
-from storage.store_notes import note
+from storage.store_notes import note, noted
 from stream.errors import BadInput
-from stream.events import StoreNoted
+from stream.events import RAW_ROWS_DROPPED, StoreNoted
 
 _UNITS = {"s": 1, "m": 60, "h": 3600, "d": 86_400, "w": 7 * 86_400}
 _SIZES = {"B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
@@ -140,7 +139,7 @@ def apply_rule(lake: Lake, rule: Rule, *, now_ns: int | None = None) -> Dropped:
     dropped = _sum(chosen)
     if not chosen:
         return dropped
-    document = _document(chosen, rule, dropped)
+    document = _document(lake.store.identity, chosen, rule, dropped)
     note(lake.store, [document], role="gyrofleet retain")
     lake.drop_raw({segment: document.uid for part in chosen for segment in part.segments})
     return dropped
@@ -155,13 +154,12 @@ def _sum(chosen: list[Part]) -> Dropped:
     )
 
 
-def _document(chosen: list[Part], rule: Rule, dropped: Dropped) -> StoreNoted:
+def _document(store: str, chosen: list[Part], rule: Rule, dropped: Dropped) -> StoreNoted:
     first_ns = min(part.t_first_ns or 0 for part in chosen)
     last_ns = max(part.t_last_ns or 0 for part in chosen)
-    return StoreNoted(
-        run="",
-        t_ns=time.time_ns(),
-        what=RAW_ROWS_DROPPED,
+    return noted(
+        store,
+        RAW_ROWS_DROPPED,
         text=(
             f"raw rows of {dropped.samples:,} samples from {_moment(first_ns)} to {_moment(last_ns)} were dropped "
             f"from the lake ({dropped.bytes:,} bytes, rule: {rule}); rollups, estimates, events and the log stay"

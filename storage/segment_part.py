@@ -26,13 +26,13 @@ from storage.lake_tables import (
 from storage.mcap_records import EVENTS, SAMPLES, LogRecord
 from storage.rollups import Rollup, merge, rollup_table
 from storage.segment_reader import read_segment
+from storage.store_notes import is_own
 from stream.batch import IntArray, SampleBatch
 from stream.errors import GyrofleetError, StoreError
-from stream.events import EstimatePublished, EventMessage, StoreNoted, decode_event
+from stream.event_sense import senseless
+from stream.events import RAW_ROWS_DROPPED, EstimatePublished, EventMessage, StoreNoted, decode_event
 from stream.identity import EstimateKey, EventKey, parse_key
 from stream.wire import decode_batch
-
-RAW_ROWS_DROPPED = "raw_rows_dropped"
 
 _ESTIMATE_FIELDS = (
     *("run", "unit", "signal", "estimator", "t_ns", "final", "confidence", "unit_of_measure"),
@@ -49,9 +49,10 @@ class BuiltPart(NamedTuple):
 
 
 class _Segment:
-    """What a segment holds, sorted by table."""
+    """What a segment of the store with that identity holds, sorted by table."""
 
-    def __init__(self) -> None:
+    def __init__(self, store: str) -> None:
+        self._store = store
         self.channels: dict[tuple[object, ...], GatheredChannel] = {}
         self.events: list[dict[str, object]] = []
         self.estimates: list[dict[str, object]] = []
@@ -94,10 +95,10 @@ class _Segment:
             return
         self.events.append(_event_row(record, message))
         if isinstance(document, StoreNoted):
-            self.dropped |= _drops_of(document)
+            self.dropped |= _drops_of(document, self._store)
 
 
-def build_part(segment: Path, fresh: Path, name: str, *, without_raw: str | None = None) -> BuiltPart:
+def build_part(segment: Path, fresh: Path, name: str, *, store: str, without_raw: str | None = None) -> BuiltPart:
     """Make the part of one sealed segment in the folder `fresh`.
 
     Parameters
@@ -108,6 +109,8 @@ def build_part(segment: Path, fresh: Path, name: str, *, without_raw: str | None
         Folder to make it in; what is there is removed.
     name : str
         That it will have in the lake.
+    store : str
+        Identity of the store; what documents of another say is dropped is not.
     without_raw : str, optional
         The document that says that its raw rows are dropped.
 
@@ -116,7 +119,7 @@ def build_part(segment: Path, fresh: Path, name: str, *, without_raw: str | None
     StoreError
         If the segment is damaged.
     """
-    gathered = _Segment()
+    gathered = _Segment(store)
     try:
         for record in read_segment(segment):
             gathered.add(record)
@@ -145,6 +148,7 @@ def _written(segment: Path, fresh: Path, name: str, gathered: _Segment, without_
     part = Part(
         name=name,
         segments=(segment.stem,),
+        sources={segment.stem: _sha256(segment)},
         files=files,
         samples=sum(int(str(row["samples"])) for row in rows),
         t_first_ns=min((int(str(row["t_first_ns"])) for row in rows), default=None),
@@ -159,6 +163,11 @@ def _written(segment: Path, fresh: Path, name: str, gathered: _Segment, without_
     return BuiltPart(fresh, part, gathered.dropped)
 
 
+def _sha256(segment: Path) -> str:
+    with segment.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def without_samples(part: Part, document: str) -> Part:
     """The description of a part whose raw rows are dropped, as `document` says."""
     files = dict(part.files)
@@ -167,8 +176,8 @@ def without_samples(part: Part, document: str) -> Part:
     return msgspec.structs.replace(part, files=files, dropped=dropped)
 
 
-def noted_drops(folder: Path) -> dict[str, str]:
-    """Segments whose raw rows the documents of a part say are dropped, with the document of each."""
+def noted_drops(folder: Path, store: str) -> dict[str, str]:
+    """Segments whose raw rows the store's own documents in a part say are dropped, with the document of each."""
     path = folder / "events.parquet"
     try:
         rows = open_table(path).read(["kind", "document"]).to_pylist()
@@ -178,12 +187,12 @@ def noted_drops(folder: Path) -> dict[str, str]:
     for row in rows:
         if row["kind"] == StoreNoted.__name__:
             noted = msgspec.json.decode(row["document"], type=StoreNoted)
-            found |= _drops_of(noted)
+            found |= _drops_of(noted, store)
     return found
 
 
-def _drops_of(document: StoreNoted) -> dict[str, str]:
-    if document.what != RAW_ROWS_DROPPED:
+def _drops_of(document: StoreNoted, store: str) -> dict[str, str]:
+    if document.what != RAW_ROWS_DROPPED or not is_own(document, store) or senseless(document) is not None:
         return {}
     return dict.fromkeys(document.details["segments"], document.uid)
 

@@ -10,10 +10,17 @@ from pathlib import Path
 from typing import IO, Self
 from uuid import uuid4
 
+from storage.store_marker import (
+    MARKER,
+    alone_in,
+    identity_of_copy,
+    is_repairable,
+    is_unfinished,
+    read_marker,
+    write_markers,
+)
 from stream.errors import StoreError
 
-STORE_FORMAT = 1
-_MARKER = "store.json"
 _LOCK = "writer.lock"
 _LOCK_ATTEMPTS = 5
 
@@ -49,60 +56,104 @@ class Store:
         StoreError
             If the folder is missing, is no store, or was made by a newer gyrofleet.
         """
-        marker = folder / _MARKER
+        marker = folder / MARKER
         try:
-            written = json.loads(marker.read_text())
-            found, identity = int(written["format"]), str(written["id"])
-        except FileNotFoundError:
-            what = "there is no such folder" if not folder.exists() else f"it holds no {_MARKER}"
+            return cls(folder, read_marker(marker))
+        except NotADirectoryError:
+            raise StoreError(f"{folder} is a file, not a store; give --store a folder") from None
+        except (FileNotFoundError, ValueError) as error:
+            is_missing = isinstance(error, FileNotFoundError)
+            if is_repairable(folder):
+                raise StoreError(
+                    f"{marker} is {'missing' if is_missing else f'damaged ({error})'}, but the store's log is there: "
+                    f"`gyrofleet recover --store {folder}` makes it anew"
+                ) from error
+            if not is_missing:
+                raise StoreError(f"{marker} cannot be read ({error}); is {folder} a gyrofleet store?") from error
+            what = "there is no such folder" if not folder.exists() else f"it holds no {MARKER}"
             raise StoreError(
                 f"{folder} is not a gyrofleet store ({what}); import or record something first, or give --store DIR"
             ) from None
-        except NotADirectoryError:
-            raise StoreError(f"{folder} is a file, not a store; give --store a folder") from None
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except OSError as error:
             raise StoreError(f"{marker} cannot be read ({error}); is {folder} a gyrofleet store?") from error
-        if found > STORE_FORMAT:
-            raise StoreError(
-                f"{folder} has store format {found}, this gyrofleet reads up to {STORE_FORMAT}: upgrade gyrofleet"
-            )
-        return cls(folder, identity)
 
     @classmethod
     def create(cls, folder: Path) -> Self:
-        """Open a store for writing, made now if the folder is empty or missing.
+        """Open a store for writing, made now if the folder is empty or missing, or if its making was cut short.
 
         Raises
         ------
         StoreError
             If the folder holds other things, or cannot be written.
         """
-        marker = folder / _MARKER
+        marker = folder / MARKER
         try:
-            if marker.exists():
-                store = cls.open(folder)
-            else:
-                if folder.exists() and any(folder.iterdir()):
+            folder.mkdir(parents=True, exist_ok=True)
+            with alone_in(folder):
+                if marker.exists() or is_repairable(folder):
+                    store = cls.open(folder)
+                elif is_unfinished(folder):
+                    store = cls(folder, uuid4().hex)
+                else:
                     raise StoreError(
-                        f"{folder} holds other files and no {_MARKER}, so it is not a gyrofleet store; "
+                        f"{folder} holds other files and no {MARKER}, so it is not a gyrofleet store; "
                         f"give --store an empty or a new folder"
                     )
-                folder.mkdir(parents=True, exist_ok=True)
-                store = cls(folder, uuid4().hex)
-            for part in (store.log, store.lake, store.tmp):
-                part.mkdir(exist_ok=True)
-            if not marker.exists():
-                content = {"format": STORE_FORMAT, "id": store.identity, "created_ns": time.time_ns()}
-                fresh = store.tmp / _MARKER
-                fresh.write_text(json.dumps(content) + "\n")
-                fresh.rename(marker)
-            elif not os.access(store.log, os.W_OK):
+                for part in (store.log, store.lake, store.tmp):
+                    part.mkdir(exist_ok=True)
+                write_markers(folder, store.identity)
+            if not os.access(store.log, os.W_OK):
                 raise PermissionError(f"no permission to write in {store.log}")
-        except (PermissionError, NotADirectoryError, FileExistsError, OSError) as error:
+        except OSError as error:
             raise StoreError(
                 f"cannot write the store {folder}: {error}; give --store a folder you can write"
             ) from error
         return store
+
+    @classmethod
+    def open_or_repair(cls, folder: Path) -> tuple[Self, str | None]:
+        """Open a store; if its ``store.json`` is missing or damaged it is made anew, and what was done is told.
+
+        Its identity comes from the copy in the log. Where that is gone as well the store gets another: its log is as
+        good as before, but sources that had begun to send to it will not go on by themselves.
+
+        Raises
+        ------
+        StoreError
+            If there is nothing to make it anew from, or it cannot be written.
+        """
+        marker = folder / MARKER
+        try:
+            read_marker(marker)
+        except (FileNotFoundError, ValueError) as error:
+            if is_repairable(folder):
+                return cls._repaired(folder, "it was missing" if not marker.exists() else f"it was damaged: {error}")
+        except OSError:
+            pass  # said by `open`
+        return cls.open(folder), None
+
+    @classmethod
+    def _repaired(cls, folder: Path, why: str) -> tuple[Self, str]:
+        marker, identity = folder / MARKER, identity_of_copy(folder)
+        told = f"written anew, {why}"
+        if identity is None:
+            if writer_is_active(folder):
+                raise StoreError(f"a process writes {folder}, whose identity cannot be read any more; stop it first")
+            identity = uuid4().hex
+            told += f"; its identity could not be saved, it is now {identity}"
+        store = cls(folder, identity)
+        try:
+            with alone_in(folder):
+                for part in (store.aside, store.lake, store.tmp):
+                    part.mkdir(exist_ok=True)
+                if marker.exists():
+                    aside = store.aside / f"{MARKER}.{time.time_ns()}"
+                    marker.rename(aside)
+                    told += f"; as it was: {aside}"
+                write_markers(folder, identity)
+        except OSError as error:
+            raise StoreError(f"{marker} cannot be made anew: {error}; mend the disk and try again") from error
+        return store, told
 
 
 class WriterLock:

@@ -1,5 +1,8 @@
 """What a store has to say of itself, brought into its own log."""
 
+import time
+from typing import Any
+
 from storage.store import Store, WriterLock, writer_endpoint
 from stream.bus import Bus
 from stream.delivery import DurablePublisher
@@ -7,6 +10,29 @@ from stream.events import StoreNoted
 from stream.identity import Place, event_key
 
 LAKE = Place("store", "lake")
+
+
+def noted(store: str, what: str, text: str, details: dict[str, Any]) -> StoreNoted:
+    """A document of the store with that identity, of now.
+
+    Examples
+    --------
+    >>> is_own(noted("5e", "disk_low", "", {}), "5e"), is_own(noted("5e", "disk_low", "", {}), "6f")
+    (True, False)
+    """
+    return StoreNoted(run="", t_ns=time.time_ns(), what=what, text=text, details={**details, "store": store})
+
+
+def is_own(document: StoreNoted, store: str) -> bool:
+    """Whether a document is of the store with that identity: where recorders share a bus, each has those of all."""
+    named: object = document.details.get("store")
+    return named == store
+
+
+def is_foreign(document: StoreNoted, store: str) -> bool:
+    """Whether a document names another store than that; those that name none never came over a bus."""
+    named: object = document.details.get("store", store)
+    return named != store
 
 
 def note(store: Store, documents: list[StoreNoted], *, role: str, place: Place = LAKE) -> None:
@@ -37,7 +63,7 @@ def note(store: Store, documents: list[StoreNoted], *, role: str, place: Place =
         from stream.zenoh_bus import ZenohBus
 
         with ZenohBus(connect=[endpoint]) as far:
-            _send(far, documents, place)
+            _send(far, documents, place, store)
         return
     from storage.event_log import EventLog
     from storage.recorder import Recorder
@@ -48,11 +74,11 @@ def note(store: Store, documents: list[StoreNoted], *, role: str, place: Place =
         LocalBus() as bus,
         Recorder(store, bus, EventLog(store), sync_interval_s=0.01, builds_lake=False),
     ):
-        _send(bus, documents, place)
+        _send(bus, documents, place, store)
 
 
-def _send(bus: Bus, documents: list[StoreNoted], place: Place) -> None:
-    with DurablePublisher(bus, timeout_s=20.0) as publisher:
+def _send(bus: Bus, documents: list[StoreNoted], place: Place, store: Store) -> None:
+    with DurablePublisher(bus, timeout_s=20.0, only_store=store.identity) as publisher:
         for document in documents:
             publisher.send_event(event_key(place), document)
         publisher.drain()

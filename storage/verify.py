@@ -6,7 +6,8 @@ from pathlib import Path
 
 from storage.findings import Finding, Severity, Verification
 from storage.lake import parts
-from storage.lake_check import lake_problems
+from storage.lake_check import lasting_problems
+from storage.lake_manifest import Part
 from storage.store import Store, writer_is_active
 from storage.verify_log import LogState, verify_log
 from stream.checkpoint import generations, read_checkpoint
@@ -48,30 +49,20 @@ def verify(store: Store, progress: Callable[[float], None] | None = None) -> tup
 
 
 def lake_findings(store: Store, state: LogState) -> list[Finding]:
-    """What is wrong with the lake, by itself and beside the log."""
+    """What is wrong with the lake, by itself and beside the log; it may be changed meanwhile."""
     found = []
-    for problem in lake_problems(store):
+    for problem in lasting_problems(store):
         damaged_file = store.lake / problem.part / problem.file
         found.append(Finding("lake_damaged", Severity.DAMAGE, str(damaged_file), problem.what, problem.remedy))
     try:
         in_force = parts(store)
     except StoreError:
         return found  # said above
-    damaged = {path.stem for path in state.damaged}
-    held: set[str] = set()
     for part in in_force:
-        held.update(part.segments)
-        if not damaged.isdisjoint(part.segments):
-            continue  # its segment cannot be counted, which is said
-        expected = sum(state.samples.get(f"{segment}.mcap", 0) for segment in part.segments)
-        where = str(store.lake / part.name)
-        gone = {segment for segment in part.segments if f"{segment}.mcap" not in state.samples}
-        if part.samples > expected and not (salvaged(state) | gone).isdisjoint(part.segments):
-            what = f"{part.samples - expected:,} samples that the log has lost are still in the lake"
-            found.append(Finding("lake_has_more", Severity.NOTE, where, what, "`gyrofleet rebuild` would lose them"))
-        elif part.samples != expected:
-            what = f"{part.samples:,} samples, its segments have {expected:,}"
-            found.append(Finding("lake_disagrees", Severity.DAMAGE, where, what, "make it anew from the log"))
+        finding = _beside_log(store, state, part)
+        if finding is not None:
+            found.append(finding)
+    held = {segment for part in in_force for segment in part.segments}
     missing = sorted({name.removesuffix(".mcap") for name in state.samples} - held)
     if missing and not writer_is_active(store.folder):
         what = f"{len(missing)} sealed segments are not in it: {', '.join(missing[:5])}"
@@ -79,9 +70,56 @@ def lake_findings(store: Store, state: LogState) -> list[Finding]:
     return found
 
 
+def _beside_log(store: Store, state: LogState, part: Part) -> Finding | None:
+    """What is wrong with a part of the lake held against the segments that it was made from."""
+    where = str(store.lake / part.name)
+    gone = {segment for segment in part.segments if not (store.log / f"{segment}.mcap").exists()}
+    unsaid = sorted(gone - _said(state))
+    if unsaid:
+        what = f"segments of it are not in the log, which does not say that they are lost: {', '.join(unsaid[:5])}"
+        remedy = "restore them from a copy; else say in the log that they are lost"
+        return Finding("lake_has_more", Severity.DAMAGE, where, what, remedy)
+    there = [segment for segment in part.segments if segment not in gone]
+    is_uncounted = any(f"{segment}.mcap" not in state.samples for segment in there)  # sealed since the log was read
+    if is_uncounted or {path.stem for path in state.damaged}.intersection(there):  # of damage it is said
+        return None
+    expected = sum(state.samples[f"{segment}.mcap"] for segment in there)
+    changed = gone | (salvaged(state) & set(there))
+    others = [segment for segment in there if segment not in changed and _is_of_another(state, part, segment)]
+    if part.samples > expected and changed and not others:
+        what = f"{part.samples - expected:,} samples that the log has lost are still in the lake"
+        return Finding("lake_has_more", Severity.NOTE, where, what, "`gyrofleet rebuild` would lose them")
+    if others:
+        what = f"it was made from other files of these names: {', '.join(others[:5])}"
+    elif part.samples != expected:
+        what = f"{part.samples:,} samples, its segments have {expected:,}"
+    else:
+        return None
+    return Finding("lake_disagrees", Severity.DAMAGE, where, what, "keep it aside and make it anew from the log")
+
+
+def _is_of_another(state: LogState, part: Part, segment: str) -> bool:
+    entry = state.entries.get(f"{segment}.mcap")
+    return entry is not None and part.sources.get(segment, entry.sha256) != entry.sha256
+
+
+def _said(state: LogState) -> set[str]:
+    """Segments of which the log, its manifest, or another finding says that they are not there."""
+    return state.said | {name.removesuffix(".mcap") for name in (*state.lost, *state.gone)}
+
+
 def salvaged(state: LogState) -> set[str]:
     """Segments that are not what was recorded, but what could be saved of it."""
     return {name.removesuffix(".mcap") for name, entry in state.entries.items() if entry.origin == "salvaged"}
+
+
+def only_in_lake(store: Store, state: LogState) -> list[str]:
+    """Segments that are lost, and nothing but the lake knows of them."""
+    try:
+        held = {segment for part in parts(store) for segment in part.segments}
+    except StoreError:
+        return []
+    return sorted(each for each in held - _said(state) if not (store.log / f"{each}.mcap").exists())
 
 
 def checkpoint_findings(store: Store, state: LogState) -> list[Finding]:

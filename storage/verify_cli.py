@@ -63,12 +63,15 @@ def recover(folder: Path, *, as_json: bool) -> None:
 
     Damaged files are kept in log/aside and lake-aside, and the log says what is lost.
     """
+    from storage.recover import Action
     from storage.recover import recover as recover_store
     from storage.store import Store
     from storage.verify import verify as verify_store
 
-    store = Store.open(folder)
-    actions = []
+    store, told = Store.open_or_repair(folder)
+    actions = [] if told is None else [Action("store_marked", str(folder / "store.json"), told)]
+    if told is not None and not as_json:
+        notes().print(f"{folder / 'store.json'}: {told}", soft_wrap=True, markup=False)
     for action in recover_store(store):
         actions.append(action)
         if not as_json:

@@ -22,6 +22,7 @@ from stream.acknowledgement import (
 from stream.batch import SampleBatch
 from stream.bus import Bus
 from stream.errors import DeliveryError, GyrofleetError, WireError
+from stream.event_sense import senseless
 from stream.events import AnyDocument, encode_event
 from stream.identity import ACKNOWLEDGEMENT_KEY
 from stream.outbox import BITE_BYTES, Due, Outbox
@@ -69,6 +70,8 @@ class DurablePublisher:
         Silence of a stream after which the recorder is asked; doubled each time, up to 10 s.
     timeout_s : float
         Silence after which waiting is given up with an error. A recorder that says why it pauses is not silent.
+    only_store : str, optional
+        Identity of the store that has to have it; what recorders of others answer is not heard.
     spool : Spool, optional
         Keeps messages on disk. What it holds from before is sent first. The caller closes it after the publisher.
     """
@@ -80,12 +83,14 @@ class DurablePublisher:
         window_bytes: int = 32 << 20,
         resend_after_s: float = 2.0,
         timeout_s: float = 60.0,
+        only_store: str | None = None,
         spool: Spool | None = None,
     ) -> None:
         self._bus = bus
         self._window_bytes = window_bytes
         self._resend_after_s = resend_after_s
         self._timeout_s = timeout_s
+        self._only_store = only_store
         self._spool = spool
         self._out = Outbox(window_bytes, resend_after_s, spool)
         self._epoch = uuid4().hex
@@ -141,10 +146,18 @@ class DurablePublisher:
         seq = batch.seq
         payload = stream.encoder.encode(batch)
         if self._accept(stream, seq, seq + len(batch), payload):
-            self._bus.publish(key, stream.on_wire(payload) if stream.base else payload)
+            self._bus.publish(key, stream.on_wire(payload))
 
     def send_event(self, key: str, document: AnyDocument) -> None:
-        """Send a run document under `key`, numbered within this publisher; waits and raises like `send_batch`."""
+        """Send a run document under `key`, numbered within this publisher; waits and raises like `send_batch`.
+
+        Raises
+        ------
+        WireError
+            If no recorder would take it, since it makes no sense.
+        """
+        if (reason := senseless(document)) is not None:
+            raise WireError(f"run {document.run}: {type(document).__name__} cannot be sent: {reason}")
         stream = self._stream(StreamId(key, self._epoch))
         with self._numbering:  # whoever has a number sends before the next is given
             seq = self._event_seq.get(key, 0)
@@ -152,7 +165,7 @@ class DurablePublisher:
             is_due = self._accept(stream, seq, seq + 1, payload)
             self._event_seq[key] = seq + 1
             if is_due:
-                self._bus.publish(key, payload)
+                self._bus.publish(key, stream.on_wire(payload))
 
     def drain(self, given_up: Callable[[], bool] = lambda: False) -> None:
         """Wait until everything is acknowledged, or `given_up`, which is asked now and then, says so.
@@ -278,6 +291,8 @@ class DurablePublisher:
             acknowledgement = decode_acknowledgement(payload)
         except WireError:
             return  # not from a recorder of ours; without an acknowledgement everything is kept and sent again
+        if self._only_store not in {None, acknowledgement.store}:
+            return
         now = time.monotonic()
         with self._state:
             self._out.hear_pause(acknowledgement.paused, now)

@@ -13,6 +13,9 @@ import msgspec
 from stream.errors import NewerSchema, WireError
 
 EVENT_SCHEMA = 1
+RAW_ROWS_DROPPED = "raw_rows_dropped"  # what a StoreNoted says of which raw rows the lake has let go of
+
+Moment = Annotated[int, msgspec.Meta(ge=-(2**63) + 1, le=2**63 - 1)]
 
 
 class Verdict(StrEnum):
@@ -44,7 +47,7 @@ class Document(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", omit
     """
 
     run: str
-    t_ns: Annotated[int, msgspec.Meta(ge=-(2**63) + 1, le=2**63 - 1)]
+    t_ns: Moment
     uid: str = msgspec.field(default_factory=new_uid)
 
 
@@ -248,7 +251,7 @@ class RunResumed(Document, frozen=True, kw_only=True, tag=True):
 class StoreNoted(Document, frozen=True, kw_only=True, tag=True):
     """Something that a store did or suffered: what it was in one word, in a sentence, and in numbers.
 
-    It belongs to no run; `run` is empty.
+    It belongs to no run; `run` is empty. Its details name the store, since recorders of several may hear one bus.
     """
 
     what: str

@@ -30,7 +30,7 @@ class Outbox:
         self._longest_wait_s = max(_LONGEST_PATIENCE_S, resend_after_s)
         self._spool = spool
         self.streams: dict[tuple[str, str], OutgoingStream] = {}
-        self._renamed: dict[tuple[str, str], OutgoingStream] = {}
+        self._renamed: dict[tuple[str, str], tuple[OutgoingStream, int]] = {}
         self.behind: dict[OutgoingStream, None] = {}
         self.bytes = 0
         self.credit = _FIRST_CREDIT_BYTES
@@ -53,7 +53,7 @@ class Outbox:
             stream.store = self._spool.store if state.acknowledged else None
             stream.base = state.base
             if stream.base:
-                self._renamed[stream.wire_id] = stream
+                self._renamed[stream.wire_id] = stream, stream.base
         self.streams[stream_id] = stream
         return stream
 
@@ -99,17 +99,13 @@ class Outbox:
     def answer(self, store: str, position: StreamPosition, now: float) -> None:
         """Take in what a recorder says of a stream."""
         name = (position.key, position.epoch)
-        stream, next_seq = self._renamed.get(name), position.next_seq
-        if stream is not None:
-            next_seq += stream.base
+        stream, base = self._renamed.get(name) or (self.streams.get(name), 0)
+        if stream is None or base != stream.base:
+            return  # under a name from before: what was sent so is let go of, and what it lacks of it is lost
+        if position.rewind:
+            self._rewind(stream, store, base + position.next_seq, now)
         else:
-            stream = self.streams.get(name)
-        if stream is None:
-            return
-        if not position.rewind:
-            self._take(stream, store, next_seq, now)
-        elif not stream.base or name in self._renamed:  # what it lacks under the old name is lost
-            self._rewind(stream, store, next_seq, now)
+            self._take(stream, store, base + position.next_seq, now)
 
     def hear_pause(self, reason: str, now: float) -> None:
         """Take in why the recorder takes nothing; an empty reason: it takes."""
@@ -150,22 +146,30 @@ class Outbox:
     def _miss(self, stream: OutgoingStream, asked: int, now: float) -> None:
         """The recorder asks for what is not here any more."""
         told = f"the recorder asks for {stream.id.key} from number {asked}, and this source has it from"
-        if asked < stream.acknowledged:
-            # perhaps only a request that comes late
-            stream.lost_since = stream.lost_since or now
-            if now - stream.lost_since > _LOST_AFTER * self._resend_after_s:
-                self.broken = (
-                    f"{told} {stream.acknowledged}: it has lost what it had acknowledged; look at its store with "
-                    f"`gyrofleet verify`"
-                )
-        elif self._spool is None:
-            self.broken = f"{told} {stream.held[0].seq}; send what is before it, or begin a new epoch"
+        is_lost_there = asked < stream.acknowledged
+        if is_lost_there:
+            stream.lost_since = now if stream.lost_since is None else stream.lost_since
+            if now - stream.lost_since <= _LOST_AFTER * self._resend_after_s:
+                return  # perhaps only a request that comes late
+        if self._spool is not None:
+            self._begin_anew(stream, self._spool)
+            why = "its spool is damaged"
+            if is_lost_there:
+                why = "the recorder has lost what it had acknowledged (see `gyrofleet verify`)"
+            self.warning = f"{told} {stream.base}, as {why}: it goes on under a new epoch"
+        elif is_lost_there:
+            self.broken = (
+                f"{told} {stream.acknowledged}: it has lost what it had acknowledged; look at its store with "
+                f"`gyrofleet verify`"
+            )
         else:
-            stream.begin_anew()
-            self._spool.rebase(stream.id, stream.base)
-            self._renamed[stream.wire_id] = stream
-            self.behind[stream] = None
-            self.warning = f"{told} {stream.base}, as its spool is damaged: it goes on under a new epoch"
+            self.broken = f"{told} {stream.held[0].seq}; send what is before it, or begin a new epoch"
+
+    def _begin_anew(self, stream: OutgoingStream, spool: Spool) -> None:
+        stream.begin_anew()
+        spool.rebase(stream.id, stream.base)
+        self._renamed[stream.wire_id] = stream, stream.base
+        self.behind[stream] = None
 
     def overdue(self, now: float) -> list[Due]:
         """What to send again because nothing was answered."""

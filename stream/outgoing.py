@@ -80,20 +80,19 @@ class OutgoingStream:
     @property
     def wire_id(self) -> StreamId:
         """What the recorder knows it as."""
-        if not self.base:
-            return self.id
-        return StreamId(self.id.key, uuid5(UUID(self.id.epoch), f"from {self.base}").hex)
+        return self._id_from(self.base)
 
     def on_wire(self, payload: bytes) -> bytes:
         """A message as it is published."""
-        if not self.base:
+        base = self.base  # once: an answer can move it meanwhile, and name and number belong together
+        if not base:
             return payload
-        epoch = self.wire_id.epoch
+        epoch = self._id_from(base).epoch
         if isinstance(parse_key(self.id.key), SampleKey):
             batch = decode_batch(payload)
-            return encode_batch(replace(batch, epoch=UUID(epoch), seq=batch.seq - self.base))
+            return encode_batch(replace(batch, epoch=UUID(epoch), seq=batch.seq - base))
         event = decode_event(payload)
-        return encode_event(event.document, epoch, event.seq - self.base)
+        return encode_event(event.document, epoch, event.seq - base)
 
     def let_go(self, next_seq: int) -> int:
         """Forget what comes before `next_seq`, as a recorder has it; returns its bytes."""
@@ -155,6 +154,7 @@ class OutgoingStream:
         """What is held is sent under an epoch of its own: what was before it is lost."""
         self.base = self.held[0].seq
         self.sent = 0
+        self.lost_since = None
 
     def unsent(self, most_bytes: int) -> list[Held]:
         """The next messages to publish, at least one if there is any; they count as sent."""
@@ -167,3 +167,8 @@ class OutgoingStream:
             size += len(message.payload)
         self.sent += len(found)
         return found
+
+    def _id_from(self, base: int) -> StreamId:
+        if not base:
+            return self.id
+        return StreamId(self.id.key, uuid5(UUID(self.id.epoch), f"from {base}").hex)

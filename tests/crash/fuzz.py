@@ -127,8 +127,8 @@ class Forge:
             times_ns=10**12 + 10**7 * np.arange(BATCH), flags=np.ones(BATCH, np.uint8),
         )  # fmt: skip
         self.batches = [encode_batch(plain), encode_batch(times)]
-        notes = [NoteAdded(run="r1", t_ns=5, text="door opened"), RunStarted(run="r1", t_ns=5, units=("VICTIM",))]
-        self.documents = [encode_event(note, "v", AHEAD) for note in notes]
+        note, started = NoteAdded(run="r1", t_ns=5, text="door opened"), RunStarted(run="r1", t_ns=5, units=("VICTIM",))
+        self.documents = [encode_event(note, "v", AHEAD), encode_event(started, "v", AHEAD)]
         self.event_keys = [event_key(PLACE), estimate_key(PLACE, "VICTIM", "rate", "allan_deviation")]
         self.never_right = [self.field, self.odd_key, self.of_another, self.odd_json]
         self.kinds = [self.noise, self.cut, self.flip, self.grow, *self.never_right]

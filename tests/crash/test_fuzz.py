@@ -11,7 +11,8 @@ import pytest
 
 @pytest.mark.parametrize(("count", "how"), [(5000, ()), (2000, ("--process",))], ids=["in this process", "over Zenoh"])
 def test_what_is_malformed_is_kept_aside_and_hinders_nobody(count: int, how: tuple[str, ...]) -> None:
-    command = [sys.executable, Path(__file__).with_name("fuzz.py"), "--count", str(count), "--oversize", "1", *how]
+    program = str(Path(__file__).with_name("fuzz.py"))
+    command = [sys.executable, program, "--count", str(count), "--oversize", "1", *how]
     done = subprocess.run([*command, "--seed", "20261121", "--json"], capture_output=True, text=True, timeout=300)
     assert done.stdout, done.stderr
     result: dict[str, Any] = json.loads(done.stdout)

@@ -125,7 +125,6 @@ def test_stalls_of_a_recorder_and_the_loss_of_a_router_cost_nothing(bench: Bench
     for stall_s, lasts_s in stalls.items():
         bench.is_whole(f"stalled-{stall_s:g}", lasts_s)
     bench.is_whole("routed", 18.0)
-    print("late by", late)
     # caught up soon after the end that was due: a source asks at the latest 10 s after the last answer
     assert max(late) < 20.0, late
 
@@ -153,5 +152,4 @@ def test_a_slow_consumer_beside_a_recorder_does_not_hold_it_up(bench: Bench) -> 
 
     alone_s = min(took(f"alone-{number}", is_slow=False) for number in range(2))
     beside_s = min(took(f"beside-{number}", is_slow=True) for number in range(2))
-    print("alone, beside", alone_s, beside_s)
     assert beside_s < 1.5 * alone_s, (beside_s, alone_s)

@@ -229,7 +229,7 @@ def test_the_manifest_lists_every_segment_with_its_hash(tmp_path: Path) -> None:
     assert [(entry.samples, entry.messages) for entry in entries.values()] == [(100, 1)] * 3 + [(0, 1)]
     assert [entry.ended for entry in entries.values()] == [(), (), (), ("r1",)]
     for entry in entries.values():
-        found, _ = take_in(store.log / entry.segment)
+        found, _ = take_in(store, store.log / entry.segment)
         assert (found.sha256, found.size, found.samples) == (entry.sha256, entry.size, entry.samples)
 
 
@@ -259,6 +259,7 @@ def test_no_byte_of_the_manifest_changes_unseen(tmp_path: Path) -> None:
     lines = content.splitlines(keepends=True)
     manifest_path(store).write_bytes(b"".join(lines[:5] + lines[6:]))
     assert [each.line for each in read_log_manifest(store).damage] == [6]
+    store.tmp.rmdir()
     aside = rewrite_manifest(store, entries)
     assert aside is not None
     assert aside.read_bytes() == b"".join(lines[:5] + lines[6:])

@@ -72,7 +72,7 @@ def test_a_lost_manifest_is_told_and_made_anew_from_the_parts(days: Filler) -> N
 def test_a_part_that_was_renamed_but_not_listed_is_taken_in(days: Filler) -> None:
     """As a kill between the rename and the manifest leaves it."""
     store = days.store
-    built = build_part(store.log / "00000003.mcap", store.tmp / "lake-00000003", "00000003")
+    built = build_part(store.log / "00000003.mcap", store.tmp / "lake-00000003", "00000003", store=store.identity)
     write_manifest(store, read_manifest(store))
     built.folder.rename(store.lake / "00000003")
     (store.tmp / "lake-00000009").mkdir()

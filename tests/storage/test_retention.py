@@ -6,25 +6,34 @@ import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
+from uuid import UUID
 
 import numpy as np
 import pytest
 
 from storage.catalog import Catalog
 from storage.compaction import compact
+from storage.event_log import EventLog
 from storage.lake import Lake, builder_lock, parts
 from storage.lake_check import lake_problems
 from storage.lake_manifest import read_manifest
 from storage.reading import find_signal, read_signal, stored_between
 from storage.rebuild import rebuild
+from storage.recorder import Recorder
+from storage.recover import recover
 from storage.retention import Rule, apply_rule, parse_age, parse_size, would_drop
-from storage.segment_part import RAW_ROWS_DROPPED
 from storage.segment_reader import read_segment
 from storage.store import Store
-from stream.errors import BadInput, GyrofleetError, NotFound
-from stream.events import StoreNoted, decode_event
+from storage.store_notes import is_own
+from storage.store_notes import noted as noted_now
+from storage.verify import verify
+from stream.bus import LocalBus
+from stream.delivery import DurablePublisher
+from stream.errors import BadInput, DeliveryError, GyrofleetError, NotFound
+from stream.events import RAW_ROWS_DROPPED, RunEnded, StoreNoted, StreamTotal, decode_event
+from stream.identity import event_key
 from tests.conftest import Outcome
-from tests.storage.conftest import DAY_NS, START_NS, Filler
+from tests.storage.conftest import DAY_NS, PLACE, START_NS, Filler
 from tests.storage.test_compaction import LATER_NS, assert_same, export
 
 AFTER_TWO_DAYS = Rule(older_than_s=86_400.0)
@@ -109,7 +118,7 @@ def test_a_document_without_its_deed_is_honoured_later(days: Filler, tmp_path: P
     store = days.store
     with builder_lock(store):
         list(compact(Lake(store), now_ns=LATER_NS))
-    details = {"segments": ["00000001", "00000002"], "samples": 0, "bytes": 0}
+    details = {"segments": ["00000001", "00000002"], "samples": 0, "bytes": 0, "store": store.identity}
     days.document(StoreNoted(run="", t_ns=START_NS, what=RAW_ROWS_DROPPED, text="dropped", details=details))
     days.seal()
     days.build()
@@ -121,6 +130,57 @@ def test_a_document_without_its_deed_is_honoured_later(days: Filler, tmp_path: P
         list(rebuild(store))
     export(store, tmp_path / "after")
     assert_same(tmp_path / "before", tmp_path / "after")
+
+
+def test_what_another_store_has_dropped_is_kept_here(days: Filler) -> None:
+    """Two recorders on one bus: each log has the documents of both stores, and segments are numbered alike."""
+    details = {"segments": ["00000001", "00000002"], "samples": 0, "bytes": 0}
+    for others in (details | {"store": "0" * 32}, details):
+        days.document(StoreNoted(run="", t_ns=START_NS, what=RAW_ROWS_DROPPED, text="dropped", details=others))
+    days.seal()
+    days.build()
+    with builder_lock(days.store):
+        list(rebuild(days.store))
+    assert read_manifest(days.store).dropped == {}
+    with Catalog(days.store) as catalog:
+        assert catalog.rows("select count(*) from samples") == [(12 * 2525,)]
+
+
+def test_two_recorders_on_one_bus_and_one_store_lets_go(days: Filler, tmp_path: Path) -> None:
+    days.build()
+    days.release()
+    store, other = days.store, Store.create(tmp_path / "other")
+    document = noted_now(store.identity, RAW_ROWS_DROPPED, "dropped", {"segments": ["00000001"]})
+    with (
+        LocalBus() as bus,
+        Recorder(other, bus, EventLog(other), builds_lake=False),
+        pytest.raises(DeliveryError),
+        DurablePublisher(bus, timeout_s=0.5, only_store=store.identity) as publisher,
+    ):
+        publisher.send_event(event_key(PLACE), document)
+    assert noted(other) == [document]
+    assert (is_own(document, store.identity), is_own(document, other.identity)) == (True, False)
+
+
+def test_a_document_that_makes_no_sense_holds_nothing_up(filler: Filler) -> None:
+    """A log from before such were refused."""
+    own = {"store": filler.store.identity}
+    filler.counts("rate", START_NS, 100)
+    totals = [("U1", "zzz", 1), ("a/b", str(UUID(int=1)), 1), ("U1", str(UUID(int=1)), 2**62)]
+    for unit, epoch, samples in totals:
+        total = StreamTotal(unit=unit, signal="rate", epoch=epoch, samples=samples)
+        filler.document(RunEnded(run="r1", t_ns=START_NS, totals=(total,)))
+    for odd in ({"segments": 7}, {}, {"segments": [[1]]}, {"lost": 7}, {"lost": [1, 2]}, {"lost": [{"key": [1]}]}):
+        details = odd | own
+        filler.document(StoreNoted(run="", t_ns=START_NS, what=RAW_ROWS_DROPPED, text="", details=details))
+    filler.seal()
+    filler.build()
+    filler.release()
+    found, _ = verify(filler.store)
+    assert [finding.kind for finding in found.findings] == ["document_odd"] * 9
+    assert found.is_sound
+    assert (found.samples, found.lake_samples) == (100, 100)
+    assert list(recover(filler.store)) == []
 
 
 def test_without_a_document_in_the_log_nothing_is_dropped(days: Filler) -> None:

@@ -18,8 +18,10 @@ from stream.batch import SampleBatch
 from stream.bus import LocalBus
 from stream.delivery import DurablePublisher
 from stream.errors import DeliveryError, WireError
-from stream.events import NoteAdded, decode_event
+from stream.events import NoteAdded, RunEnded, StreamTotal, decode_event
 from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING, Place, event_key, sample_key
+from stream.outbox import Outbox
+from stream.outgoing import Held
 from stream.spool import Spool
 from stream.wire import decode_batch, encode_batch
 
@@ -344,3 +346,82 @@ class TestSpool:
         before, after = recorder.values.values()
         assert before == list(range(len(before)))
         assert after == list(range(len(before) + N, 120 * N))
+
+    def test_it_goes_on_after_a_recorder_has_lost_what_it_had(self, tmp_path: Path) -> None:
+        bus = LocalBus()
+        recorder = StandIn(bus)
+        stream = StreamId(KEY, UUID(int=1).hex)
+        with Spool(tmp_path) as spool, DurablePublisher(bus, resend_after_s=0.05, timeout_s=10, spool=spool) as sender:
+            for i in range(5):
+                sender.send_batch(KEY, batch(i))
+            sender.drain()
+            recorder.marks[stream] = 2 * N  # a segment was lost
+            for i in range(5, 10):
+                sender.send_batch(KEY, batch(i))
+            sender.drain()
+            assert "the recorder has lost what it had acknowledged" in str(sender.warning)
+            sender.send_batch(KEY, batch(10))
+        with Spool(tmp_path) as spool, DurablePublisher(bus, resend_after_s=0.05, timeout_s=10, spool=spool) as sender:
+            sender.send_batch(KEY, batch(11))
+        assert recorder.values.pop(stream) == list(range(5 * N))
+        assert list(recorder.values.values()) == [list(range(5 * N, 12 * N))]
+
+    def test_documents_go_on_as_well(self, tmp_path: Path) -> None:
+        bus = LocalBus()
+        recorder = StandIn(bus)
+        with Spool(tmp_path) as spool, DurablePublisher(bus, resend_after_s=0.05, timeout_s=10, spool=spool) as sender:
+            for i in range(3):
+                sender.send_event(event_key(PLACE), NoteAdded(run="r1", t_ns=i, text=""))
+            sender.drain()
+            (stream,) = recorder.marks
+            recorder.marks[stream] = 1
+            sender.send_event(event_key(PLACE), NoteAdded(run="r1", t_ns=3, text=""))
+            sender.drain()
+            sender.send_event(event_key(PLACE), NoteAdded(run="r1", t_ns=4, text=""))
+            sender.drain()
+        assert recorder.marks.pop(stream) == 1
+        assert list(recorder.marks.values()) == [2]
+
+    def test_an_answer_to_a_name_from_before_lets_go_of_nothing(self, tmp_path: Path) -> None:
+        """Two holes in one stream of a damaged spool: it is renamed twice, and the first answer comes once more."""
+        stream = StreamId(KEY, UUID(int=1).hex)
+        with Spool(tmp_path) as spool:
+            out = Outbox(1 << 20, 2.0, spool)
+            sent = out.stream(stream)
+            for seq in (5, 15, 20, 25):  # 0 to 4 and 10 to 14 are lost
+                spool.append(stream, seq, seq + 5, b"x", taken=True)
+                out.hold(sent, Held(seq, seq + 5, b"x"))
+            out.answer("store", StreamPosition(*stream, 0, rewind=True), 1.0)
+            first = sent.wire_id
+            out.answer("store", StreamPosition(*first, 5), 2.0)
+            out.answer("store", StreamPosition(*first, 5, rewind=True), 3.0)
+            assert (sent.base, sent.wire_id == first) == (15, False)
+            for late in (
+                StreamPosition(*first, 5),
+                StreamPosition(*first, 5, rewind=True),
+                StreamPosition(*stream, 20),
+            ):
+                out.answer("store", late, 4.0)
+            assert ([each.seq for each in sent.held], sent.acknowledged, sent.base) == ([15, 20, 25], 10, 15)
+            out.answer("store", StreamPosition(*sent.wire_id, 15), 5.0)
+            assert (list(sent.held), sent.acknowledged, out.bytes) == ([], 30, 0)
+
+
+def test_only_the_store_that_is_meant_can_acknowledge() -> None:
+    bus = LocalBus()
+    recorder = StandIn(bus, acknowledges=False)
+    stream = StreamId(KEY, UUID(int=1).hex)
+    with DurablePublisher(bus, resend_after_s=60.0, only_store="own") as publisher:
+        publisher.send_batch(KEY, batch(0))
+        recorder.paused = "disk full"
+        recorder.say(StreamPosition(*stream, N), store="other")
+        assert (publisher.outstanding, publisher.paused) == (1, None)
+        recorder.paused = ""
+        recorder.say(StreamPosition(*stream, N), store="own")
+        publisher.drain()
+
+
+def test_a_document_that_no_recorder_would_take_is_not_sent() -> None:
+    odd = RunEnded(run="r1", t_ns=0, totals=(StreamTotal(unit="a/b", signal="rate", epoch="zzz", samples=1),))
+    with DurablePublisher(LocalBus()) as publisher, pytest.raises(WireError, match="run r1: RunEnded cannot be sent"):
+        publisher.send_event(event_key(PLACE), odd)

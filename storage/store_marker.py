@@ -1,0 +1,117 @@
+"""``store.json``: what makes a folder a store and gives it its identity, with a copy of it in the log."""
+
+import fcntl
+import hashlib
+import json
+import os
+import re
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from storage.disk import DISK
+from stream.errors import StoreError
+
+STORE_FORMAT = 1
+MARKER = "store.json"
+_SEGMENT = re.compile(r"\d{8}\.mcap(\..*)?")
+_IDENTITY = re.compile(r"[0-9a-f]{32}")
+_CHECKSUM = "sha256"
+_WITHOUT_CHECKSUM = {"format", "id", "created_ns"}  # as stores were first made
+
+
+def read_marker(marker: Path) -> str:
+    """Identity of a store.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    ValueError
+        If it is not what was written.
+    StoreError
+        If it was written by a newer gyrofleet.
+    """
+    written = json.loads(marker.read_text())
+    if not isinstance(written, dict):
+        raise ValueError("it holds no object")
+    checksum = written.pop(_CHECKSUM, None)
+    if checksum is not None and checksum != _checksum(written):
+        raise ValueError("its checksum is not that of its content")
+    found, identity = written.get("format"), written.get("id")
+    if isinstance(found, int) and found > STORE_FORMAT:
+        raise StoreError(
+            f"{marker.parent} has store format {found}, this gyrofleet reads up to {STORE_FORMAT}: upgrade gyrofleet"
+        )
+    if checksum is None and written.keys() != _WITHOUT_CHECKSUM:
+        raise ValueError("it has no checksum")
+    if found != STORE_FORMAT or not isinstance(identity, str) or _IDENTITY.fullmatch(identity) is None:
+        raise ValueError("it holds no format and no identity")
+    return identity
+
+
+def write_markers(folder: Path, identity: str) -> None:
+    """Write a store's marker if it is missing, and its copy in the log if it is not the same; both are durable then."""
+    marker = folder / MARKER
+    if not marker.exists():
+        content: dict[str, object] = {"format": STORE_FORMAT, "id": identity, "created_ns": time.time_ns()}
+        line = json.dumps(content | {_CHECKSUM: _checksum(content)}) + "\n"
+        _write(folder / "tmp" / MARKER, marker, line.encode())
+        DISK.sync_folder(folder.parent)
+    copy, content_now = copy_of(folder), marker.read_bytes()
+    if (not copy.exists() or copy.read_bytes() != content_now) and os.access(copy.parent, os.W_OK):
+        _write(folder / "tmp" / MARKER, copy, content_now)
+
+
+def copy_of(folder: Path) -> Path:
+    """Where the copy of a store's marker is."""
+    return folder / "log" / MARKER
+
+
+def identity_of_copy(folder: Path) -> str | None:
+    """Identity of a store as the copy has it; None where that is missing or damaged."""
+    try:
+        return read_marker(copy_of(folder))
+    except (OSError, ValueError):
+        return None
+
+
+def is_repairable(folder: Path) -> bool:
+    """Whether a folder without a sound marker is a store all the same."""
+    try:
+        return identity_of_copy(folder) is not None or any(
+            _SEGMENT.fullmatch(path.name) for path in (folder / "log").iterdir()
+        )
+    except OSError:
+        return False
+
+
+def is_unfinished(folder: Path) -> bool:
+    """Whether a folder holds nothing but what the making of a store, cut short, leaves there."""
+    left = {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
+    return left <= {"log", "lake", "tmp", f"tmp/{MARKER}"}
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """One process at a time makes a store of a folder; it leaves no file there."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _checksum(content: dict[str, object]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _write(fresh: Path, path: Path, content: bytes) -> None:
+    with fresh.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    fresh.replace(path)
+    DISK.sync_folder(path.parent)

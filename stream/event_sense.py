@@ -1,0 +1,91 @@
+"""Whether a document that can be read makes sense: what is refused on arrival, and passed over where a log holds it."""
+
+import re
+from uuid import UUID
+
+from stream.errors import BadInput, WireError
+from stream.events import RAW_ROWS_DROPPED, AnyDocument, EventMessage, RunEnded, StoreNoted, StreamTotal, decode_event
+from stream.identity import check_name
+
+_EPOCH = re.compile(r"[0-9A-Za-z-]{1,64}")
+_MOST_SAMPLES = 2**53
+_LOST_TEXTS = ("key", "epoch")
+_LOST_NUMBERS = ("first_seq", "last_seq")
+
+
+def decode_received(payload: bytes) -> EventMessage:
+    """Read a document that comes over the wire.
+
+    Raises
+    ------
+    WireError
+        If it is none, or makes no sense.
+
+    Examples
+    --------
+    >>> from stream.events import RunEnded, StreamTotal, encode_event
+    >>> total = StreamTotal(unit="U1", signal="rate", epoch="zzz", samples=7)
+    >>> decode_received(encode_event(RunEnded(run="r1", t_ns=0, totals=(total,)), "e", 0))
+    Traceback (most recent call last):
+    stream.errors.WireError: not a run document: total of unit 'U1': epoch 'zzz' is no UUID
+    """
+    message = decode_event(payload)
+    if _EPOCH.fullmatch(message.epoch) is None:
+        raise WireError(f"not a run document: epoch {message.epoch[:80]!r} is not 1 to 64 of 0-9, A-Z, a-z and -")
+    if (reason := senseless(message.document)) is not None:
+        raise WireError(f"not a run document: {reason}")
+    return message
+
+
+def senseless(document: AnyDocument) -> str | None:
+    """Why nobody can make use of a document; None where it makes sense.
+
+    Examples
+    --------
+    >>> from stream.events import NoteAdded
+    >>> senseless(NoteAdded(run="r1", t_ns=0, text="door opened"))
+    >>> senseless(StoreNoted(run="", t_ns=0, what="numbers_missing", text="", details={"lost": 7}))
+    'what is lost is no list of stretches'
+    """
+    if isinstance(document, RunEnded):
+        return next((reason for total in document.totals if (reason := _senseless_total(total)) is not None), None)
+    if isinstance(document, StoreNoted):
+        return _senseless_details(document)
+    return None
+
+
+def _senseless_total(total: StreamTotal) -> str | None:
+    whose = f"total of unit {total.unit[:80]!r}"
+    try:
+        check_name("unit", total.unit)
+        check_name("signal", total.signal)
+    except BadInput as error:
+        return f"{whose}: {error}"
+    try:
+        UUID(total.epoch)
+    except ValueError:
+        return f"{whose}: epoch {total.epoch[:80]!r} is no UUID"
+    if not 0 <= total.samples <= _MOST_SAMPLES:
+        return f"{whose}: {total.samples} samples"
+    return None
+
+
+def _senseless_details(document: StoreNoted) -> str | None:
+    details = document.details
+    lost = details.get("lost")
+    if lost is not None and not (isinstance(lost, list) and all(_is_stretch(each) for each in lost)):
+        return "what is lost is no list of stretches"
+    segments = details.get("segments", None if document.what == RAW_ROWS_DROPPED else [])
+    if not (isinstance(segments, list) and all(isinstance(each, str) for each in segments)):
+        return "the segments are no list of names"
+    if not isinstance(details.get("store", ""), str):
+        return "the store is no text"
+    return None
+
+
+def _is_stretch(lost: object) -> bool:
+    return (
+        isinstance(lost, dict)
+        and all(isinstance(lost.get(name), str) for name in _LOST_TEXTS)
+        and all(type(lost.get(name)) is int for name in _LOST_NUMBERS)
+    )
