@@ -70,16 +70,18 @@ def lasting_problems(store: Store) -> list[LakeProblem]:
             sound.clear()
 
 
-def _version(store: Store) -> tuple[int, int]:
+def _version(store: Store) -> tuple[int, int, int]:
     """Which lake it is, and which manifest of it; 0 for what is not there at this moment."""
-    return _inode(store.lake), _inode(store.lake / MANIFEST)
+    folder, _ = _stamp(store.lake)
+    return folder, *_stamp(store.lake / MANIFEST)
 
 
-def _inode(path: Path) -> int:
+def _stamp(path: Path) -> tuple[int, int]:
     try:
-        return path.stat().st_ino
+        found = path.stat()
     except OSError:
-        return 0
+        return 0, 0
+    return found.st_ino, found.st_mtime_ns  # the number of a file that has gone is given again
 
 
 def _problems(store: Store, sound: dict[str, Part]) -> Iterator[LakeProblem]:

@@ -45,7 +45,8 @@ from stream.batch import SampleBatch
 from stream.bus import Bus, LocalBus
 from stream.delivery import DurablePublisher
 from stream.errors import BusError, GyrofleetError
-from stream.events import NoteAdded, RunEnded, RunStarted, StreamTotal, decode_event, encode_event
+from stream.event_sense import decode_received
+from stream.events import NoteAdded, RunEnded, RunStarted, StreamTotal, encode_event
 from stream.identity import EVERYTHING, Place, SampleKey, estimate_key, event_key, parse_key, sample_key
 from stream.wire import decode_batch, encode_batch
 from stream.worker import EstimationWorker
@@ -103,7 +104,7 @@ def is_malformed(key: str, payload: bytes) -> bool | None:
             if (batch.unit, batch.signal) != (parsed.unit, parsed.signal):
                 return True
         else:
-            seq = decode_event(payload).seq
+            seq = decode_received(payload).seq
     except GyrofleetError:
         return True
     return False if seq else None

@@ -25,8 +25,10 @@ import duckdb
 
 from storage.catalog import Catalog
 from storage.store import Store, writer_endpoint
+from stream.console import compile_kernels
 
 ROLES = ("router", "record", "lake", "estimate", "run")
+READY = {"router": "routing", "record": '"recording"', "lake": "building", "estimate": "estimating"}
 UNITS = 2
 RATE_HZ = 1000.0
 HOURS = 0.5
@@ -133,7 +135,13 @@ class Station:
         return said
 
     def stop(self, role: str) -> None:
-        """End a role in order."""
+        """End a role in order, once it says that it is at work."""
+        deadline = time.monotonic() + 60.0
+        output = self._output[role]
+        while READY[role] not in output.read_text() + output.with_suffix(".err").read_text():
+            if time.monotonic() > deadline or self._processes[role].poll() is not None:
+                break
+            time.sleep(0.05)
         process = self._processes.pop(role)
         process.send_signal(signal.SIGINT)
         code = process.wait(PATIENCE_S)
@@ -225,6 +233,7 @@ def trial(folder: Path, kills: int, seed: int) -> dict[str, Any]:
     rng = random.Random(seed)
     began = time.monotonic()
     station = Station(folder, rng)
+    compile_kernels(quiet=True)  # else no estimator lives long enough to have them
     try:
         disturb(station, kills, rng)
     finally:
