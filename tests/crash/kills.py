@@ -24,7 +24,7 @@ from typing import Any
 import duckdb
 
 from storage.catalog import Catalog
-from storage.store import Store, writer_endpoint
+from storage.store import Store
 from stream.console import compile_kernels
 
 ROLES = ("router", "record", "lake", "estimate", "run")
@@ -87,12 +87,15 @@ class Station:
         with self._output[role].open("wb") as out, (self.folder / f"{name}.err").open("wb") as err:
             self._processes[role] = subprocess.Popen(self.command(role), stdout=out, stderr=err, cwd=self.folder)
 
-    def wait_for_recorder(self) -> None:
-        """Before an estimator is started for the first time: from then on it is known what records the store."""
+    def wait_until_ready(self, role: str) -> None:
+        """Wait until a role says that it is at work, or has ended."""
+        output = self._output[role]
         deadline = time.monotonic() + 60.0
-        while writer_endpoint(self.store) != self._endpoint:
+        while READY[role] not in output.read_text() + output.with_suffix(".err").read_text():
+            if self._processes[role].poll() is not None:
+                return
             if time.monotonic() > deadline:
-                raise Wrong("the recorder does not start")
+                raise Wrong(f"{role} does not start")
             time.sleep(0.05)
 
     def kill(self, role: str) -> None:
@@ -136,12 +139,7 @@ class Station:
 
     def stop(self, role: str) -> None:
         """End a role in order, once it says that it is at work."""
-        deadline = time.monotonic() + 60.0
-        output = self._output[role]
-        while READY[role] not in output.read_text() + output.with_suffix(".err").read_text():
-            if time.monotonic() > deadline or self._processes[role].poll() is not None:
-                break
-            time.sleep(0.05)
+        self.wait_until_ready(role)
         process = self._processes.pop(role)
         process.send_signal(signal.SIGINT)
         code = process.wait(PATIENCE_S)
@@ -186,8 +184,8 @@ def disturb(station: Station, kills: int, rng: random.Random) -> None:
     """Run a station under so many kills."""
     for role in ROLES:
         station.start(role)
-        if role == "record":
-            station.wait_for_recorder()
+        if role in READY:  # an estimator that never was takes no run that has ended
+            station.wait_until_ready(role)
     for _, role in zip(range(kills), victims(rng), strict=False):
         until = time.monotonic() + rng.uniform(0.05, 1.5)
         while (left_s := until - time.monotonic()) > 0:
