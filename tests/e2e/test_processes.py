@@ -115,7 +115,8 @@ def test_a_source_survives_the_recorder_being_killed(
         "sql", "select count(*) as n, count(distinct (signal, t_ns)) as moments from samples", "--json"
     ).json
     assert row == {"n": 3_000_000, "moments": 3_000_000}
-    assert list((log / "aside").iterdir())
+    told = "select document->>'$.what' as what from events where kind = 'StoreNoted'"
+    assert {"what": "segment_recovered"} in gyrofleet("sql", told, "--json").json
 
 
 @pytest.mark.parametrize("fault", [signal.SIGKILL, signal.SIGINT])
