@@ -36,11 +36,7 @@ from storage.mcap_records import (
     schemas,
 )
 
-# small counts in four bytes: near level 5 in size (1.36 bytes a sample where level 3 takes 1.41), near level 3 in time
-_COMPRESSION = zstandard.ZstdCompressionParameters(
-    compression_level=3, window_log=18, chain_log=16, hash_log=17, search_log=1, min_match=3,
-    strategy=zstandard.STRATEGY_LAZY,
-)  # fmt: skip
+_LEVEL = 3
 
 
 class SegmentWriter:
@@ -85,7 +81,7 @@ class SegmentWriter:
         self._size = 0
         self._crc = 0
         self._hash = hashlib.sha256()
-        self._compressor = zstandard.ZstdCompressor(compression_params=_COMPRESSION)
+        self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
         self._summary = SegmentSummary() if found is None else found[1]
         self._channels = {(each.topic, each.schema_id): each.id for each in self._summary.channels.values()}
         self.records = sum(self._summary.counts.values())

@@ -2,11 +2,9 @@
 
 import functools
 
-import numpy as np
-import numpy.typing as npt
-
 from stream import samples_pb2
 from stream.batch import SampleBatch
+from stream.count_planes import split_counts
 from stream.wire import SAMPLE_SCHEMA
 
 
@@ -19,6 +17,7 @@ class BatchEncoder:
     Examples
     --------
     >>> from uuid import UUID
+    >>> import numpy as np
     >>> from stream.wire import encode_batch
     >>> batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 0, 0, 10, "deg/s", counts=np.array([1, 2], np.int32))
     >>> BatchEncoder().encode(batch) == encode_batch(batch)
@@ -38,15 +37,15 @@ class BatchEncoder:
         position.seq, position.samples, position.t0_ns = batch.seq, len(batch), batch.t0_ns
         parts = [self._head, position.SerializeToString(), self._interval]
         if batch.times_ns is not None:
-            parts += _field(11, batch.times_ns, "<i8")
+            parts += _field(11, batch.times_ns.astype("<i8", copy=False).tobytes())
         parts.append(self._measure)
-        if batch.counts is not None:
-            parts += _field(13, batch.counts, "<i4")
         parts.append(self._scale)
         if batch.values is not None:
-            parts += _field(16, batch.values, "<f8")
+            parts += _field(16, batch.values.astype("<f8", copy=False).tobytes())
         if batch.flags is not None:
-            parts += _field(17, batch.flags, "u1")
+            parts += _field(17, batch.flags.tobytes())
+        if batch.counts is not None:
+            parts += _field(18, split_counts(batch.counts))
         return b"".join(parts)
 
     def _learn(self, batch: SampleBatch) -> None:
@@ -77,8 +76,7 @@ def _is_like(batch: SampleBatch, other: SampleBatch) -> bool:
     )
 
 
-def _field(number: int, array: npt.NDArray[np.generic], dtype: str) -> tuple[bytes, bytes]:
-    data = array.astype(dtype, copy=False).tobytes()
+def _field(number: int, data: bytes) -> tuple[bytes, bytes]:
     return _field_head(number, len(data)), data
 
 

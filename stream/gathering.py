@@ -13,8 +13,8 @@ import numpy.typing as npt
 from stream.batch import IntArray, SampleBatch, checked_batch
 from stream.wire import WireBatch, epoch_of
 
-# half a segment of the spectral density, and what the Allan pyramid takes at once
-PIECE_SAMPLES = 2048
+# a call costs more than a thousand samples; from here on longer pieces gain little, and cost memory
+PIECE_SAMPLES = 8192
 
 _COUNTS, _VALUES = "<i4", "<f8"
 
@@ -47,7 +47,7 @@ class Gathering:
     """Puts the batches of one signal of one run together and cuts them into pieces.
 
     A piece ends before each sample whose number, counted from the epoch's first in the run, is a multiple of
-    2048; before a sample of another epoch, interval, unit of measure or scale, or whose number is not the next; and
+    8192; before a sample of another epoch, interval, unit of measure or scale, or whose number is not the next; and
     with the first sample at or beyond a moment when documents are due. Exact times and times that are written out are
     the same where they say the same.
 

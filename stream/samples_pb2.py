@@ -4,30 +4,35 @@
 # source: samples.proto
 # Protobuf Python Version: 7.35.1
 """Generated protocol buffer code."""
-
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import descriptor_pool as _descriptor_pool
 from google.protobuf import runtime_version as _runtime_version
 from google.protobuf import symbol_database as _symbol_database
 from google.protobuf.internal import builder as _builder
-
-_runtime_version.ValidateProtobufRuntimeVersion(_runtime_version.Domain.PUBLIC, 7, 35, 1, "", "samples.proto")
+_runtime_version.ValidateProtobufRuntimeVersion(
+    _runtime_version.Domain.PUBLIC,
+    7,
+    35,
+    1,
+    '',
+    'samples.proto'
+)
 # @@protoc_insertion_point(imports)
 
 _sym_db = _symbol_database.Default()
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(
-    b'\n\rsamples.proto\x12\tgyrofleet"\x9f\x02\n\x0bSampleBatch\x12\x0e\n\x06schema\x18\x01 \x01(\r\x12\x0c\n\x04unit\x18\x02 \x01(\t\x12\x0e\n\x06signal\x18\x03 \x01(\t\x12\x0b\n\x03run\x18\x04 \x01(\t\x12\r\n\x05\x65poch\x18\x05 \x01(\x0c\x12\x0b\n\x03seq\x18\x06 \x01(\x03\x12\x0f\n\x07samples\x18\x07 \x01(\r\x12\r\n\x05t0_ns\x18\x08 \x01(\x03\x12\r\n\x05\x64t_ns\x18\t \x01(\x03\x12\x11\n\tirregular\x18\n \x01(\x08\x12\x10\n\x08times_ns\x18\x0b \x01(\x0c\x12\x17\n\x0funit_of_measure\x18\x0c \x01(\t\x12\x0e\n\x06\x63ounts\x18\r \x01(\x0c\x12\r\n\x05scale\x18\x0e \x01(\x01\x12\x0e\n\x06offset\x18\x0f \x01(\x01\x12\x0e\n\x06values\x18\x10 \x01(\x0c\x12\r\n\x05\x66lags\x18\x11 \x01(\x0c"1\n\x07Preview\x12\r\n\x05value\x18\x01 \x01(\x01\x12\x17\n\x0funit_of_measure\x18\x02 \x01(\tb\x06proto3'
-)
+
+
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\rsamples.proto\x12\tgyrofleet\"\xb5\x02\n\x0bSampleBatch\x12\x0e\n\x06schema\x18\x01 \x01(\r\x12\x0c\n\x04unit\x18\x02 \x01(\t\x12\x0e\n\x06signal\x18\x03 \x01(\t\x12\x0b\n\x03run\x18\x04 \x01(\t\x12\r\n\x05\x65poch\x18\x05 \x01(\x0c\x12\x0b\n\x03seq\x18\x06 \x01(\x03\x12\x0f\n\x07samples\x18\x07 \x01(\r\x12\r\n\x05t0_ns\x18\x08 \x01(\x03\x12\r\n\x05\x64t_ns\x18\t \x01(\x03\x12\x11\n\tirregular\x18\n \x01(\x08\x12\x10\n\x08times_ns\x18\x0b \x01(\x0c\x12\x17\n\x0funit_of_measure\x18\x0c \x01(\t\x12\x0e\n\x06\x63ounts\x18\r \x01(\x0c\x12\r\n\x05scale\x18\x0e \x01(\x01\x12\x0e\n\x06offset\x18\x0f \x01(\x01\x12\x0e\n\x06values\x18\x10 \x01(\x0c\x12\r\n\x05\x66lags\x18\x11 \x01(\x0c\x12\x14\n\x0c\x63ount_planes\x18\x12 \x01(\x0c\"1\n\x07Preview\x12\r\n\x05value\x18\x01 \x01(\x01\x12\x17\n\x0funit_of_measure\x18\x02 \x01(\tb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
-_builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, "samples_pb2", _globals)
+_builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'samples_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
-    DESCRIPTOR._loaded_options = None
-    _globals["_SAMPLEBATCH"]._serialized_start = 29
-    _globals["_SAMPLEBATCH"]._serialized_end = 316
-    _globals["_PREVIEW"]._serialized_start = 318
-    _globals["_PREVIEW"]._serialized_end = 367
+  DESCRIPTOR._loaded_options = None
+  _globals['_SAMPLEBATCH']._serialized_start=29
+  _globals['_SAMPLEBATCH']._serialized_end=338
+  _globals['_PREVIEW']._serialized_start=340
+  _globals['_PREVIEW']._serialized_end=389
 # @@protoc_insertion_point(module_scope)

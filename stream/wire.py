@@ -11,13 +11,20 @@ from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 
 from stream import samples_pb2
-from stream.batch import INT64_MAX, SampleBatch, checked_batch
+from stream.batch import INT64_MAX, CountArray, SampleBatch, checked_batch
+from stream.count_planes import MOST_PLANES, join_counts, split_counts
 from stream.errors import NewerSchema, WireError
 
-SAMPLE_SCHEMA = 1
+SAMPLE_SCHEMA = 2
 MAX_SAMPLES_PER_BATCH = 1_000_000
 
-_ITEM_BYTES = {"counts": 4, "values": 8, "times_ns": 8, "flags": 1}
+_ITEM_BYTES = {
+    "counts": (4,),
+    "count_planes": tuple(range(1, MOST_PLANES + 1)),
+    "values": (8,),
+    "times_ns": (8,),
+    "flags": (1,),
+}
 
 
 def encode_batch(batch: SampleBatch) -> bytes:
@@ -45,9 +52,9 @@ def encode_batch(batch: SampleBatch) -> bytes:
         scale=batch.scale,
         offset=batch.offset,
         times_ns=_bytes(batch.times_ns, "<i8"),
-        counts=_bytes(batch.counts, "<i4"),
         values=_bytes(batch.values, "<f8"),
         flags=_bytes(batch.flags, "u1"),
+        count_planes=b"" if batch.counts is None else split_counts(batch.counts),
     )
     return bytes(message.SerializeToString())
 
@@ -103,7 +110,7 @@ def read_batch_head(payload: bytes) -> BatchHead:
     >>> head.seq, head.next_seq, head.last_ns
     (7, 9, 10)
     """
-    message, last_ns, _ = _checked(payload)
+    message, last_ns = _checked(payload)
     seq = message.seq
     return BatchHead(
         message.unit,
@@ -128,8 +135,8 @@ def read_wire_batch(payload: bytes) -> WireBatch:
     WireError
         If it is not a batch, or not a whole one.
     """
-    message, last_ns, (counts, values, times_ns, _) = _checked(payload)
-    seq = message.seq
+    message, last_ns = _checked(payload)
+    seq, counts = message.seq, _counts(message)
     return WireBatch(
         message.unit,
         message.signal,
@@ -146,9 +153,9 @@ def read_wire_batch(payload: bytes) -> WireBatch:
             message.scale,
             message.offset,
         ),
-        counts,
-        values,
-        times_ns,
+        b"" if counts is None else counts.tobytes(),
+        message.values,
+        message.times_ns,
     )
 
 
@@ -162,7 +169,8 @@ def decode_batch(payload: bytes) -> SampleBatch:
     WireError
         If it is not a batch, or not a whole one.
     """
-    message, _, (counts, values, times_ns, flags) = _checked(payload)
+    message, _ = _checked(payload)
+    values, times_ns, flags = message.values, message.times_ns, message.flags
     return checked_batch(
         {
             "unit": message.unit,
@@ -173,7 +181,7 @@ def decode_batch(payload: bytes) -> SampleBatch:
             "t0_ns": message.t0_ns,
             "dt_ns": message.dt_ns,
             "unit_of_measure": message.unit_of_measure,
-            "counts": np.frombuffer(counts, "<i4") if counts else None,
+            "counts": _counts(message),
             "values": np.frombuffer(values, "<f8") if values else None,
             "times_ns": np.frombuffer(times_ns, "<i8") if times_ns else None,
             "irregular": message.irregular,
@@ -190,8 +198,14 @@ def epoch_of(raw: bytes) -> UUID:
     return UUID(bytes=raw)
 
 
-def _checked(payload: bytes) -> tuple[samples_pb2.SampleBatch, int, tuple[bytes, bytes, bytes, bytes]]:
-    """The message, the time of its last sample, and its arrays counts, values, times_ns and flags."""
+def _counts(message: samples_pb2.SampleBatch) -> CountArray | None:
+    if planes := message.count_planes:
+        return join_counts(planes, message.samples)
+    return np.frombuffer(message.counts, "<i4") if message.counts else None
+
+
+def _checked(payload: bytes) -> tuple[samples_pb2.SampleBatch, int]:
+    """The message, and the time of its last sample."""
     try:
         message = samples_pb2.SampleBatch.FromString(payload)
     except DecodeError as error:
@@ -204,10 +218,10 @@ def _checked(payload: bytes) -> tuple[samples_pb2.SampleBatch, int, tuple[bytes,
     n = message.samples
     if schema < 1 or not 1 <= n <= MAX_SAMPLES_PER_BATCH or len(message.epoch) != 16:
         raise WireError(f"not a sample batch: schema {schema}, {n} samples, epoch {len(message.epoch)} bytes")
-    counts, values, times_ns, flags = arrays = message.counts, message.values, message.times_ns, message.flags
-    lengths = len(counts), len(values), len(times_ns), len(flags)
-    if lengths not in ((4 * n, 0, 0, 0), (0, 8 * n, 0, 0)):
-        _check_lengths(message, lengths)
+    planes, times_ns = len(message.count_planes), message.times_ns
+    # nearly every batch has nothing but planes
+    if planes not in (n, 2 * n, 3 * n, 4 * n) or times_ns or message.values or message.counts or message.flags:
+        _check_lengths(message)
     t0_ns, dt_ns = message.t0_ns, message.dt_ns
     last_ns = int.from_bytes(times_ns[-8:], "little", signed=True) if times_ns else t0_ns + (n - 1) * dt_ns
     if not (isfinite(message.scale) and isfinite(message.offset)):
@@ -216,15 +230,16 @@ def _checked(payload: bytes) -> tuple[samples_pb2.SampleBatch, int, tuple[bytes,
         raise _wrong(message, f"dt_ns {dt_ns} or seq {message.seq} is outside its range")
     if t0_ns < -INT64_MAX or not -INT64_MAX <= last_ns <= INT64_MAX:
         raise _wrong(message, f"times from {t0_ns} ns do not fit 64 bits")
-    return message, last_ns, arrays
+    return message, last_ns
 
 
-def _check_lengths(message: samples_pb2.SampleBatch, lengths: tuple[int, int, int, int]) -> None:
+def _check_lengths(message: samples_pb2.SampleBatch) -> None:
     n = message.samples
-    for length, (name, item_bytes) in zip(lengths, _ITEM_BYTES.items(), strict=True):
-        if length not in {0, n * item_bytes}:
+    for name, item_bytes in _ITEM_BYTES.items():
+        length = len(getattr(message, name))
+        if length and length not in {n * each for each in item_bytes}:
             raise WireError(f"not a whole sample batch: {length} bytes of {name} for {n} samples")
-    if bool(lengths[0]) is bool(lengths[1]):
+    if sum(map(bool, (message.counts, message.count_planes, message.values))) != 1:
         raise _wrong(message, "a batch holds either counts or values, exactly one of them")
 
 

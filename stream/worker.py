@@ -19,8 +19,8 @@ from stream.recorded_log import DocumentSender, Identities, RecordedLog
 
 # A worker that falls behind must hold up neither the recorder, which shares its subscription, nor the bus that it
 # publishes on itself: sources in the same process wait for room, from others it leaves out what it cannot hold.
-_ROOM_BYTES = 32 << 20
-_MOST_BYTES = 96 << 20
+_ROOM_BYTES = 16 << 20
+_MOST_BYTES = 48 << 20
 # a recorder has on disk what it was given within a second; for what is not there after this, nothing is held up: it is
 # looked for in the log again a while later
 _PATIENCE_S = 2.0

@@ -19,7 +19,6 @@ from stream.estimators.spectral_segments import (
     SegmentState,
     append,
     empty_state,
-    less,
     state_behind,
     take,
 )
@@ -128,7 +127,7 @@ class SpectralDensity(Follower):
             return
         if math.isnan(self._reference):
             self._reference = first_finite(values)
-        take(self._state, first_slot, less(values, self._reference))
+        take(self._state, first_slot, values, self._reference)
 
     def _go_on_from(self, earlier: Self) -> None:
         self._state = state_behind(earlier._state)

@@ -1,6 +1,6 @@
 """Durable end to end: source process -> Zenoh -> recorder process, with live estimates of every signal.
 
-    .venv/bin/python tests/bench/durable_rate.py [--batch 1000] [--signals 1000] [--seconds 15] [--json]
+    .venv/bin/python tests/bench/durable_rate.py [--batch 1000] [--signals 1000] [--seconds 15] [--offer 10] [--json]
 
 A source sends counts like those of a fibre-optic gyro (Gaussian, standard deviation 50 counts, entropy 0.96 bytes) as
 fast as they are taken. `gyrofleet record` writes them, with fdatasync and acknowledgement every 100 ms. A third process
@@ -28,8 +28,8 @@ POOL = 8192  # more than a chunk has, so that no batch comes twice in one
 HERE = Path(__file__).resolve()
 
 
-def source(endpoint: str, batch: int, signals: int, seconds: float, *, plain: bool) -> None:
-    """Send for so long; prints how much and how fast."""
+def source(endpoint: str, batch: int, signals: int, seconds: float, offer_per_s: float, *, plain: bool) -> None:
+    """Send for so long, at most so many samples a second; prints how much and how fast."""
     from stream.batch import SampleBatch
     from stream.delivery import DurablePublisher
     from stream.identity import Place, sample_key
@@ -41,6 +41,7 @@ def source(endpoint: str, batch: int, signals: int, seconds: float, *, plain: bo
     keys = [sample_key(Place("plant", "bench"), f"U{i}", "rate") for i in range(signals)]
     units = [f"U{i}" for i in range(signals)]
     epoch, seq, turn = uuid4(), 0, 0
+    batch_s = batch / offer_per_s if offer_per_s else 0.0
     with ZenohBus(connect=[endpoint]) as bus, DurablePublisher(bus) as publisher:
         time.sleep(1.0)
         began = time.perf_counter()
@@ -48,6 +49,8 @@ def source(endpoint: str, batch: int, signals: int, seconds: float, *, plain: bo
             for unit, key in zip(units, keys, strict=True):
                 counts = pool[turn % len(pool)]
                 turn += 1
+                if batch_s and turn % 16 == 0:
+                    time.sleep(max(0.0, began + turn * batch_s - time.perf_counter()))
                 made = SampleBatch(
                     unit, "rate", "r1", epoch, seq, seq * 5_000_000, 5_000_000, "deg/s", counts=counts, scale=0.01
                 )
@@ -130,7 +133,10 @@ def role(*arguments: object) -> subprocess.Popen[str]:
 
 def line(process: subprocess.Popen[str]) -> str:
     assert process.stdout is not None
-    return process.stdout.readline()
+    read = process.stdout.readline()
+    if not read:
+        raise SystemExit(f"{process.args!r} ended with {process.wait()} before it said anything")
+    return read
 
 
 def say(process: subprocess.Popen[str], text: object) -> None:
@@ -155,7 +161,7 @@ def free_endpoint() -> str:
         return f"tcp/127.0.0.1:{free.getsockname()[1]}"
 
 
-def ours(folder: Path, batch: int, signals: int, seconds: float, *, with_lake: bool) -> dict[str, float]:
+def ours(folder: Path, batch: int, signals: int, seconds: float, offer: float, *, with_lake: bool) -> dict[str, float]:
     """One run of the whole path."""
     endpoint, store = free_endpoint(), folder / "store"
     program = str(Path(sys.executable).with_name("gyrofleet"))
@@ -167,7 +173,7 @@ def ours(folder: Path, batch: int, signals: int, seconds: float, *, with_lake: b
     line(recorder)
     worker = role("estimator", endpoint, store)
     line(worker)
-    sending = role("source", endpoint, batch, signals, seconds)
+    sending = role("source", endpoint, batch, signals, seconds, offer)
     sent = json.loads(line(sending))
     say(worker, sent["samples"])
     seen = json.loads(line(worker))
@@ -184,6 +190,7 @@ def ours(folder: Path, batch: int, signals: int, seconds: float, *, with_lake: b
         "samples_per_s": sent["samples"] / whole,
         "durable_samples_per_s": sent["samples"] / sent["seconds"],
         "samples": sent["samples"],
+        "behind_s": max(0.0, seen["at"] - sent["at"]),
         "recalled_share": seen["recalled"] / sent["samples"],
         "bytes_per_sample": log_bytes / sent["samples"],
         "source_mb": source_mb,
@@ -195,12 +202,12 @@ def ours(folder: Path, batch: int, signals: int, seconds: float, *, with_lake: b
     }
 
 
-def theirs(folder: Path, batch: int, signals: int, seconds: float) -> dict[str, float]:
+def theirs(folder: Path, batch: int, signals: int, seconds: float, offer: float) -> dict[str, float]:
     """One run of the peer."""
     endpoint, path = free_endpoint(), folder / "peer.mcap"
     recorder = role("peer", endpoint, path)
     line(recorder)
-    sending = role("plain", endpoint, batch, signals, seconds)
+    sending = role("plain", endpoint, batch, signals, seconds, offer)
     sent = json.loads(line(sending))
     ended(sending)
     say(recorder, "end")
@@ -221,21 +228,22 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=1000)
     parser.add_argument("--signals", type=int, default=1000)
     parser.add_argument("--seconds", type=float, default=15.0)
+    parser.add_argument("--offer", type=float, default=0.0, help="most million samples a second that are sent")
     parser.add_argument("--with-lake", action="store_true", help="the recorder makes the lake as well, meanwhile")
     parser.add_argument("--no-peer", action="store_true")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--role", nargs="+", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     match arguments.role:
-        case ["source" | "plain" as how, endpoint, batch, signals, seconds]:
-            source(endpoint, int(batch), int(signals), float(seconds), plain=how == "plain")
+        case ["source" | "plain" as how, endpoint, batch, signals, seconds, offer]:
+            source(endpoint, int(batch), int(signals), float(seconds), float(offer), plain=how == "plain")
         case ["estimator", endpoint, store]:
             estimator(endpoint, store)
         case ["peer", endpoint, path]:
             peer(endpoint, path)
         case _:
             with tempfile.TemporaryDirectory() as folder:
-                shape = (arguments.batch, arguments.signals, arguments.seconds)
+                shape = (arguments.batch, arguments.signals, arguments.seconds, arguments.offer * 1e6)
                 found = ours(Path(folder), *shape, with_lake=arguments.with_lake)
                 beside = None if arguments.no_peer else theirs(Path(folder), *shape)
             tell(arguments, found, beside)
@@ -248,7 +256,8 @@ def tell(arguments: argparse.Namespace, found: dict[str, float], beside: dict[st
     print(f"{arguments.signals} signals, {arguments.batch} samples a batch, {found['samples'] / 1e6:.0f} M samples")
     print(
         f"durable, acknowledged and estimated: {found['samples_per_s'] / 1e6:.2f} M samples/s "
-        f"(acknowledged alone {found['durable_samples_per_s'] / 1e6:.2f})"
+        f"(acknowledged alone {found['durable_samples_per_s'] / 1e6:.2f}; "
+        f"the estimates {found['behind_s']:.2f} s behind it)"
     )
     print(
         f"memory: source {found['source_mb']:.0f}, recorder {found['recorder_mb']:.0f}, estimator "

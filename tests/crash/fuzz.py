@@ -173,7 +173,7 @@ class Forge:
         """One field of a batch has a value that it cannot have."""
         message = samples_pb2.SampleBatch.FromString(self.batches[0])
         wrong: dict[str, list[Any]] = {
-            "schema": [0, 2, 2**32 - 1],
+            "schema": [0, 3, 2**32 - 1],
             "samples": [0, 1, 99, 101, 2**32 - 1],
             "epoch": [b"", bytes(15), bytes(17)],
             "seq": [-1, -(2**63), 2**63 - 1],
@@ -181,7 +181,8 @@ class Forge:
             "t0_ns": [-(2**63)],
             "scale": [float("nan"), float("inf"), float("-inf")],
             "offset": [float("nan"), float("inf"), float("-inf")],
-            "counts": [b"", bytes(3), bytes(4 * BATCH + 4)],
+            "counts": [bytes(4 * BATCH), bytes(3)],
+            "count_planes": [b"", bytes(1), bytes(BATCH - 1), bytes(5 * BATCH)],
             "values": [bytes(3), bytes(8 * BATCH - 8)],
             "times_ns": [bytes(7), struct.pack("<q", -(2**63)) * BATCH],
             "flags": [bytes(1), bytes(BATCH + 1)],

@@ -80,7 +80,7 @@ def test_other_tools_read_a_segment_with_all_their_checks(tmp_path: Path) -> Non
 def test_large_chunks_are_cut_and_all_is_there(tmp_path: Path) -> None:
     store = Store.create(tmp_path)
     log = EventLog(store)
-    records = [samples("U1", 10_000 * i, 10_000) for i in range(200)]
+    records = [samples("U1", 10_000 * i, 10_000) for i in range(400)]
     for record in records:
         append(log, record)
     log.seal()

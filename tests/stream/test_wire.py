@@ -48,12 +48,13 @@ def batches(draw: st.DrawFn) -> SampleBatch:
 
 
 @given(batches())
+@settings(deadline=None)
 def test_any_batch_decodes_to_itself(batch: SampleBatch) -> None:
     assert decode_batch(encode_batch(batch)) == batch
 
 
 @given(st.binary(max_size=2000))
-@settings(max_examples=500)
+@settings(max_examples=500, deadline=None)
 def test_random_bytes_are_a_named_error(payload: bytes) -> None:
     for decode in (decode_batch, decode_event):
         with pytest.raises(WireError):
@@ -61,7 +62,7 @@ def test_random_bytes_are_a_named_error(payload: bytes) -> None:
 
 
 @given(batches(), st.data())
-@settings(max_examples=300)
+@settings(max_examples=300, deadline=None)
 def test_a_damaged_batch_is_a_batch_or_a_named_error(batch: SampleBatch, data: st.DataObject) -> None:
     payload = bytearray(encode_batch(batch))
     at = data.draw(st.integers(0, len(payload) - 1))

@@ -14,13 +14,14 @@ from stream.wire import decode_batch, encode_batch, read_batch_head, read_wire_b
 
 int64s = st.one_of(st.integers(-(2**63), 2**63 - 1), st.integers(-3, 3), st.sampled_from([2**63 - 1, -(2**63)]))
 sizes = st.sampled_from([0, 0, 1, 2, 3])
+few = st.sampled_from([0, 0, 4])
 
 
 @st.composite
 def messages(draw: st.DrawFn) -> bytes:
     """Messages of which nearly every field may be wrong."""
     message = samples_pb2.SampleBatch(
-        schema=draw(st.sampled_from([1, 1, 1, 1, 0, 2])),
+        schema=draw(st.sampled_from([1, 1, 2, 2, 0, 3])),
         unit=draw(st.sampled_from(["U1", ""])),
         signal="rate",
         run="r1",
@@ -32,7 +33,8 @@ def messages(draw: st.DrawFn) -> bytes:
         irregular=draw(st.booleans()),
         unit_of_measure="deg/s",
         scale=draw(st.floats()),
-        counts=bytes(4 * draw(sizes)),
+        counts=bytes(draw(few) * draw(sizes)),
+        count_planes=draw(st.binary(max_size=13)) if draw(few) else b"",
         values=bytes(8 * draw(sizes)),
         times_ns=draw(hnp.arrays(np.int64, draw(sizes), elements=int64s)).tobytes(),
         flags=bytes(draw(sizes)),
@@ -99,3 +101,14 @@ def test_what_a_batch_itself_refuses_is_refused_on_the_wire(
 def test_a_batch_read_twice_shares_its_epoch() -> None:
     batch = SampleBatch("U1", "rate", "r1", UUID(int=7), 0, 0, 10, "deg/s", values=np.zeros(3))
     assert decode_batch(encode_batch(batch)).epoch is decode_batch(encode_batch(batch)).epoch
+
+
+def test_counts_of_the_first_schema_are_read_as_those_of_now() -> None:
+    counts = np.array([0, -1, 70_000, -(2**31)], np.int32)
+    batch = SampleBatch("U1", "rate", "r1", UUID(int=7), 0, 0, 10, "deg/s", counts=counts, scale=0.5)
+    message = samples_pb2.SampleBatch.FromString(encode_batch(batch))
+    message.schema, message.counts = 1, counts.tobytes()
+    message.ClearField("count_planes")
+    payload = message.SerializeToString()
+    assert decode_batch(payload) == batch
+    assert read_wire_batch(payload) == read_wire_batch(encode_batch(batch))
