@@ -45,6 +45,14 @@ class DeliveryError(GyrofleetError):
     """Samples that no recorder has acknowledged in time."""
 
 
+class InstrumentError(GyrofleetError):
+    """An instrument or bus that cannot be reached, refuses, or answers what makes no sense."""
+
+
+class RunAborted(GyrofleetError):
+    """A run that an operator or a fault has ended before its time."""
+
+
 class EstimatorError(GyrofleetError):
     """An estimator that is given what it cannot use."""
 
