@@ -18,6 +18,7 @@ MAX_PAYLOAD_BYTES = 64 << 20
 
 _PREVIEW_INTERVAL_NS = 30_000_000_000
 _REWIND_INTERVAL_S = 0.2
+_MOST_ENDED = 10_000
 _parse_key = lru_cache(maxsize=200_000)(parse_key)
 
 
@@ -66,8 +67,8 @@ class Intake:
         Streams of which something is missing before what came; to be asked for.
     clock_steps : list of ClockStep
         Steps back of a source's clock.
-    ended_runs : int
-        Ends of runs that were taken in.
+    to_seal : int
+        Ends of runs that were taken in, and what came behind the end of its run: samples that were sent again, estimates.
     """
 
     def __init__(self, log: EventLog) -> None:
@@ -76,7 +77,8 @@ class Intake:
         self.moved: set[StreamId] = set()
         self.rewinds: list[StreamId] = []
         self.clock_steps: list[ClockStep] = []
-        self.ended_runs = 0
+        self.to_seal = 0
+        self._ended: dict[str, None] = {}
         self._asked: dict[StreamId, tuple[int, float]] = {}
         self._last_ns: dict[StreamId, int] = {}
         self._previewed: dict[str, int] = {}
@@ -140,7 +142,10 @@ class Intake:
         stream = StreamId(key, message.epoch)
         place = Place(stream, message.seq, message.seq + 1, document.t_ns, document.t_ns, document.run, is_end)
         if self._append(place, LogRecord(key, EVENTS, arrival_ns, document.t_ns, payload)) and is_end:
-            self.ended_runs += 1
+            self.to_seal += 1
+            self._ended[document.run] = None
+            if len(self._ended) > _MOST_ENDED:
+                del self._ended[next(iter(self._ended))]
 
     def _append(self, place: Place, record: LogRecord) -> bool:
         stream, seq, next_seq = place.stream, place.seq, place.next_seq
@@ -148,6 +153,7 @@ class Intake:
         if seq == expected:
             self._log.append(place, record)
             self.moved.add(stream)
+            self.to_seal += place.run in self._ended
             return True
         if next_seq <= expected:
             self.counts.duplicates += 1

@@ -93,7 +93,7 @@ class Recorder:
         self._state = threading.Condition()
         self._closing = False
         self._epoch = uuid4().hex
-        self._ended_runs = self._noted_recoveries = 0
+        self._to_seal = self._noted_recoveries = 0
         self._seal_at: float | None = None
         self._synced_at = self._troubled_at = time.monotonic()
         self._wall_ahead_ns: int | None = None
@@ -187,9 +187,10 @@ class Recorder:
         for key, payload, arrival_ns in taken:
             self._intake.take(key, payload, arrival_ns)
         now = time.monotonic()
-        if self._intake.ended_runs > self._ended_runs:
-            self._ended_runs = self._intake.ended_runs
-            self._seal_at = now + _SEAL_GRACE_S
+        if self._intake.to_seal > self._to_seal:
+            self._to_seal = self._intake.to_seal
+            due = now + _SEAL_GRACE_S
+            self._seal_at = due if self._seal_at is None else min(self._seal_at, due)
         self._ask_rewinds()
         if is_last or now - self._synced_at >= self._sync_interval_s:
             self._sync()

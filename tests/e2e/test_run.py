@@ -100,7 +100,7 @@ def test_a_run_goes_on_while_its_recorder_is_killed_and_stalled(
 def test_a_paced_run_states_the_gap_and_goes_on_with_a_new_power_on(
     gyrofleet: Callable[..., Any], spawn: Spawn
 ) -> None:
-    command = (*RUN, "--hours", 0.5, "--speed", 200)  # 9 s, recorded in the same process
+    command = (*RUN, "--hours", 3, "--speed", 200)  # 54 s, recorded in the same process
     source = spawn(*command)
     started(source)
     time.sleep(3.0)
@@ -114,7 +114,7 @@ def test_a_paced_run_states_the_gap_and_goes_on_with_a_new_power_on(
     time.sleep(1.0)
     source.send_signal(signal.SIGINT)
     assert ended(source, code=130)["event"] == "interrupted"
-    refused = gyrofleet(*RUN, "--hours", 0.5, "--speed", 100)
+    refused = gyrofleet(*RUN, "--hours", 3, "--speed", 100)
     assert refused.code == 1
     assert "--speed was 200.0, now 100.0" in refused.json["error"]["message"]
     done = gyrofleet(*command, "--end")

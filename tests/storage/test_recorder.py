@@ -334,3 +334,18 @@ def test_a_step_back_of_a_source_clock_is_noted(tmp_path: Path) -> None:
     with Catalog(store) as catalog:
         ((text,),) = catalog.rows("select document->>'$.text' from events where kind = 'StoreNoted'")
     assert "the source's clock went back by 0.049 s at sample 100" in text
+
+
+def test_samples_that_come_behind_the_end_of_their_run_are_in_the_lake_soon(tmp_path: Path) -> None:
+    store = Store.create(tmp_path)
+    bus = LocalBus()
+    with Recorder(store, bus, EventLog(store), sync_interval_s=0.01) as recorder, DurablePublisher(bus) as publisher:
+        publisher.send_event(event_key(PLACE), RunStarted(run="r1", t_ns=0))
+        publisher.send_event(event_key(PLACE), RunEnded(run="r1", t_ns=10**9))
+        publisher.drain()
+        until(lambda: recorder.counts.segments == 1)
+        publisher.send_batch(KEY, batch(0))  # sent again after an error of the disk, its end has come before it
+        publisher.drain()
+        until(lambda: recorder.counts.segments == 2)
+        recorder.wait_for_lake()
+        assert len(lake_values(store)) == 100
