@@ -1,6 +1,7 @@
 """Commands of what comes in: `gyrofleet import`."""
 
 import shlex
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,8 +23,11 @@ from stream.errors import BadInput
 
 if TYPE_CHECKING:
     from ingest.importer import FileImport
+    from ingest.instruments.can_mapping import CanPlan
+    from ingest.sample_file import SampleFile
 
 _LISTED_BAD_ROWS = 20
+_LISTED_REMARKS = 20
 
 
 @click.command("import")
@@ -33,6 +37,8 @@ _LISTED_BAD_ROWS = 20
 @click.option("--run", help="Run that they belong to, where the file has no column 'run'; else the file's name.")
 @click.option("--start", help="Moment of the run's start where times count from it: 2026-11-21T18:00:00+08:00.")
 @click.option("--sample-rate", "sample_rate_hz", type=float, help="Hz, for a file without a time column.")
+@click.option("--dbc", "databases", multiple=True, type=click.Path(path_type=Path), help="CAN database of a CAN log.")
+@click.option("--mapping", type=click.Path(path_type=Path), help="Which signal of the database is which (TOML file).")
 @click.option("--skip-bad", is_flag=True, help="Leave bad rows out, and list them, instead of refusing the file.")
 @click.option("--site", default="local", show_default=True, help="Site the samples come from.")
 @click.option("--station", default="files", show_default=True, help="Station the samples come from.")
@@ -46,6 +52,8 @@ def import_files(
     run: str | None,
     start: str | None,
     sample_rate_hz: float | None,
+    databases: tuple[Path, ...],
+    mapping: Path | None,
     site: str,
     station: str,
     connect: str | None,
@@ -54,13 +62,18 @@ def import_files(
     skip_bad: bool,
     as_json: bool,
 ) -> None:
-    """Import CSV and Parquet files: columns `signal[unit]` and `time[s]`.
+    """Import CSV and Parquet files (columns `signal[unit]` and `time[s]`) and CAN logs (with their --dbc).
 
     Every sample goes the way of live data: over the bus, into the log and the lake, past the estimators. All files
     are checked before the first is imported. A file that is there already adds nothing; give the same command again
     to complete an import that was interrupted.
+
+    CAN logs are .blf, .asc, .trc, .log (candump) and .mf4. Without --mapping, every signal of the database comes
+    under its own name in lower case; `gyrofleet can scan` proposes a mapping. Of a damaged log what is good is
+    imported, and the exit code is 1.
     """
-    from ingest.importer import import_table
+    from ingest.can_import import CanLogFile
+    from ingest.importer import import_file
     from ingest.instruments.table_columns import TableOptions
     from ingest.instruments.table_file import TableFile
     from ingest.moment import moment_ns
@@ -76,25 +89,31 @@ def import_files(
         sample_rate_hz=sample_rate_hz,
         skip_bad=skip_bad,
     )
+    plan = _can_plan(files, unit, databases, mapping)
+    intervals: dict[tuple[str, str, str], int] = {}
     imported: list[FileImport] = []
     with progress_bar(hidden=as_json) as progress:
         checked = []
         for path in files:
             task = progress.add_task(f"checking {path.name}", total=1.0)
             began = time.monotonic()
-            table = TableFile(path, options)
-            summary = table.check(lambda done, task=task: progress.update(task, completed=done))  # type: ignore[misc]
+            file: SampleFile = (
+                CanLogFile(path, plan, run=run, start_ns=options.start_ns, intervals=intervals)
+                if _is_can_log(path)
+                else TableFile(path, options)
+            )
+            summary = file.check(lambda done, task=task: progress.update(task, completed=done))  # type: ignore[misc]
             progress.update(task, completed=1.0, visible=len(files) <= 10)
-            checked.append((path, table, summary, time.monotonic() - began))
+            checked.append((path, file, summary, time.monotonic() - began))
     if connect is None:
         compile_kernels(quiet=as_json)
     with progress_bar(hidden=as_json) as progress:
-        for path, table, summary, checking_s in checked:
+        for path, file, summary, checking_s in checked:
             task = progress.add_task(f"importing {path.name}", total=1.0)
             imported.append(
-                import_table(
+                import_file(
                     path,
-                    table,
+                    file,
                     summary,
                     folder,
                     place,
@@ -110,6 +129,34 @@ def import_files(
         for each in imported:
             _tell(each, folder)
         _tell_next(imported[-1], folder)
+    if any(each.damage for each in imported):
+        sys.exit(1)
+
+
+def _is_can_log(path: Path) -> bool:
+    from ingest.instruments.can_summary import LOG_SUFFIXES
+
+    return path.suffix.lower() in LOG_SUFFIXES
+
+
+def _can_plan(
+    files: tuple[Path, ...], unit: str | None, databases: tuple[Path, ...], mapping: Path | None
+) -> "CanPlan":
+    """What to decode of the CAN logs among the files: read once for all of them, empty where there is none."""
+    from ingest.instruments.can_mapping import CanPlan, automatic_plan, load_mapping
+
+    logs = [path for path in files if _is_can_log(path)]
+    if not logs:
+        if databases or mapping:
+            raise BadInput("--dbc and --mapping are for CAN logs, and none of the files is one")
+        return CanPlan(())
+    if not databases:
+        raise BadInput(f"{logs[0]}: a CAN log needs its database: give --dbc FILE.dbc")
+    if mapping is not None:
+        return load_mapping(mapping, databases, unit)
+    if unit is not None:
+        return automatic_plan(databases, unit)
+    raise BadInput(f"{logs[0]}: nothing says whose samples these are: give --unit, or a --mapping that does")
 
 
 def _tell(imported: "FileImport", folder: Path) -> None:
@@ -117,7 +164,13 @@ def _tell(imported: "FileImport", folder: Path) -> None:
     for segment in imported.recovered:
         console.print(f"recovered {segment}, left open by an interrupted process")
     _tell_bad_rows(imported)
-    table = Table(title=f"{imported.file}: {imported.rows:,} rows", title_justify="left", header_style="bold")
+    for remark in imported.remarks[:_LISTED_REMARKS]:
+        console.print(f"{imported.file}: {remark}", markup=False, soft_wrap=True)
+    if len(imported.remarks) > _LISTED_REMARKS:
+        console.print(f"  ... and {len(imported.remarks) - _LISTED_REMARKS:,} more (--json lists all)")
+    table = Table(
+        title=f"{imported.file}: {imported.rows:,} {imported.counted}", title_justify="left", header_style="bold"
+    )
     for title in ("unit", "run", "signal", "in", "interval", "in file", "added", "already stored", "in lake"):
         table.add_column(title, justify="right" if title in {"interval", "in file", "added", "in lake"} else "left")
     for signal in imported.signals:
@@ -134,6 +187,9 @@ def _tell(imported: "FileImport", folder: Path) -> None:
         )
     results().print(table)
     results().print(_conclusion(imported, folder))
+    if imported.damage:
+        said = f"error: {imported.file}: {imported.damage}; what is good of it is imported"
+        console.print(said, style="red", markup=False, soft_wrap=True)
 
 
 def _tell_next(imported: "FileImport", folder: Path) -> None:

@@ -10,10 +10,12 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 
 import numpy as np
 
-from ingest.instruments.table_file import TableFile
+from ingest.instruments.can_samples import CanCounts
+from ingest.instruments.can_summary import CanSummary
 from ingest.instruments.table_rows import BadRow
 from ingest.instruments.table_summary import SignalSummary, TableSummary
 from ingest.pipeline import EmbeddedPipeline
+from ingest.sample_file import SampleFile
 from ingest.stored import StoredSamples
 from storage.catalog import Catalog
 from storage.store import Store, writer_endpoint
@@ -60,6 +62,10 @@ class FileImport:
     seconds: float
     signals: tuple[SignalImport, ...]
     recovered: tuple[str, ...] = ()
+    counted: str = "rows"
+    damage: str = ""
+    remarks: tuple[str, ...] = ()
+    frames: CanCounts | None = None
 
     @property
     def added(self) -> int:
@@ -70,9 +76,9 @@ class FileImport:
 class _Sending:
     """One file on its way to a recorder."""
 
-    def __init__(self, path: Path, table: TableFile, summary: TableSummary, place: Place) -> None:
+    def __init__(self, path: Path, file: SampleFile, summary: TableSummary, place: Place) -> None:
         self._path = path
-        self._table = table
+        self._file = file
         self._summary = summary
         self._place = place
         self._stored: StoredSamples | None = None
@@ -86,7 +92,7 @@ class _Sending:
         """Find out what the store has of the file; raises BadInput where the two contradict each other."""
         catalog = Catalog(store)
         self._stored = StoredSamples(catalog, self._path, self._summary)
-        self._common = self._stored.check(self._table)
+        self._common = self._stored.check(self._file)
         self._held = _held(catalog)
         runs = sorted({signal.run for signal in self._summary.signals})
         known = catalog.rows(
@@ -129,17 +135,17 @@ class _Sending:
         for run in runs:
             if self._stored is None or run not in self._stored.runs:
                 sender.send_event(event_key(self._place), self._started(run, content))
-        news = self._send_table(sender, epochs, progress)
+        news = self._send_file(sender, epochs, progress)
         for run in runs:
             is_ours = self._started(run, content).uid in self._known_uids  # killed before it could end the run
             if is_ours if run in open_runs else news:
                 sender.send_event(event_key(self._place), self._noted(run, content))
                 sender.send_event(event_key(self._place), self._ended(run, epochs))
 
-    def _send_table(self, sender: Sender, epochs: dict[tuple[str, str], UUID], progress: Progress | None) -> int:
+    def _send_file(self, sender: Sender, epochs: dict[tuple[str, str], UUID], progress: Progress | None) -> int:
         """Send samples and steps that the store does not have; returns how many messages that were."""
         news = 0
-        for item in self._table.batches(lambda unit, run: epochs[unit, run], self._keep, progress):
+        for item in self._file.batches(lambda unit, run: epochs[unit, run], self._keep, progress):
             if isinstance(item, SampleBatch):
                 sender.send_batch(sample_key(self._place, item.unit, item.signal), item)
                 self._sent[item.unit, item.run, item.signal] += len(item)
@@ -218,6 +224,8 @@ class _Sending:
         text = f"imported {self._path.name} (sha256 {content}): {added} samples"
         if self._summary.bad_rows:
             text += f"; {self._summary.bad_rows} of {self._summary.rows} rows left out as bad"
+        for remark in filter(None, (self._summary.damage, *self._summary.remarks)):
+            text += f"; {remark}"
         return NoteAdded(
             run=run,
             t_ns=self._last_ns(run),
@@ -243,9 +251,9 @@ class _Sending:
         return max(signal.sampling.t_last_ns for signal in self._of(run))
 
 
-def import_table(
+def import_file(
     path: Path,
-    table: TableFile,
+    file: SampleFile,
     summary: TableSummary,
     folder: Path,
     place: Place,
@@ -259,7 +267,7 @@ def import_table(
 
     Parameters
     ----------
-    path, table, summary
+    path, file, summary
         The file and what its first pass found.
     folder : Path
         The store, for the embedded path; with `connect` it is looked at only if the recorder there writes it.
@@ -284,7 +292,7 @@ def import_table(
         If no recorder acknowledges it.
     """
     began = time.monotonic()
-    sending = _Sending(path, table, summary, place)
+    sending = _Sending(path, file, summary, place)
     recovered: tuple[str, ...] = ()
     if connect is None:
         with EmbeddedPipeline(folder, "gyrofleet import", listen=listen) as pipeline:
@@ -313,6 +321,10 @@ def import_table(
         seconds=checking_s + time.monotonic() - began,
         signals=tuple(sending.result(signal, in_lake) for signal in summary.signals),
         recovered=recovered,
+        counted=summary.counted,
+        damage=summary.damage,
+        remarks=summary.remarks,
+        frames=summary.frames if isinstance(summary, CanSummary) else None,
     )
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ingest.instruments.table_file import TableFile
 from ingest.instruments.table_summary import SignalChunk, SignalSummary, TableSummary
+from ingest.sample_file import SampleFile
 from storage.catalog import Catalog
 from storage.reading import stored_between
 from stream.batch import BoolArray, IntArray
@@ -44,7 +44,7 @@ class StoredSamples:
         self.runs = {str(run): bool(known) for run, known, _ in rows}
         self.open_runs = {str(run) for run, _, is_open in rows if is_open}
 
-    def check(self, table: TableFile) -> Counter[_Name]:
+    def check(self, file: SampleFile) -> Counter[_Name]:
         """Compare the file with the store sample by sample; returns how many of each signal the store has already.
 
         Raises
@@ -58,7 +58,7 @@ class StoredSamples:
         if not any(self._overlaps(name) for name in self._signals):
             return Counter()
         common: Counter[_Name] = Counter()
-        for chunk in table.chunks():
+        for chunk in file.chunks():
             name = (chunk.unit, chunk.run, chunk.signal)
             if self._overlaps(name):
                 common[name] += self._check_chunk(chunk)

@@ -21,6 +21,8 @@ class BatchHead:
     dt_ns: int
     unit_of_measure: str
     irregular: bool
+    scale: float = 1.0
+    offset: float = 0.0
 
 
 class Batcher:
@@ -104,4 +106,6 @@ class Batcher:
             values=data if data.dtype == np.float64 else None,  # type: ignore[arg-type]
             times_ns=None if is_even else times_ns,
             irregular=head.irregular,
+            scale=head.scale,
+            offset=head.offset,
         )

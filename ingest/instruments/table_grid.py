@@ -1,5 +1,6 @@
 """How a signal of a table is sampled: its nominal interval, and whether every interval lies on the grid."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +56,11 @@ class Sampling:
 class SamplingGrid:
     """Follows the times of one signal through a file, however they are cut in pieces.
 
+    Parameters
+    ----------
+    nominal : callable, optional
+        From the first intervals and what they say the nominal one is to the nominal one, all in nanoseconds.
+
     Examples
     --------
     >>> grid = SamplingGrid()
@@ -63,7 +69,8 @@ class SamplingGrid:
     Sampling(samples=5, t_first_ns=0, t_last_ns=61, dt_ns=10, off_grid=0, worst_ns=1, gaps=1)
     """
 
-    def __init__(self) -> None:
+    def __init__(self, nominal: Callable[[IntArray, int], int] | None = None) -> None:
+        self._from_measured = nominal
         self._early: list[IntArray] = []
         self._samples = 0
         self._first_ns = 0
@@ -108,6 +115,8 @@ class SamplingGrid:
         intervals_ns = times_ns[1:] - times_ns[:-1]
         self._early.clear()
         self._dt_ns = _nominal(intervals_ns[:MEDIAN_INTERVALS]) if len(intervals_ns) else _LONE_SAMPLE_DT_NS
+        if self._from_measured is not None:
+            self._dt_ns = self._from_measured(intervals_ns, self._dt_ns)
         self._judge(intervals_ns)
 
     def _judge(self, intervals_ns: IntArray) -> None:

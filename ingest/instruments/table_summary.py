@@ -49,6 +49,12 @@ class TableSummary:
         Steps that the step words make.
     signals : tuple of SignalSummary
         Every signal that has samples.
+    counted : str
+        What `rows` counts, for people.
+    damage : str
+        What is wrong with the file as a whole, where what is good of it is used; empty where nothing is.
+    remarks : tuple of str
+        What whoever imports it should know, for people.
     """
 
     rows: int
@@ -57,6 +63,9 @@ class TableSummary:
     date_known: bool
     steps: int
     signals: tuple[SignalSummary, ...]
+    counted: str = "rows"
+    damage: str = ""
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

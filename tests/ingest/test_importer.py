@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from ingest.importer import FileImport, import_table
+from ingest.importer import FileImport, import_file
 from ingest.instruments.table_columns import TableOptions
 from ingest.instruments.table_file import TableFile
 from ingest.pipeline import EmbeddedPipeline
@@ -32,7 +32,7 @@ def path(tmp_path: Path) -> Path:
 
 def imported(path: Path, folder: Path) -> FileImport:
     table = TableFile(path, TableOptions(unit="U1"))
-    return import_table(path, table, table.check(), folder, PLACE)
+    return import_file(path, table, table.check(), folder, PLACE)
 
 
 def outcome(folder: Path) -> list[tuple[object, ...]]:

@@ -1,0 +1,172 @@
+"""Logs written by python-can come back frame for frame, whole or cut."""
+
+import struct
+import warnings
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+
+from ingest.instruments.can_frames import EXTENDED
+from ingest.instruments.can_log import CanLog
+from stream.errors import BadInput
+
+START_S = 1_700_000_000.25
+FORMATS = [".blf", ".asc", ".trc", ".log", ".mf4"]
+
+
+def messages(count: int) -> list[can.Message]:
+    """Frames of both kinds of id on two channels, every 1.25 ms."""
+    return [
+        can.Message(
+            timestamp=START_S + i * 0.00125,
+            arbitration_id=0x1ABCDEF0 if i % 3 == 0 else 0x100 + i % 3,
+            is_extended_id=i % 3 == 0,
+            data=i.to_bytes(4, "little")[: 4 if i % 2 else 3] + b"\x55",
+            channel=i % 2,
+        )
+        for i in range(count)
+    ]
+
+
+def written(path: Path, frames: list[can.Message]) -> Path:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # asammdf's own, on writing
+        # TRC knows one channel
+        with can.Logger(path) as logger:
+            for frame in frames:
+                logger.on_message_received(frame)
+    return path
+
+
+def read(log: CanLog) -> list[tuple[int, int, int, bytes]]:
+    return [
+        (
+            int(block.t_ns[i]),
+            int(block.channel[i]),
+            int(block.arbitration_id[i]),
+            bytes(block.data[i][: block.length[i]]),
+        )
+        for block in log.blocks()
+        for i in range(len(block))
+    ]
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_every_frame_of_every_format(tmp_path: Path, suffix: str) -> None:
+    frames = messages(2500)
+    log = CanLog(written(tmp_path / f"bench{suffix}", frames))
+    found = read(log)
+    assert (log.damage, log.counts.data) == ("", 2500)
+    assert [(identifier, data) for _, _, identifier, data in found] == [
+        (each.arbitration_id | (EXTENDED if each.is_extended_id else 0), bytes(each.data)) for each in frames
+    ]
+    if suffix != ".trc":
+        assert {channel for _, channel, _, _ in found} == {0, 1}
+    times_ns = np.array([t_ns for t_ns, *_ in found])
+    expected_ns = 1_700_000_000_250_000_000 + np.arange(2500) * 1_250_000
+    # python-can's TRC has 0.1 ms and its own zero, its ASC the computer's time zone: right from frame to frame
+    resolution_ns = 200_000 if suffix == ".trc" else 2_000
+    if suffix in {".blf", ".log", ".mf4"}:
+        assert np.abs(times_ns - expected_ns).max() <= resolution_ns
+    assert np.abs(np.diff(times_ns) - 1_250_000).max() <= resolution_ns
+    assert read(log) == found  # what was held is what was read
+
+
+def test_fd_frames_of_64_bytes_and_frames_of_other_kinds(tmp_path: Path) -> None:
+    frames = [
+        can.Message(timestamp=START_S, arbitration_id=1, is_extended_id=False, data=bytes(range(64)), is_fd=True),
+        can.Message(timestamp=START_S + 1, is_error_frame=True),
+        can.Message(timestamp=START_S + 2, arbitration_id=2, is_extended_id=False, is_remote_frame=True, dlc=8),
+        can.Message(timestamp=START_S + 3, arbitration_id=3, is_extended_id=False, data=b"\x01"),
+    ]
+    log = CanLog(written(tmp_path / "fd.blf", frames))
+    assert [data for *_, data in read(log)] == [bytes(range(64)), b"\x01"]
+    assert (log.counts.data, log.counts.errors, log.counts.remote) == (2, 1, 1)
+
+
+def test_a_cut_blf_gives_what_is_good_and_says_so(tmp_path: Path) -> None:
+    random = np.random.default_rng(3)
+    frames = messages(7_000)
+    for frame in frames:
+        frame.data[:] = random.bytes(len(frame.data))
+    whole = written(tmp_path / "whole.blf", frames)
+    expected = read(CanLog(whole))
+    content = whole.read_bytes()
+    containers = [i for i in range(len(content) - 16) if content[i : i + 4] == b"LOBJ" and content[i + 12] == 10]
+    assert len(containers) >= 3
+    for size in (len(content) - 1, containers[-1] + 500, containers[-1], containers[-1] + 7, containers[1] + 17):
+        path = tmp_path / f"cut{size}.blf"
+        path.write_bytes(content[:size])
+        log = CanLog(path)
+        found = read(log)
+        assert found == expected[: len(found)]
+        assert len(found) < len(expected) or size == len(content) - 1
+        assert "cut short" in log.damage, size
+
+
+def test_a_blf_with_a_bad_byte_gives_what_is_before(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.blf", messages(20_000))
+    content = bytearray(path.read_bytes())
+    second = content.index(b"LOBJ", 400)
+    content[second + 200 : second + 240] = bytes(40)
+    path.write_bytes(content)
+    log = CanLog(path)
+    found = read(log)
+    assert 0 < len(found) < 20_000
+    assert log.damage.startswith("damaged behind frame")
+
+
+def test_a_blf_that_was_never_closed_is_said(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.blf", messages(100))
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<QQL", content, 16, 144, 144, 0)  # as its writer begins it
+    path.write_bytes(content)
+    log = CanLog(path)
+    assert len(read(log)) == 100
+    assert "not closed" in log.damage
+
+
+def test_an_unfinished_mf4_is_said(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.mf4", messages(100))
+    content = bytearray(path.read_bytes())
+    content[:8] = b"UnFinMF "
+    path.write_bytes(content)
+    log = CanLog(path)
+    assert len(read(log)) == 100
+    assert "not finished" in log.damage
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc"])
+def test_a_text_log_that_ends_inside_a_line(tmp_path: Path, suffix: str) -> None:
+    path = written(tmp_path / f"a{suffix}", messages(50))
+    content = path.read_bytes().rstrip(b"\n")
+    end = content.rindex(b"\n", 0, content.rindex(b"x\n") if b"x\n" in content else len(content))
+    path.write_bytes(content[: end + 12])
+    log = CanLog(path)
+    assert 40 <= len(read(log)) <= 50
+    assert log.damage
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("a.blf", b"no BLF at all, but long enough for a header" * 5, "cannot be read as a .blf"),
+        ("a.mf4", b"nonsense" * 50, "cannot be read as a .mf4"),
+        ("a.blf", b"", "the file is empty"),
+        ("a.xyz", b"x", "unknown kind of CAN log"),
+    ],
+)
+def test_what_is_no_log_is_refused(tmp_path: Path, name: str, content: bytes, told: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(BadInput, match=told):
+        CanLog(tmp_path / name)
+
+
+def test_mf4_without_asammdf_says_what_to_install(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    (tmp_path / "a.mf4").write_bytes(b"MDF     ")
+    with pytest.raises(BadInput, match="pip install"):
+        CanLog(tmp_path / "a.mf4")
