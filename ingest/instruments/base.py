@@ -7,6 +7,7 @@ station finds it by its `kind`.
 import importlib
 import inspect
 import pkgutil
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -47,6 +48,9 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 class Instrument(ABC):
     """One instrument; its methods are called from one thread at a time.
 
+    Where several threads use it, each holds `lock` while it calls a method: the sampler that reads it does, and so does
+    whoever sets it meanwhile.
+
     Parameters
     ----------
     name : str
@@ -68,6 +72,8 @@ class Instrument(ABC):
         What it can be set to, and in which unit of measure: ``{"rate": "deg/s"}``.
     signals : mapping
         What it measures, and in which unit of measure.
+    lock : threading.RLock
+        Held by whoever calls a method, where several threads do.
     """
 
     kind: ClassVar[str]
@@ -80,6 +86,7 @@ class Instrument(ABC):
         self.name = name
         self.options = options
         self.clock = clock
+        self.lock = threading.RLock()
 
     @abstractmethod
     def open(self) -> str:
@@ -150,6 +157,8 @@ def instrument_kinds() -> dict[str, type[Instrument]]:
         if module.ispkg:
             continue
         for _, each in inspect.getmembers(importlib.import_module(module.name), inspect.isclass):
-            if issubclass(each, Instrument) and not inspect.isabstract(each) and each.__module__ == module.name:
+            if not issubclass(each, Instrument) or each.__module__ != module.name:
+                continue
+            if not inspect.isabstract(each) and hasattr(each, "kind"):  # without one, others build on it
                 found[each.kind] = each
     return found

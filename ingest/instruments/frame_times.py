@@ -1,0 +1,148 @@
+"""When numbered frames were sampled: by their counter and nominal interval, held to their times of arrival."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from stream.batch import BoolArray, IntArray
+
+_WINDOW_S = 10.0
+_MOST_STEERING = 1e-3
+_NS = 1e9
+
+
+class Placed(NamedTuple):
+    """Which frames are new, shape (n,), and when those were sampled, shape (number of new ones,)."""
+
+    is_new: BoolArray
+    times_ns: IntArray
+
+
+class FrameTimes:
+    """Places frames on a grid of their nominal interval.
+
+    The first frame is anchored at its arrival. From then on counters tell how many intervals have passed, so that the
+    jitter of the line does not matter. The device's clock is not the station's: once in 10 s the grid is steered
+    towards the promptest arrival of those 10 s, by half of what it is off and by at most 0.1 % of the interval. Where
+    neither counter nor interval explain an arrival within `resync_s` (the device has started anew), the grid is
+    anchored anew.
+
+    Parameters
+    ----------
+    interval_s : float
+        Nominal time between frames, seconds.
+    modulus : int, optional
+        Where the counter starts anew; None where there is no counter, so that only time tells of lost frames.
+    resync_s : float
+        Largest delay of the line, seconds.
+
+    Attributes
+    ----------
+    lost, repeated, restarts : int
+        Frames lost, frames that came twice, times that the counter started anew.
+    steering : float
+        By how much the interval is stretched now, relative; it comes to the device's own error.
+
+    Examples
+    --------
+    >>> times = FrameTimes(0.01, modulus=256)
+    >>> times.place(np.array([254, 255, 0]), 3, 1_020_000_000).times_ns.tolist()
+    [1000000000, 1010000000, 1020000000]
+    >>> times.place(np.array([3, 3]), 2, 1_050_000_000), times.lost, times.repeated
+    (Placed(is_new=array([ True, False]), times_ns=array([1050000000])), 2, 1)
+    """
+
+    def __init__(self, interval_s: float, modulus: int | None, resync_s: float = 0.25) -> None:
+        self._interval_ns = interval_s * _NS
+        self._modulus = modulus
+        self._resync_ns = resync_s * _NS
+        self._counter: int | None = None
+        self._number = 0  # of the last frame
+        self._base = (0, 0, self._interval_ns)  # number, its time, interval from there on
+        self._promptest_ns = math.inf
+        self.steering = 0.0
+        self.lost = 0
+        self.repeated = 0
+        self.restarts = 0
+
+    def place(self, counters: IntArray | None, n: int, t_ns: int) -> Placed:
+        """Place `n` frames, the last of which arrived at `t_ns`; `counters` has shape (n,), or is None."""
+        is_first = self._counter is None
+        steps, is_new = self._steps(counters, n)
+        if not len(steps):
+            return Placed(is_new, np.empty(0, np.int64))
+        if is_first:
+            self._base = (0, t_ns - round(float(steps.sum()) * self._interval_ns), self._interval_ns)
+        else:
+            anew = self._explain(steps, t_ns)
+            if anew is not None:
+                return Placed(is_new, self._restart(steps, anew, t_ns))
+            self.lost += int(steps.sum()) - len(steps)
+        if is_first:
+            self.lost += int(steps.sum()) - len(steps) + 1
+        numbers = self._number + np.cumsum(steps)
+        times_ns = self._at(numbers)
+        self._number = int(numbers[-1])
+        self._steer(t_ns)
+        return Placed(is_new, times_ns)
+
+    def _steps(self, counters: IntArray | None, n: int) -> tuple[IntArray, BoolArray]:
+        """By how many intervals each new frame follows the one before, and which are new."""
+        if counters is None or self._modulus is None:
+            steps = np.ones(n, np.int64)
+            if self._counter is None and n:
+                steps[0], self._counter = 0, 0
+            return steps, np.ones(n, np.bool_)
+        previous = counters[0] if self._counter is None and n else self._counter
+        steps = np.diff(counters, prepend=np.int64(previous or 0)) % self._modulus
+        is_new = steps != 0
+        if self._counter is None and n:
+            is_new[0] = True
+        if n:
+            self._counter = int(counters[-1])
+        self.repeated += int(n - is_new.sum())
+        return steps[is_new], is_new
+
+    def _explain(self, steps: IntArray, t_ns: int) -> int | None:
+        """Add whole turns of the counter where the time asks for them; where it started anew, if it did."""
+        turn = self._modulus or 1
+        jumps = np.flatnonzero(steps != 1)
+        late_ns = self._late_ns(steps, t_ns)
+        if late_ns > max(self._resync_ns, turn * self._interval_ns / 2):
+            steps[jumps[0] if len(jumps) else 0] += turn * round(late_ns / (turn * self._interval_ns))
+            late_ns = self._late_ns(steps, t_ns)
+        if abs(late_ns) <= self._resync_ns or not len(jumps):
+            return None
+        return int(np.argmax(steps))
+
+    def _restart(self, steps: IntArray, anew: int, t_ns: int) -> IntArray:
+        """Times of frames of which number `anew` and those after it are counted from a new start."""
+        self.restarts += 1
+        self.lost += int(steps[:anew].sum()) - anew + int(steps[anew + 1 :].sum()) - (len(steps) - anew - 1)
+        before = self._at(self._number + np.cumsum(steps[:anew]))
+        last_ns = int(self._at(np.array([self._number + int(steps[:anew].sum())]))[0])
+        after = np.concatenate(([0], np.cumsum(steps[anew + 1 :])))
+        start_ns = max(t_ns - round(float(after[-1]) * self._interval_ns), last_ns + round(self._interval_ns))
+        self._number = int(after[-1])
+        self._base = (0, start_ns, self._interval_ns)
+        self._promptest_ns = math.inf
+        return np.concatenate((before, self._at(after)))
+
+    def _late_ns(self, steps: IntArray, t_ns: int) -> float:
+        return float(t_ns - self._at(np.array([self._number + int(steps.sum())]))[0])
+
+    def _at(self, numbers: IntArray) -> IntArray:
+        base, base_ns, interval_ns = self._base
+        return np.asarray(base_ns + np.rint((numbers - base) * interval_ns).astype(np.int64))
+
+    def _steer(self, t_ns: int) -> None:
+        base, base_ns, interval_ns = self._base
+        passed_ns = round((self._number - base) * interval_ns)
+        self._promptest_ns = min(self._promptest_ns, t_ns - (base_ns + passed_ns))
+        if passed_ns < _WINDOW_S * _NS:
+            return
+        steering = 0.5 * self._promptest_ns / passed_ns
+        self.steering = float(np.clip(steering, -_MOST_STEERING, _MOST_STEERING))
+        self._base = (self._number, base_ns + passed_ns, self._interval_ns * (1.0 + self.steering))
+        self._promptest_ns = math.inf
