@@ -12,7 +12,7 @@ from storage.lake_tables import TABLES
 from storage.store import Store
 from stream.errors import QueryError, StoreError
 
-VIEWS = ("samples", "signals", "runs", "steps", "estimates", "events", "rollup_1s", "rollup_10s", "clocks")
+VIEWS = ("samples", "signals", "runs", "units", "steps", "estimates", "events", "rollup_1s", "rollup_10s", "clocks")
 
 _READING = {duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN}
 _SQL_TYPES = {
@@ -26,7 +26,7 @@ _SQL_TYPES = {
 
 
 class Catalog:
-    """The views of a store: ``samples``, ``signals``, ``runs``, ``steps``, ``estimates``, ``events``, and others.
+    """The views of a store: ``samples``, ``signals``, ``runs``, ``units``, ``steps``, ``estimates``, and others.
 
     It sees what has reached the lake when it is opened.
 

@@ -89,10 +89,14 @@ class StepStarted(Document, frozen=True, kw_only=True, tag=True):
 
 
 class StepEnded(Document, frozen=True, kw_only=True, tag=True):
-    """The step whose StepStarted has uid `step_uid` ends at its last sample."""
+    """The step whose StepStarted has uid `step_uid` ends at its last sample.
+
+    One whose outcome is not ``completed`` counts for nothing; an ``interrupted`` one is measured again.
+    """
 
     unit: str
     step_uid: str
+    outcome: str = "completed"
 
 
 class PowerOn(Document, frozen=True, kw_only=True, tag=True):
@@ -108,6 +112,19 @@ class PowerOff(Document, frozen=True, kw_only=True, tag=True):
 
     unit: str
     epoch: str
+
+
+class UnitMounted(Document, frozen=True, kw_only=True, tag=True):
+    """A unit stands in a slot of the station: which one it is, and what belongs to it; `details` are free."""
+
+    unit: str
+    product: str | None = None
+    lot: str | None = None
+    slot: str | None = None
+    fixture: str | None = None
+    operator: str | None = None
+    firmware: str | None = None
+    details: dict[str, str] = {}
 
 
 class NoteAdded(Document, frozen=True, kw_only=True, tag=True):
@@ -281,6 +298,7 @@ AnyDocument = (
     | StepEnded
     | PowerOn
     | PowerOff
+    | UnitMounted
     | NoteAdded
     | LimitsApplied
     | EstimatePublished

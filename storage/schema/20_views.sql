@@ -96,6 +96,7 @@ select
   (b.document->>'$.words.room')::boolean as room,
   make_timestamp_ns(b.t_ns) as started,
   make_timestamp_ns(e.t_ns) as ended,
+  case when e.uid is null then 'open' else coalesce(e.document->>'$.outcome', 'completed') end as outcome,
   b.t_ns as t_start_ns,
   e.t_ns as t_end_ns
 from (select * from lake_documents where kind = 'StepStarted') b

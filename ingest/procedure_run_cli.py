@@ -1,0 +1,232 @@
+"""What `gyrofleet run PROCEDURE --station FILE --units FILE` does."""
+
+import datetime as dt
+import hashlib
+import shlex
+import string
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+from zoneinfo import ZoneInfo
+
+import msgspec
+
+from ingest.operator_console import ConsoleOperator
+from ingest.procedure import PlannedStep, Procedure, load_procedure
+from ingest.run_path import RunPath, path_to
+from ingest.station import Station, load_station
+from ingest.station_log import RunLog
+from ingest.station_run import RunStopped, StationRun
+from ingest.station_run_state import unfinished_runs
+from ingest.station_sources import StationSources
+from ingest.units_file import UnitEntry, load_units, mounted_documents
+from storage.store import writer_endpoint
+from stream.console import Stop, compile_kernels, notes, print_json, results, until_stopped
+from stream.errors import BadInput, InstrumentError, RunAborted
+from stream.spool import Spool
+
+_INTERRUPTED = 130
+_PATIENCE_S = 5.0
+
+
+class ProcedureRun(NamedTuple):
+    """What the command line asks for."""
+
+    procedure: str
+    station: Path
+    units: Path
+    parameters: Mapping[str, str]
+    run: str | None
+    operator: str | None
+    lot: str | None
+    says_yes: bool
+    is_ended: bool
+    settle_timeout_s: float
+    every_s: float | None
+
+
+def run_procedure(
+    asked: ProcedureRun,
+    folder: Path,
+    connect: str | None,
+    spool_folder: Path,
+    spool_bytes: int,
+    *,
+    as_json: bool,
+) -> int:
+    """Carry out a procedure at a station, from where it is; returns the exit code.
+
+    Raises
+    ------
+    GyrofleetError
+        If a file cannot be used, the station cannot do what the procedure asks, or recording fails.
+    """
+    procedure = load_procedure(asked.procedure)
+    steps = procedure.steps(asked.parameters)
+    station = load_station(asked.station)
+    entries = load_units(asked.units, station.slots or None)
+    serials = tuple(entry.serial for entry in entries)
+    check_station(station, procedure, asked.parameters)
+    connect = connect or writer_endpoint(folder)
+    if connect is None:
+        compile_kernels(quiet=as_json)
+    clock = station.make_clock()
+    run = asked.run or _run_id(spool_folder, procedure, serials, station, clock.now_ns())
+    with ExitStack() as stack:
+        stop = stack.enter_context(until_stopped())
+        spool = stack.enter_context(Spool(spool_folder / run, max_bytes=spool_bytes))
+        for damage in spool.damages:
+            notes().print(f"warning: the spool is damaged: {damage}", soft_wrap=True, markup=False)
+        operator = stack.enter_context(
+            ConsoleOperator(notes(), stop, says_yes=asked.says_yes, quiet=as_json, listens=not asked.says_yes)
+        )
+        instruments = station.make_instruments(clock)
+        plan = hashlib.sha256(msgspec.json.encode(steps)).hexdigest()
+        log = RunLog(run, procedure.name, plan, serials, station, spool, clock)
+        if log.state.phase == "ended":
+            _tell(log, steps, "ended", "nothing to do, all of it is recorded", as_json=as_json)
+            return 0
+        about: dict[str, str] = {}
+        sources: StationSources | None = None
+        if log.state.phase == "starting" or (log.state.phase == "running" and not asked.is_ended):
+            sources = StationSources(station, instruments, clock, serials)
+            for name, instrument in instruments.items():
+                about[f"instrument.{name}"] = instrument.open()
+                stack.callback(instrument.close)
+        path = stack.enter_context(path_to(folder, run, connect, spool, asked.every_s))
+        leave = partial(_leave, log, steps, path, stop, as_json=as_json)
+        warnings = log.begin(
+            path.sender,
+            mounted_documents(entries, run, log.state.t0_ns),
+            about | _about(station, procedure, asked.parameters),
+            operator=asked.operator or _common(entries, "operator"),
+            lot=asked.lot or _common(entries, "lot"),
+        )
+        for warning in warnings:
+            operator.told(warning)
+        resumed = f"goes on at step {log.state.step + 1} after a gap of {log.gap_s:,.0f} s, " if log.is_resumed else ""
+        _tell(log, steps, "running", f"{resumed}{path.where}", as_json=as_json)
+        code = 0
+        if asked.is_ended:
+            log.end("stopped")
+        elif log.state.phase == "running" and sources is not None:
+            live = StationRun(
+                log, steps, station, instruments, operator, clock, settle_timeout_s=asked.settle_timeout_s
+            )
+            try:
+                live.go(partial(sources.make, log, live.report), sources.samplers(log, live.report))
+            except (RunStopped, InstrumentError) as stopped:
+                return leave(str(stopped))
+            except RunAborted as aborted:
+                operator.told(str(aborted))
+                code = 1
+            log.end("aborted" if code else "completed")
+        else:
+            log.end(log.state.outcome)  # it was killed while it waited for the recorder
+        path.publisher.drain(lambda: stop.asked_at is not None and time.monotonic() > stop.asked_at + _PATIENCE_S)
+        if path.publisher.outstanding:
+            return leave("interrupted before all of it was recorded")
+        path.finish()
+        log.close()
+        _tell(log, steps, "ended", _next(path), as_json=as_json)
+        return code
+
+
+def check_station(station: Station, procedure: Procedure, parameters: Mapping[str, str]) -> None:
+    """Raise BadInput where a station lacks what a procedure sets.
+
+    What is beyond an instrument's range is refused by the instrument's own limits, before anything is sent.
+    """
+    lacking = [each for each in procedure.requirements(parameters) if each.setting not in station.settings]
+    if lacking:
+        wants = "; ".join(f"{each.setting} from {each.least:g} to {each.most:g} {each.unit}" for each in lacking)
+        raise BadInput(
+            f"station {station.table.name} ({station.path}) cannot do procedure {procedure.name}: it has no instrument "
+            f"for {wants}; it can set {', '.join(sorted(station.settings)) or 'nothing'}"
+        )
+
+
+def _run_id(spool: Path, procedure: Procedure, units: tuple[str, ...], station: Station, now_ns: int) -> str:
+    """The run of this procedure and these units that is to go on; else a fresh id: the day and a letter."""
+    for state in unfinished_runs(spool):
+        if (state.procedure, state.units) == (procedure.name, units):
+            return state.run
+    day = dt.datetime.fromtimestamp(now_ns / 1e9, ZoneInfo(station.table.time_zone)).date()
+    for n in range(26 * 26):
+        letters = string.ascii_uppercase
+        name = f"{day}-{procedure.name}-{letters[n // 26 - 1] if n >= 26 else ''}{letters[n % 26]}"
+        if not (spool / name).exists():
+            return name
+    raise BadInput(f"there are {26 * 26} runs of {procedure.name} on {day}: give this one a name with --run")
+
+
+def _about(station: Station, procedure: Procedure, parameters: Mapping[str, str]) -> dict[str, str]:
+    """What the run's first document says beside its names."""
+    chosen = {f"parameter.{name}": str(value) for name, value in procedure.chosen(parameters).items()}
+    where = {"time_zone": station.table.time_zone}
+    if station.table.latitude_deg is not None:
+        where["latitude_deg"] = f"{station.table.latitude_deg:g}"
+    calibrated = {
+        f"calibration_due.{name}": options.calibration_due
+        for name, (_, options) in station.instruments.items()
+        if options.calibration_due is not None
+    }
+    return {"procedure_source": "; ".join(procedure.source), **where, **chosen, **calibrated}
+
+
+def _common(entries: tuple[UnitEntry, ...], what: str) -> str | None:
+    values = {getattr(entry, what) for entry in entries}
+    return values.pop() if len(values) == 1 else None
+
+
+def _leave(log: RunLog, steps: tuple[PlannedStep, ...], path: RunPath, stop: Stop, why: str, *, as_json: bool) -> int:
+    """Leave a run that can be gone on with; the exit code."""
+    until = time.monotonic() + _PATIENCE_S
+    path.publisher.drain(lambda: time.monotonic() > until)
+    left = path.publisher.outstanding
+    if left:
+        path.publisher.abandon()
+    else:
+        path.finish()
+    kept = f"{left} messages wait in the spool; " if left else ""
+    remark = f"{why}; {kept}give the same command to go on, with --end to end it"
+    _tell(log, steps, "interrupted", remark, as_json=as_json)
+    return _INTERRUPTED if stop.asked_at is not None else 1
+
+
+def _next(path: RunPath) -> str:
+    if path.folder is None:
+        return "every sample is recorded"
+    store = f" --store {shlex.quote(str(path.folder))}"
+    query = "select run, unit, step, rate_command, started, ended from steps"
+    return f'every sample is recorded; ask for it: gyrofleet sql{store} "{query}"'
+
+
+def _tell(log: RunLog, steps: tuple[PlannedStep, ...], event: str, remark: str, *, as_json: bool) -> None:
+    state = log.state
+    if as_json:
+        print_json(
+            {
+                "event": event,
+                "run": state.run,
+                "procedure": state.procedure,
+                "units": list(state.units),
+                "steps": len(steps),
+                "steps_done": state.steps_done,
+                "samples": log.samples,
+                "resumed": log.is_resumed,
+                "gap_s": log.gap_s,
+                "outcome": state.outcome if event == "ended" else None,
+                "remark": remark,
+            }
+        )
+        return
+    console = results() if event == "ended" else notes()
+    done = f"{state.steps_done} of {len(steps)} steps"
+    outcome = f" ({state.outcome})" if event == "ended" else ""
+    console.print(
+        f"run {state.run} {event}{outcome}: {done}, {log.samples:,} samples; {remark}", soft_wrap=True, markup=False
+    )

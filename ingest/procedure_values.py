@@ -1,0 +1,133 @@
+"""Values in a procedure: numbers, sums and products of parameters, and texts with parameters in braces."""
+
+import math
+import re
+from collections.abc import Mapping
+from typing import TypeAlias
+
+from stream.errors import BadInput
+
+Scalar: TypeAlias = float | int | str
+Variables: TypeAlias = Mapping[str, Scalar | tuple[Scalar, ...]]
+
+_TERM = re.compile(
+    r"\s*(?P<sign>-?)\s*(?:\$(?P<name>[a-z][a-z0-9_]*)|(?P<number>[0-9]+(?:\.[0-9]*)?(?:[eE][+-]?[0-9]+)?))"
+)
+_OPERATOR = re.compile(r"\s*([-+*/])")
+_PLACE = re.compile(r"\{([^{}]*)\}")
+_EXPECTED = "expected is a number, $name, or sums and products of them"
+_NAME = re.compile(r"\$([a-z][a-z0-9_]*)")
+
+
+def number_of(value: Scalar | bool, variables: Variables, where: str) -> float:
+    """The number that a value stands for.
+
+    Parameters
+    ----------
+    value : float, int or str
+        A number, or sums and products of numbers and `$name`, such as ``"-0.1 * $max_rate_deg_per_s"``; products go
+        before sums, there are no brackets and no functions.
+    variables : mapping
+        Parameters and loop variables by name.
+    where : str
+        File and key, for messages.
+
+    Raises
+    ------
+    BadInput
+        If it cannot be read, names what is not there, or comes to no finite number.
+
+    Examples
+    --------
+    >>> number_of("$base + 0.5 * $step", {"base": 10.0, "step": 4.0}, "x.toml: $.step[0].rate_deg_per_s")
+    12.0
+    """
+    if isinstance(value, bool):
+        raise BadInput(f"{where}: a number is expected, not {str(value).lower()}")
+    if isinstance(value, int | float):
+        return _finite(float(value), str(value), where)
+    total, product, position, operator = 0.0, 0.0, 0, "+"
+    while True:
+        factor, position = _factor(value, position, variables, where)
+        if operator == "*":
+            product *= factor
+        elif operator == "/":
+            if factor == 0.0:
+                raise BadInput(f"{where}: {value!r} divides by zero")
+            product /= factor
+        else:
+            total, product = total + product, factor if operator == "+" else -factor
+        if (found := _OPERATOR.match(value, position)) is None:
+            break
+        operator, position = found[1], found.end()
+    if value[position:].strip():
+        raise BadInput(f"{where}: {value!r} cannot be read from {value[position:].strip()!r} on; {_EXPECTED}")
+    return _finite(total + product, value, where)
+
+
+def _factor(text: str, position: int, variables: Variables, where: str) -> tuple[float, int]:
+    found = _TERM.match(text, position)
+    if found is None:
+        raise BadInput(f"{where}: {text!r} is no number; {_EXPECTED}")
+    if found["name"] is None:
+        number = float(found["number"])
+    else:
+        held = variable(found["name"], variables, where)
+        if isinstance(held, str | tuple):
+            raise BadInput(f"{where}: ${found['name']} is {held!r}, a number is expected")
+        number = float(held)
+    return (-number if found["sign"] else number), found.end()
+
+
+def _finite(number: float, text: str, where: str) -> float:
+    if not math.isfinite(number):
+        raise BadInput(f"{where}: {text} is no finite number")
+    return number + 0.0  # no minus zero, which would be told as -0
+
+
+def variable(name: str, variables: Variables, where: str) -> Scalar | tuple[Scalar, ...]:
+    """What a name stands for.
+
+    Raises
+    ------
+    BadInput
+        If it stands for nothing.
+    """
+    if name not in variables:
+        raise BadInput(f"{where}: ${name} is neither a parameter nor a loop's variable; there is {_listed(variables)}")
+    return variables[name]
+
+
+def text_of(value: str, variables: Variables, where: str) -> str:
+    """A text with what stands in braces filled in; ``$name`` alone is what the name stands for.
+
+    Raises
+    ------
+    BadInput
+        If it names what is not there.
+
+    Examples
+    --------
+    >>> text_of("{axis} up at {rate} deg/s", {"axis": "X", "rate": 10.0}, "x.toml: $.step[0].name")
+    'X up at 10 deg/s'
+    """
+    if (found := _NAME.fullmatch(value)) is not None:
+        return shown(variable(found[1], variables, where))
+    return _PLACE.sub(lambda place: shown(variable(place[1], variables, where)), value)
+
+
+def shown(value: Scalar | tuple[Scalar, ...]) -> str:
+    """A value as people write it.
+
+    Examples
+    --------
+    >>> shown((0.5, 10.0, "X"))
+    '0.5, 10, X'
+    """
+    if isinstance(value, tuple):
+        return ", ".join(shown(each) for each in value)
+    return value if isinstance(value, str) else f"{value:.10g}"
+
+
+def _listed(variables: Variables) -> str:
+    return ", ".join(f"${name}" for name in variables) or "none"

@@ -1,0 +1,286 @@
+"""Which units are tested, and in which slots: a table, or what a barcode reader has typed, one serial a line."""
+
+import csv
+import io
+import re
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from uuid import NAMESPACE_URL, uuid5
+
+import msgspec
+
+from stream.errors import BadInput
+from stream.events import UnitMounted
+from stream.identity import check_name
+
+STDIN = "-"
+COLUMNS = ("serial", "slot", "lot", "operator", "fixture", "firmware", "product")
+
+_MOST_BYTES = 16_000_000
+_MOST_CHARACTERS = 1000
+_DELIMITERS = (",", ";", "\t")
+_ENCODINGS = ("utf-8-sig", "gb18030")
+_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+_COLUMN = re.compile(r"[^\x00-\x1f\"']{1,64}")
+_TOLD_PROBLEMS = 20
+_NAMESPACE = uuid5(NAMESPACE_URL, "gyrofleet/unit-mounted")
+
+
+class UnitEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One unit that is tested.
+
+    Parameters
+    ----------
+    serial : str
+        Its serial number, which is its name in the data.
+    slot : str, optional
+        Where it stands.
+    lot, operator, fixture, firmware, product : str, optional
+        What belongs to it.
+    details : dict
+        Whatever else the file says of it, by the title of the column.
+    line : int
+        Line of the file that it stands in, from 1.
+    """
+
+    serial: str
+    slot: str | None = None
+    lot: str | None = None
+    operator: str | None = None
+    fixture: str | None = None
+    firmware: str | None = None
+    product: str | None = None
+    details: dict[str, str] = {}
+    line: int = 0
+
+
+class UnitsFile(msgspec.Struct, frozen=True, kw_only=True):
+    """A file of units: the entries in its order, and how it was read; `empty_lines` were passed over."""
+
+    source: str
+    entries: tuple[UnitEntry, ...]
+    encoding: str
+    empty_lines: int = 0
+
+
+def load_units(path: str | Path, slots: Iterable[str] | None = None) -> tuple[UnitEntry, ...]:
+    """The units of a file; see `read_units`."""
+    return read_units(path, slots).entries
+
+
+def read_units(path: str | Path, slots: Iterable[str] | None = None) -> UnitsFile:
+    """Read which units are tested from a file, or from standard input where the path is ``-``.
+
+    Parameters
+    ----------
+    path : str or Path
+        A table with a first line of titles, one of them ``serial`` (comma, semicolon or tab between columns), or
+        plain text with one serial a line. UTF-8, GB 18030, or UTF-16 with its mark.
+    slots : iterable of str, optional
+        The station's slots; others are refused.
+
+    Raises
+    ------
+    BadInput
+        If it cannot be read, or units are missing, named twice, put into one slot or a slot that is not there; all
+        problems are listed with their lines.
+    """
+    if str(path) == STDIN:
+        content, source = sys.stdin.buffer.read(_MOST_BYTES + 1), "standard input"
+    else:
+        source = str(path)
+        try:
+            with Path(path).open("rb") as file:
+                content = file.read(_MOST_BYTES + 1)
+        except OSError as error:
+            raise BadInput(f"units {source} cannot be read: {error.strerror or error}") from error
+    if len(content) > _MOST_BYTES:
+        raise BadInput(f"units {source}: more than {_MOST_BYTES:,} bytes; this is no list of units")
+    return parse_units(content, source, slots)
+
+
+def parse_units(content: bytes, source: str, slots: Iterable[str] | None = None) -> UnitsFile:
+    r"""Read which units are tested; see `read_units`.
+
+    Examples
+    --------
+    >>> found = parse_units("serial,slot,colour\nFOG-1,A1,red\n\nFOG-2,A2,\n".encode(), "units.csv")
+    >>> [(each.serial, each.slot, each.details) for each in found.entries], found.empty_lines
+    ([('FOG-1', 'A1', {'colour': 'red'}), ('FOG-2', 'A2', {})], 1)
+    >>> [each.serial for each in parse_units(b"FOG-1\r\nFOG-2\r\n", "scan").entries]
+    ['FOG-1', 'FOG-2']
+    """
+    text, encoding = _decoded(content, source)
+    rows, empty = _rows(text, source)
+    if not rows:
+        raise BadInput(f"units {source}: it is empty; one serial a line is expected, or a table with a column serial")
+    problems: list[str] = []
+    titles = [cell.strip().lower() for cell in rows[0][1]]
+    if "serial" in titles:
+        entries = list(_table(rows, source, problems))
+    elif len(titles) > 1:
+        raise BadInput(
+            f"units {source}, line {rows[0][0]}: no title 'serial' among {', '.join(repr(each) for each in titles)}; "
+            f"the first line names the columns: {', '.join(COLUMNS)}, and others freely"
+        )
+    else:
+        entries = list(_plain(rows, problems))
+    problems += _conflicts(entries, None if slots is None else tuple(slots))
+    if problems:
+        told = "; ".join(problems[:_TOLD_PROBLEMS])
+        more = f"; and {len(problems) - _TOLD_PROBLEMS} more" if len(problems) > _TOLD_PROBLEMS else ""
+        raise BadInput(f"units {source}: {told}{more}. Nothing of it is taken; correct these lines")
+    if not entries:
+        raise BadInput(f"units {source}: titles, but no unit below them")
+    return UnitsFile(source=source, entries=tuple(entries), encoding=encoding, empty_lines=empty)
+
+
+def assigned(entries: Sequence[UnitEntry], slots: Sequence[str]) -> tuple[UnitEntry, ...]:
+    """Entries without a slot get the free ones in order, as units are scanned in the order in which they stand.
+
+    Raises
+    ------
+    BadInput
+        If there are fewer slots than units.
+
+    Examples
+    --------
+    >>> [each.slot for each in assigned([UnitEntry(serial="a"), UnitEntry(serial="b", slot="1")], ["1", "2"])]
+    ['2', '1']
+    """
+    taken = {entry.slot for entry in entries}
+    free = [slot for slot in slots if slot not in taken]
+    wanting = sum(entry.slot is None for entry in entries)
+    if wanting > len(free):
+        raise BadInput(f"{wanting} units have no slot, and {len(free)} of the station's {len(slots)} slots are free")
+    left = iter(free)
+    return tuple(entry if entry.slot else msgspec.structs.replace(entry, slot=next(left)) for entry in entries)
+
+
+def mounted_documents(entries: Iterable[UnitEntry], run: str, t_ns: int) -> tuple[UnitMounted, ...]:
+    """What is said of the units in the data.
+
+    The documents' identities come from what they say: given again for the same run and moment, they are the same.
+
+    Parameters
+    ----------
+    entries : iterable of UnitEntry
+        The units.
+    run : str
+        The run.
+    t_ns : int
+        When they were mounted, nanoseconds on the station's clock.
+
+    Examples
+    --------
+    >>> mounted_documents([UnitEntry(serial="FOG-1", slot="A1")], "r1", 0)[0].slot
+    'A1'
+    """
+    return tuple(
+        UnitMounted(
+            run=run,
+            t_ns=t_ns,
+            uid=uuid5(
+                _NAMESPACE, msgspec.json.encode([run, t_ns, msgspec.structs.replace(entry, line=0)]).decode()
+            ).hex,
+            unit=entry.serial,
+            product=entry.product,
+            lot=entry.lot,
+            slot=entry.slot,
+            fixture=entry.fixture,
+            operator=entry.operator,
+            firmware=entry.firmware,
+            details=entry.details,
+        )
+        for entry in entries
+    )
+
+
+def _decoded(content: bytes, source: str) -> tuple[str, str]:
+    if content.startswith(_UTF16_MARKS):
+        encodings: tuple[str, ...] = ("utf-16",)
+    else:
+        encodings = _ENCODINGS
+    for encoding in encodings:
+        try:
+            text = content.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+        if "\x00" in text:
+            break
+        return text, encoding.removesuffix("-sig")
+    raise BadInput(f"units {source}: neither UTF-8 nor GB 18030 text; save it as CSV in UTF-8")
+
+
+def _rows(text: str, source: str) -> tuple[list[tuple[int, list[str]]], int]:
+    """Cells of the lines that hold any, each with the number of its line, and how many hold none."""
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    delimiter = max(_DELIMITERS, key=first.count)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+    rows: list[tuple[int, list[str]]] = []
+    empty, line = 0, 1
+    try:
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                rows.append((line, [cell.strip() for cell in cells]))
+            else:
+                empty += 1
+            line = reader.line_num + 1
+    except csv.Error as error:
+        raise BadInput(f"units {source}, line {line}: {error}") from error
+    return rows, empty
+
+
+def _plain(rows: list[tuple[int, list[str]]], problems: list[str]) -> Iterator[UnitEntry]:
+    for line, cells in rows:
+        if len(cells) > 1:
+            problems.append(f"line {line}: {len(cells)} columns without titles; one serial a line is expected")
+        elif _is_good("unit", cells[0], line, problems):
+            yield UnitEntry(serial=cells[0], line=line)
+
+
+def _table(rows: list[tuple[int, list[str]]], source: str, problems: list[str]) -> Iterator[UnitEntry]:
+    head_line, titles = rows[0]
+    named = [title.lower() if title.lower() in COLUMNS else title for title in titles]
+    for i, title in enumerate(named):
+        if _COLUMN.fullmatch(title) is None:
+            raise BadInput(f"units {source}, line {head_line}: column {i + 1} has the title {title!r}; give it a name")
+        if title in named[:i]:
+            raise BadInput(f"units {source}, line {head_line}: two columns are named {title!r}")
+    for line, cells in rows[1:]:
+        if len(cells) > len(named):
+            problems.append(f"line {line}: {len(cells)} columns, the titles name {len(named)}")
+            continue
+        said = {title: cell for title, cell in zip(named, cells, strict=False) if cell}
+        if long := [title for title, cell in said.items() if len(cell) > _MOST_CHARACTERS]:
+            problems.append(f"line {line}: more than {_MOST_CHARACTERS} characters in column {long[0]!r}")
+        elif "serial" not in said:
+            problems.append(f"line {line}: no serial")
+        elif _is_good("unit", said["serial"], line, problems):
+            known = {name: said.pop(name, None) for name in COLUMNS[1:]}
+            yield UnitEntry(serial=said.pop("serial"), **known, details=said, line=line)
+
+
+def _is_good(kind: str, name: str, line: int, problems: list[str]) -> bool:
+    try:
+        check_name(kind, name)
+    except BadInput as error:
+        problems.append(f"line {line}: {error}")
+        return False
+    return True
+
+
+def _conflicts(entries: Sequence[UnitEntry], slots: tuple[str, ...] | None) -> Iterator[str]:
+    serials: dict[str, int] = {}
+    taken: dict[str, UnitEntry] = {}
+    for entry in entries:
+        if (before := serials.setdefault(entry.serial, entry.line)) != entry.line:
+            yield f"line {entry.line}: unit {entry.serial} is on line {before} already"
+        if entry.slot is None:
+            continue
+        if slots is not None and entry.slot not in slots:
+            listed = ", ".join(slots) or "it has none"
+            yield f"line {entry.line}: slot {entry.slot!r} is none of the station's: {listed}"
+        if (other := taken.setdefault(entry.slot, entry)) is not entry:
+            yield f"line {entry.line}: slot {entry.slot} is taken by {other.serial} on line {other.line}"
