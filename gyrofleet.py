@@ -5,9 +5,12 @@ import click
 from analytics.allan_cli import allan
 from analytics.cli import demo
 from analytics.spectrum_cli import spectrum
+from ingest.can_cli import can
 from ingest.cli import import_files
+from ingest.procedure_cli import procedure
 from ingest.replay_cli import replay
 from ingest.run_cli import run
+from ingest.simulate_cli import simulate
 from storage.cli import sql
 from storage.estimate_cli import estimate
 from storage.lake_cli import lake, rebuild, retain
@@ -24,7 +27,10 @@ def main() -> None:
 for command in (
     demo,
     import_files,
+    can,
+    procedure,
     run,
+    simulate,
     record,
     router,
     estimate,

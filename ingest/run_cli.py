@@ -3,10 +3,8 @@
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -21,11 +19,12 @@ from stream.console import (
     store_option,
     until_stopped,
 )
+from stream.errors import BadInput
 
 if TYPE_CHECKING:
     from ingest.live_run import LiveRun
-    from stream.delivery import DurablePublisher, Sender
-    from stream.spool import Spool
+    from ingest.run_path import RunPath
+    from stream.delivery import DurablePublisher
 
 _INTERRUPTED = 130
 _PATIENCE_S = 5.0
@@ -35,8 +34,20 @@ _LONGEST_FOLDER_BYTES = 200
 
 
 @click.command("run")
-@click.option("--run", "run_id", required=True, help="Id of the run; given again, the run goes on.")
-@click.option("--simulate", type=click.IntRange(1, 100_000), required=True, metavar="N", help="Simulated units.")
+@click.argument("procedure_name", metavar="[PROCEDURE]", required=False)
+@click.option("--run", "run_id", help="Id of the run; given again, the run goes on. A procedure's is made by itself.")
+@click.option("--units", type=click.Path(path_type=Path), help="PROCEDURE: which units are tested, CSV or one a line.")
+@click.option("--set", "parameters", multiple=True, metavar="NAME=VALUE", help="PROCEDURE: a parameter of its.")
+@click.option("--yes", "says_yes", is_flag=True, help="PROCEDURE: take what the operator is asked as done.")
+@click.option(
+    "--settle-timeout-h",
+    type=click.FloatRange(min=0.0),
+    default=6.0,
+    show_default=True,
+    help="PROCEDURE: how long an instrument may take to settle, at the station.",
+)
+@click.option("--every", "every_s", type=click.FloatRange(min=1.0), help="PROCEDURE: seconds between estimates.")
+@click.option("--simulate", type=click.IntRange(1, 100_000), metavar="N", help="Simulated units, at rest.")
 @click.option("--hours", type=click.FloatRange(min=1e-4), default=1.0, show_default=True, help="Length of the run.")
 @click.option(
     "--rate-hz", type=click.FloatRange(min=0.01, max=1e6), default=200.0, show_default=True, help="Rate samples."
@@ -49,11 +60,16 @@ _LONGEST_FOLDER_BYTES = 200
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulation.")
 @click.option("--start", help="Moment of the first samples, as 2026-11-21T18:00:00+08:00; by default they end now.")
-@click.option("--procedure", help="Test procedure of the run.")
+@click.option("--procedure", help="With --simulate: what the run is called a run of.")
 @click.option("--operator", help="Who is responsible.")
 @click.option("--lot", help="Production lot.")
 @click.option("--site", default="local", show_default=True, help="Site the samples come from.")
-@click.option("--station", default="simulated", show_default=True, help="Station the samples come from.")
+@click.option(
+    "--station",
+    default="simulated",
+    show_default=True,
+    help="PROCEDURE: the station's file; with --simulate its name in the data.",
+)
 @store_option
 @click.option("--connect", help="Where the recorder listens; by default, where the one listens that writes the store.")
 @click.option("--spool", "spool_folder", type=click.Path(path_type=Path), help="Folder of the spool; STORE/spool/RUN.")
@@ -63,25 +79,115 @@ _LONGEST_FOLDER_BYTES = 200
 @click.option("--end", "is_ended", is_flag=True, help="End the run where it is, with outcome `stopped`.")
 @reporting
 def run(
-    run_id: str,
+    procedure_name: str | None,
+    run_id: str | None,
+    units: Path | None,
+    parameters: tuple[str, ...],
+    settle_timeout_h: float,
+    every_s: float | None,
     folder: Path,
     connect: str | None,
     spool_folder: Path | None,
     spool_mb: int,
     *,
+    says_yes: bool,
     is_ended: bool,
     as_json: bool,
-    **given: object,
+    **given: Any,
 ) -> None:
-    """Send a live run: for now, that of a simulated station.
+    """Carry out a PROCEDURE at a station, or send samples of units that are simulated in this process.
+
+    `gyrofleet run PROCEDURE --station FILE --units FILE` sets the station's instruments, waits until they have
+    settled, records, and goes on to the next step; `gyrofleet procedure list` has the procedures. At a terminal,
+    p Enter pauses, c Enter goes on, a Enter aborts; Ctrl-C makes the station safe and leaves the run to go on later.
 
     Where a `gyrofleet record` writes the store, it goes there, else it is recorded in this process. What no recorder
     has yet waits in a spool on disk. Interrupted or killed, the run goes on under its id when the same command is
     given again; --end ends it.
     """
+    if procedure_name is not None:
+        sys.exit(
+            _run_procedure(
+                procedure_name, run_id, units, parameters, settle_timeout_h, every_s, folder, connect, spool_folder,
+                spool_mb, given, says_yes=says_yes, is_ended=is_ended, as_json=as_json,
+            )
+        )  # fmt: skip
+    if given["simulate"] is None or run_id is None:
+        raise BadInput(
+            "give a procedure, --station FILE and --units FILE, or --simulate N and --run ID; "
+            "`gyrofleet procedure list` has the procedures"
+        )
+    _simulate(run_id, folder, connect, spool_folder, spool_mb, given, is_ended=is_ended, as_json=as_json)
+
+
+def _run_procedure(
+    procedure: str,
+    run_id: str | None,
+    units: Path | None,
+    parameters: tuple[str, ...],
+    settle_timeout_h: float,
+    every_s: float | None,
+    folder: Path,
+    connect: str | None,
+    spool_folder: Path | None,
+    spool_mb: int,
+    given: dict[str, Any],
+    *,
+    says_yes: bool,
+    is_ended: bool,
+    as_json: bool,
+) -> int:
+    from ingest.procedure_run_cli import ProcedureRun, run_procedure
+    from storage.store import writer_endpoint
+    from stream.identity import check_name
+
+    if given["simulate"] is not None:
+        raise BadInput("--simulate is for units without a procedure; `gyrofleet simulate` has a station for procedures")
+    if units is None:
+        raise BadInput("say which units are tested: --units FILE, a CSV with a column serial, or one serial a line")
+    chosen: dict[str, str] = {}
+    for each in parameters:
+        name, equals, value = each.partition("=")
+        if not equals:
+            raise BadInput(
+                f"--set {each}: write it as NAME=VALUE; `gyrofleet procedure show {procedure}` has the names"
+            )
+        chosen[name] = value
+    if run_id is not None:
+        check_name("run", run_id)
+    asked = ProcedureRun(
+        procedure=procedure,
+        station=Path(given["station"]),
+        units=units,
+        parameters=chosen,
+        run=run_id,
+        operator=given["operator"],
+        lot=given["lot"],
+        says_yes=says_yes,
+        is_ended=is_ended,
+        settle_timeout_s=settle_timeout_h * 3600.0,
+        every_s=every_s,
+    )
+    is_remote = (connect or writer_endpoint(folder)) is not None
+    spools = spool_folder or _spool_folder(folder, run_id or "run", is_remote=is_remote).parent
+    return run_procedure(asked, folder, connect, spools, spool_mb << 20, as_json=as_json)
+
+
+def _simulate(
+    run_id: str,
+    folder: Path,
+    connect: str | None,
+    spool_folder: Path | None,
+    spool_mb: int,
+    given: dict[str, Any],
+    *,
+    is_ended: bool,
+    as_json: bool,
+) -> None:
     import msgspec
 
     from ingest.live_run import LiveRun
+    from ingest.run_path import path_to
     from ingest.run_state import RunParameters
     from storage.store import writer_endpoint
     from stream.identity import check_name
@@ -102,15 +208,13 @@ def run(
         if live.is_over:
             tell_run(live, "ended", "nothing to do, all of it is recorded", as_json=as_json)
             return
-        with _path_to(folder, run_id, connect, spool) as path:
+        with path_to(folder, run_id, connect, spool) as path:
             code = _send(live, path, stop, _Watch(path.publisher, as_json=as_json), is_ended=is_ended)
     sys.exit(code)
 
 
 def _spool_folder(folder: Path, run_id: str, *, is_remote: bool) -> Path:
     """Beside the store; where its samples go elsewhere, in no folder that could become one."""
-    from stream.errors import BadInput
-
     if len(run_id.encode()) > _LONGEST_FOLDER_BYTES:
         raise BadInput(
             f"--run {run_id} has {len(run_id.encode())} bytes in UTF-8, and the folder of its spool is named after it: "
@@ -125,7 +229,7 @@ def _spool_folder(folder: Path, run_id: str, *, is_remote: bool) -> Path:
     return folder / "spool" / run_id
 
 
-def _send(live: "LiveRun", path: "_Path", stop: Stop, watch: "_Watch", *, is_ended: bool) -> int:
+def _send(live: "LiveRun", path: "RunPath", stop: Stop, watch: "_Watch", *, is_ended: bool) -> int:
     """Send what is left of the run; returns the exit code."""
     if not (is_ended and live.state.phase == "running"):
         live.begin(path.sender)
@@ -142,7 +246,7 @@ def _send(live: "LiveRun", path: "_Path", stop: Stop, watch: "_Watch", *, is_end
     if stop.asked_at is None:
         path.finish()
         live.close()
-        watch.tell(live, "ended", path.next(live))
+        watch.tell(live, "ended", _next(live, path))
         return 0
     patient_until = stop.asked_at + _PATIENCE_S
     path.publisher.drain(lambda: time.monotonic() > patient_until)
@@ -156,39 +260,12 @@ def _send(live: "LiveRun", path: "_Path", stop: Stop, watch: "_Watch", *, is_end
     return _INTERRUPTED
 
 
-class _Path(NamedTuple):
-    """Where a run is sent to."""
-
-    sender: "Sender"
-    publisher: "DurablePublisher"
-    finish: Callable[[], None]
-    where: str
-    folder: Path | None
-
-    def next(self, live: "LiveRun") -> str:
-        """What to ask of the run."""
-        if self.folder is None:
-            return "every sample is recorded"
-        store = "" if str(self.folder) == DEFAULT_STORE else f" --store {shlex.quote(str(self.folder))}"
-        return f"ask it: gyrofleet allan --unit SIM-0001 --signal rate --run {shlex.quote(live.state.run)} --fit{store}"
-
-
-@contextmanager
-def _path_to(folder: Path, run_id: str, connect: str | None, spool: "Spool") -> Iterator[_Path]:
-    if connect is not None:
-        from stream.delivery import DurablePublisher
-        from stream.zenoh_bus import ZenohBus
-
-        with ZenohBus(connect=[connect]) as bus, DurablePublisher(bus, spool=spool) as publisher:
-            yield _Path(publisher, publisher, publisher.drain, f"to the recorder at {connect}", None)
-    else:
-        from ingest.pipeline import EmbeddedPipeline
-        from ingest.replaying import estimated_every_s
-
-        # of the same interval as those of a `gyrofleet estimate` that may have begun them, else they would differ
-        every_s = estimated_every_s(folder, run_id)
-        with EmbeddedPipeline(folder, "gyrofleet run", spool=spool, estimate_every_s=every_s) as pipeline:
-            yield _Path(pipeline, pipeline.publisher, pipeline.finish, f"recorded in this process to {folder}", folder)
+def _next(live: "LiveRun", path: "RunPath") -> str:
+    """What to ask of the run."""
+    if path.folder is None:
+        return "every sample is recorded"
+    store = "" if str(path.folder) == DEFAULT_STORE else f" --store {shlex.quote(str(path.folder))}"
+    return f"ask it: gyrofleet allan --unit SIM-0001 --signal rate --run {shlex.quote(live.state.run)} --fit{store}"
 
 
 class _Watch:

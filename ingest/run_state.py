@@ -132,15 +132,25 @@ def write_run(folder: Path, state: RunState) -> RunState:
     StoreError
         If it cannot be written; the one before is then still there.
     """
-    path = folder / _FILE
-    fresh = path.with_name(_FILE + ".part")
+    replace_file(folder / _FILE, msgspec.json.format(msgspec.json.encode(state)) + b"\n")
+    return state
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Put a file in the place of the one before, whole or not at all.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written; the one before is then still there.
+    """
+    fresh = path.with_name(path.name + ".part")
     try:
         with fresh.open("wb") as file:
-            file.write(msgspec.json.format(msgspec.json.encode(state)) + b"\n")
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
         fresh.replace(path)
-        sync_folder(folder)
+        sync_folder(path.parent)
     except OSError as error:
         raise StoreError(f"{path} cannot be written: {error}; free space or mend the disk, and start again") from error
-    return state

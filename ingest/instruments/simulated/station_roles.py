@@ -1,0 +1,82 @@
+"""The two processes of a simulated station: its instruments, which speak SCPI, and its gyros, which speak CAN."""
+
+import sys
+from pathlib import Path
+
+import msgspec
+
+from ingest.instruments.simulated.gyro_bus import play
+from ingest.instruments.simulated.physics.gyro_model import SimulatedGyroModel
+from ingest.instruments.simulated.physics.plan import load_plan
+from ingest.instruments.simulated.physics.truth import truth
+from ingest.instruments.simulated.scpi_chamber import SimulatedChamber
+from ingest.instruments.simulated.scpi_rate_table import SimulatedRateTable
+from ingest.instruments.simulated.scpi_server import ScpiServer
+from ingest.instruments.simulated.scpi_supply import SimulatedSupply
+from ingest.instruments.simulated.station_files import MULTICAST, PLAN, Simulation, read_simulation
+from ingest.instruments.simulated.world import World, WorldServer
+from ingest.station_clock import StationClock
+from stream.console import until_stopped
+from stream.errors import GyrofleetError
+
+TRUTH = "truth.jsonl"
+
+
+def devices(simulation: Simulation) -> tuple[SimulatedChamber, SimulatedRateTable, SimulatedSupply]:
+    """The instruments; the gyros' process has the like, which follow those of the instruments' process."""
+    clock = StationClock(simulation.speed, simulation.start_ns, simulation.origin_s)
+    return SimulatedChamber(clock), SimulatedRateTable(clock), SimulatedSupply(clock)
+
+
+def instruments(folder: Path) -> None:
+    """Play the instruments until asked to stop; the supply is on from the beginning."""
+    simulation = read_simulation(folder)
+    chamber, table, supply = devices(simulation)
+    named = {"chamber": chamber, "table": table, "supply": supply}
+    supply.handle("VOLT 5;CURR 5;OUTP ON")
+    with (
+        ScpiServer(named, ports=simulation.ports),
+        WorldServer(named, simulation.ports["world"]),
+        until_stopped() as stop,
+    ):
+        print("ready", flush=True)
+        while not stop.wait(3600.0):
+            pass
+
+
+def gyros(folder: Path) -> None:
+    """Play the gyros until asked to stop, or the instruments have ended; what was planted goes to a file of its own."""
+    import can
+
+    simulation = read_simulation(folder)
+    chamber, table, supply = devices(simulation)
+    copies = {"chamber": chamber, "table": table, "supply": supply}
+
+    def tell(model: SimulatedGyroModel, duration_s: float) -> None:
+        with (folder / TRUTH).open("ab") as file:
+            file.write(msgspec.json.encode(truth(model, duration_s)) + b"\n")
+
+    with (
+        World("127.0.0.1", simulation.ports["world"], copies) as world,
+        can.Bus(channel=MULTICAST, interface="udp_multicast", port=simulation.multicast_port) as bus,
+        until_stopped() as stop,
+    ):
+        print("ready", flush=True)
+        play(
+            load_plan(folder / PLAN), world, chamber, table, supply, simulation.latitude_deg, simulation.position, bus,
+            lambda: stop.asked_at is not None, tell,
+        )  # fmt: skip
+
+
+def main() -> None:
+    """`python -m ingest.instruments.simulated.station_roles instruments|gyros FOLDER`."""
+    _, role, folder = sys.argv
+    try:
+        {"instruments": instruments, "gyros": gyros}[role](Path(folder))
+    except GyrofleetError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,122 @@
+"""The operator of a run at a terminal: prompts, pause, stop and abort by a word and Enter."""
+
+import sys
+import threading
+import time
+from queue import Empty, SimpleQueue
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from ingest.procedure import PlannedStep
+from stream.console import Stop
+
+_TOLD_EVERY_S = 5.0
+_WORDS = {"p": "pause", "pause": "pause", "c": "continue", "continue": "continue", "a": "abort", "abort": "abort"}
+_HELP = "p Enter pauses, c Enter goes on, a Enter aborts; Ctrl-C stops, to go on later"
+
+
+class ConsoleOperator:
+    """Attends a run at a terminal, or, where there is none, tells how it goes on.
+
+    Parameters
+    ----------
+    console : Console
+        Where it is told.
+    stop : Stop
+        Whether the process was asked to end.
+    says_yes : bool
+        Whether every prompt is taken as done.
+    quiet : bool
+        Tell nothing but what is wrong.
+    listens : bool
+        Whether words are read from standard input.
+    """
+
+    def __init__(self, console: Console, stop: Stop, *, says_yes: bool, quiet: bool, listens: bool) -> None:
+        self._console = console
+        self._stop = stop
+        self._says_yes = says_yes
+        self._quiet = quiet
+        self._words: SimpleQueue[str] = SimpleQueue()
+        self._paused = self._aborted = False
+        self._done = 0
+        self._asked: str | None = None
+        self._told_at = time.monotonic()
+        self._progress = Progress(
+            TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console,
+            disable=quiet or not console.is_terminal, transient=True,
+        )  # fmt: skip
+        self._task = self._progress.add_task("", total=1.0)
+        self._total_s = 0.0
+        if listens:
+            threading.Thread(target=self._listen, name="gyrofleet-operator", daemon=True).start()
+
+    def __enter__(self) -> "ConsoleOperator":
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def told(self, text: str) -> None:
+        """Print what has happened."""
+        self._console.print(text, soft_wrap=True, markup=False)
+
+    def ready(self, prompt: str) -> bool:
+        """Whether Enter was given since the prompt was first shown."""
+        if self._says_yes:
+            return True
+        if self._asked != prompt:
+            self._asked = prompt
+            self._done = 0
+            self._console.print(f"{prompt}: then press Enter", soft_wrap=True, markup=False)
+        self._read()
+        if self._done:
+            self._asked = None
+            self._done = 0
+            return True
+        return False
+
+    def wishes(self) -> str | None:
+        """What was asked for by word or by signal."""
+        self._read()
+        if self._stop.asked_at is not None:
+            return "stop"
+        if self._aborted:
+            return "abort"
+        return "pause" if self._paused else None
+
+    def at(self, step: PlannedStep, doing: str, left_s: float) -> None:
+        """Show the step, what is done, and the time left; at the station's pace."""
+        self._total_s = max(self._total_s, left_s)
+        text = f"step {step.number} {step.words.step or ''}: {doing}, {_hours(left_s)} left"
+        self._progress.update(self._task, description=text, completed=1.0 - left_s / max(self._total_s, 1e-9))
+        now = time.monotonic()
+        if not self._quiet and not self._console.is_terminal and now - self._told_at >= _TOLD_EVERY_S:
+            self._told_at = now
+            self._console.print(text, soft_wrap=True, markup=False)
+
+    def _listen(self) -> None:
+        for line in sys.stdin:
+            self._words.put(line.strip().lower())
+
+    def _read(self) -> None:
+        while True:
+            try:
+                word = self._words.get_nowait()
+            except Empty:
+                return
+            if word == "":
+                self._done += 1
+            elif word not in _WORDS:
+                self._console.print(_HELP, markup=False)
+            else:
+                wish = _WORDS[word]
+                self._aborted = self._aborted or wish == "abort"
+                self._paused = wish == "pause"
+
+
+def _hours(seconds: float) -> str:
+    minutes = round(seconds / 60.0)
+    return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"

@@ -1,0 +1,210 @@
+"""A station: where it is, its instruments and buses, and which unit sits where; a TOML file."""
+
+import datetime as dt
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from ingest.instruments.base import Instrument, Options, instrument_kinds
+from ingest.instruments.can_bus_open import CanBusOptions
+from ingest.station_clock import StationClock
+from stream.errors import BadInput
+from stream.identity import Place, check_name
+
+
+class ClockTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[clock]`: for a station that is simulated as a whole; see `StationClock`."""
+
+    speed: float = 1.0
+    start_ns: int | None = None
+    origin_s: float | None = None
+
+
+class BusTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[buses.NAME]`: a CAN bus with gyros.
+
+    Parameters
+    ----------
+    bus : CanBusOptions
+        The interface, as python-can knows it.
+    dbc : tuple of str
+        Database files, beside the station file.
+    mapping : str
+        Which signal of the database is which unit's; beside the station file.
+    """
+
+    bus: CanBusOptions
+    dbc: tuple[str, ...]
+    mapping: str
+
+
+class LineTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[lines.NAME]`: a serial line with one gyro; `layout` is the file that describes its frames."""
+
+    port: str
+    baud: int = 115_200
+    unit: str
+    layout: str
+
+
+class SlotTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[slots.NAME]`: where a unit is mounted: its fixture, and the instrument that powers it."""
+
+    fixture: str = ""
+    power: str | None = None
+
+
+class StationTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[station]`: names, place on Earth, and time zone (what is "the same day")."""
+
+    site: str
+    name: str
+    latitude_deg: float | None = None
+    time_zone: str = "UTC"
+    simulated: bool = False
+
+
+class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    station: StationTable
+    clock: ClockTable = ClockTable()
+    instruments: dict[str, dict[str, Any]] = {}
+    buses: dict[str, BusTable] = {}
+    lines: dict[str, LineTable] = {}
+    slots: dict[str, SlotTable] = {}
+    settings: dict[str, str] = {}
+
+
+class Station(msgspec.Struct, frozen=True, kw_only=True):
+    """A station as its file describes it, checked.
+
+    Parameters
+    ----------
+    path : Path
+        The file; other files that it names lie beside it.
+    table : StationTable
+        Names and place.
+    clock : ClockTable
+        Its clock.
+    instruments : mapping
+        Kind and options of every instrument by its name.
+    buses, lines, slots : mapping
+        CAN buses, serial lines, and places for units, by name.
+    settings : mapping
+        Which instrument a setting of a procedure goes to: ``{"rate": "table"}``.
+    """
+
+    path: Path
+    table: StationTable
+    clock: ClockTable
+    instruments: Mapping[str, tuple[str, Options]]
+    buses: Mapping[str, BusTable]
+    lines: Mapping[str, LineTable]
+    slots: Mapping[str, SlotTable]
+    settings: Mapping[str, str]
+
+    @property
+    def place(self) -> Place:
+        """Site and station, as samples carry them."""
+        return Place(self.table.site, self.table.name)
+
+    def make_clock(self) -> StationClock:
+        """The station's clock."""
+        return StationClock(self.clock.speed, self.clock.start_ns, self.clock.origin_s)
+
+    def make_instruments(self, clock: StationClock) -> dict[str, Instrument]:
+        """Every instrument by its name, not opened yet."""
+        kinds = instrument_kinds()
+        return {name: kinds[kind](name, options, clock) for name, (kind, options) in self.instruments.items()}
+
+    def beside(self, name: str) -> Path:
+        """A file that the station file names."""
+        return self.path.parent / name
+
+    def overdue(self, day: dt.date) -> list[str]:
+        """Instruments whose calibration has ended before that day, each as a sentence."""
+        found = []
+        for name, (kind, options) in self.instruments.items():
+            due = options.calibration_due
+            if due is not None and dt.date.fromisoformat(due) < day:
+                serial = f", serial {options.serial}" if options.serial else ""
+                found.append(f"the {kind} {name}{serial} was due for calibration on {due}")
+        return found
+
+
+def load_station(path: Path) -> Station:
+    """Read a station file.
+
+    Raises
+    ------
+    BadInput
+        If it cannot be read, or does not describe a station; the message says where in it.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise BadInput(f"the station file {path} cannot be read: {error.strerror}; give --station FILE") from error
+    try:
+        raw = tomllib.loads(content.decode())
+        file = msgspec.convert(raw, _File)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
+        raise BadInput(f"{path}: {error}") from error
+    for what, name in (("site", file.station.site), ("station", file.station.name)):
+        check_name(what, name)
+    latitude_deg = file.station.latitude_deg
+    if latitude_deg is not None and not -90.0 <= latitude_deg <= 90.0:
+        raise BadInput(f"{path}: station.latitude_deg is {latitude_deg:g}; it lies between -90 and 90")
+    instruments = {name: _options(path, name, table) for name, table in file.instruments.items()}
+    return Station(
+        path=path,
+        table=file.station,
+        clock=file.clock,
+        instruments=instruments,
+        buses=file.buses,
+        lines=file.lines,
+        slots={name: _slot(path, name, slot, instruments) for name, slot in file.slots.items()},
+        settings=_settings(path, file.settings, instruments),
+    )
+
+
+def _options(path: Path, name: str, table: dict[str, Any]) -> tuple[str, Options]:
+    check_name("instrument", name)
+    kinds = instrument_kinds()
+    kind = table.get("kind")
+    if kind not in kinds:
+        known = ", ".join(sorted(kinds))
+        raise BadInput(f"{path}: instruments.{name}.kind is {kind!r}; gyrofleet knows {known}")
+    rest = {key: value for key, value in table.items() if key != "kind"}
+    try:
+        options = msgspec.convert(rest, kinds[kind].options_type)
+        if options.calibration_due is not None:
+            dt.date.fromisoformat(options.calibration_due)
+    except (msgspec.ValidationError, ValueError) as error:
+        raise BadInput(f"{path}: instruments.{name} (a {kind}): {error}") from error
+    return kind, options
+
+
+def _slot(path: Path, name: str, slot: SlotTable, instruments: Mapping[str, object]) -> SlotTable:
+    if slot.power is not None and slot.power not in instruments:
+        raise BadInput(f"{path}: slots.{name}.power is {slot.power!r}, which is no instrument of this station")
+    return slot
+
+
+def _settings(path: Path, given: Mapping[str, str], instruments: Mapping[str, tuple[str, Options]]) -> dict[str, str]:
+    """Which instrument each setting goes to: what the file says, else the only one that has it."""
+    kinds = instrument_kinds()
+    able: dict[str, list[str]] = {}
+    for name, (kind, _) in instruments.items():
+        for what in kinds[kind].settings:
+            able.setdefault(what, []).append(name)
+    found: dict[str, str] = {}
+    for what, name in given.items():
+        if name not in able.get(what, []):
+            raise BadInput(f"{path}: settings.{what} is {name!r}; those that can be set to it: {able.get(what, [])}")
+        found[what] = name
+    for what, names in able.items():
+        if what not in found and len(names) == 1:
+            found[what] = names[0]
+    return found

@@ -1,0 +1,279 @@
+"""The documents and samples of a procedure's run, and how far it is: what is sent, and what is remembered."""
+
+import dataclasses
+import datetime as dt
+import threading
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from functools import partial
+from uuid import NAMESPACE_URL, UUID, uuid4, uuid5
+from zoneinfo import ZoneInfo
+
+from msgspec.structs import replace
+
+from ingest.procedure import PlannedStep
+from ingest.station import Station
+from ingest.station_clock import StationClock
+from ingest.station_run_state import Outcome, StationRunState, check_same, read_station_run, write_station_run
+from stream.acknowledgement import StreamId
+from stream.batch import SampleBatch
+from stream.delivery import Sender
+from stream.events import (
+    AnyDocument,
+    NoteAdded,
+    PowerOff,
+    PowerOn,
+    RunEnded,
+    RunResumed,
+    RunStarted,
+    StepEnded,
+    StepStarted,
+    StreamTotal,
+)
+from stream.identity import event_key, sample_key
+from stream.spool import Spool
+
+
+class RunLog:
+    """What is said of one run, from its first document to its last, taken up where it is.
+
+    Parameters
+    ----------
+    run : str
+        Its id.
+    procedure, plan : str
+        Name of the procedure, and the SHA-256 of its steps.
+    units : sequence of str
+        Serial numbers.
+    station : Station
+        Where.
+    spool : Spool
+        Where everything that is sent is kept until it is recorded; the run's state lies in its folder.
+    clock : StationClock
+        The station's clock.
+
+    Raises
+    ------
+    BadInput
+        If the run was started as another one.
+    StoreError
+        If its state cannot be read, or, from every method, not be written.
+
+    Attributes
+    ----------
+    state : StationRunState
+        How far it is.
+    is_resumed : bool
+        Whether another process began it.
+    gap_s : float
+        How long nothing was measured before it was taken up, seconds at the station.
+    """
+
+    def __init__(
+        self, run: str, procedure: str, plan: str, units: tuple[str, ...], station: Station, spool: Spool,
+        clock: StationClock,
+    ) -> None:  # fmt: skip
+        self._station = station
+        self._spool = spool
+        self._clock = clock
+        found = read_station_run(spool.folder)
+        self.is_resumed = found is not None
+        if found is None:
+            now_ns = clock.now_ns()
+            found = StationRunState(run=run, procedure=procedure, plan=plan, units=units, t0_ns=now_ns, seen_ns=now_ns)
+        check_same(found, procedure, plan, units)
+        self.state = found
+        self.gap_s = 0.0
+        self._totals: Counter[tuple[str, str, str]] = Counter()
+        self._first: dict[StreamId, int] = {}
+        self._counting = threading.Lock()
+        self._sender: Sender | None = None
+        self._uid = partial(_uid, f"{run}/{found.t0_ns}")
+        self._notes = 0
+
+    @property
+    def samples(self) -> int:
+        """Samples delivered since this process took the run up."""
+        with self._counting:
+            return self._totals.total()
+
+    def epoch_of(self, unit: str) -> UUID:
+        """Epoch of a unit's present power-on."""
+        return UUID(self.state.epochs[unit])
+
+    def deliver(self, batch: SampleBatch) -> None:
+        """Send samples of a source; from its thread. After an interruption their numbers go on."""
+        assert self._sender is not None
+        key = sample_key(self._station.place, batch.unit, batch.signal)
+        stream = StreamId(key, batch.epoch.hex)
+        if stream not in self._first:
+            self._first[stream] = self._spool.position(stream) - batch.seq
+        first = self._first[stream]
+        if first:
+            batch = dataclasses.replace(batch, seq=batch.seq + first)
+        self._sender.send_batch(key, batch)
+        with self._counting:
+            self._totals[batch.unit, batch.signal, str(batch.epoch)] += len(batch)
+
+    def begin(
+        self,
+        sender: Sender,
+        mounted: Iterable[AnyDocument],
+        about: Mapping[str, str],
+        *,
+        operator: str | None,
+        lot: str | None,
+    ) -> list[str]:
+        """Send the documents with which the run starts, or goes on; what people should be warned of.
+
+        Parameters
+        ----------
+        sender : Sender
+            Takes documents and samples, from now on.
+        mounted : iterable of documents
+            Which units are where.
+        about : mapping of str
+            What else is to be remembered of the run.
+        operator, lot : str, optional
+            Who is responsible, and the production lot.
+        """
+        self._sender = sender
+        warnings: list[str] = []
+        if self.state.phase == "starting":
+            self._send(
+                RunStarted(
+                    run=self.state.run,
+                    t_ns=self.state.t0_ns,
+                    uid=self._uid("started"),
+                    simulated=self._station.table.simulated,
+                    source=f"station {self._station.table.name}",
+                    units=self.state.units,
+                    procedure=self.state.procedure,
+                    details=dict(about),
+                    operator=operator,
+                    lot=lot,
+                )
+            )
+            for document in mounted:
+                self._send(document)
+            today = dt.datetime.fromtimestamp(self.state.t0_ns / 1e9, ZoneInfo(self._station.table.time_zone)).date()
+            warnings = [f"warning: {overdue}" for overdue in self._station.overdue(today)]
+            for warning in warnings:
+                self.note(warning)
+        elif self.is_resumed and self.state.phase == "running":
+            self._resume()
+        if self.state.phase in {"starting", "running"}:
+            self.save(phase="running")
+        return warnings
+
+    def end(self, outcome: Outcome) -> None:
+        """Send the document with which the run ends."""
+        if self.state.phase == "ended":
+            return
+        self.end_steps(outcome)
+        self.save(phase="ending", outcome=outcome)
+        self._send(
+            RunEnded(
+                run=self.state.run,
+                t_ns=self._clock.now_ns(),
+                uid=self._uid("ended"),
+                outcome=outcome,
+                totals=self._all_totals(),
+            )
+        )
+
+    def close(self) -> None:
+        """Remember that a recorder has everything."""
+        self.save(phase="ended")
+
+    def note(self, text: str) -> None:
+        """Have something remembered with the run; from any thread."""
+        with self._counting:
+            self._notes += 1
+            number = self._notes
+        uid = self._uid("note", str(self.state.starts), str(number))
+        self._send(NoteAdded(run=self.state.run, t_ns=self._clock.now_ns(), uid=uid, text=text, author="station"))
+
+    def begin_step(self, step: PlannedStep) -> int:
+        """Say that a step begins for all units now; when that is, nanoseconds."""
+        t_ns = self._clock.now_ns()
+        uids = {unit: self._uid("step", str(step.number), unit, str(t_ns)) for unit in self.state.units}
+        for unit, uid in uids.items():
+            self._send(StepStarted(run=self.state.run, t_ns=t_ns, uid=uid, unit=unit, words=step.words))
+        self.save(open_steps=uids)
+        return t_ns
+
+    def end_steps(self, outcome: str, t_ns: int | None = None) -> None:
+        """Say how the step that is being recorded has ended, now or at another time."""
+        for unit, uid in self.state.open_steps.items():
+            self._send(
+                StepEnded(
+                    run=self.state.run,
+                    t_ns=self._clock.now_ns() if t_ns is None else t_ns,
+                    uid=self._uid("step-ended", uid),
+                    unit=unit,
+                    step_uid=uid,
+                    outcome=outcome,
+                )
+            )
+        if self.state.open_steps:
+            self.save(open_steps={})
+
+    def power_on(self) -> None:
+        """All units have power: a new epoch of each."""
+        self.save(epochs={unit: str(uuid4()) for unit in self.state.units}, is_powered=True)
+        t_ns = self._clock.now_ns()
+        for unit, epoch in self.state.epochs.items():
+            self._send(PowerOn(run=self.state.run, t_ns=t_ns, uid=self._uid("on", epoch), unit=unit, epoch=epoch))
+
+    def power_off(self) -> None:
+        """No unit has power."""
+        t_ns = self._clock.now_ns()
+        for unit, epoch in self.state.epochs.items():
+            self._send(PowerOff(run=self.state.run, t_ns=t_ns, uid=self._uid("off", epoch), unit=unit, epoch=epoch))
+        self.save(is_powered=False)
+
+    def save(self, **changes: object) -> None:
+        """Remember how far the run is."""
+        seen_ns = max(self.state.seen_ns, self._clock.now_ns())
+        self.state = write_station_run(self._spool.folder, replace(self.state, seen_ns=seen_ns, **changes))
+
+    def _resume(self) -> None:
+        now_ns = self._clock.now_ns()
+        gap_ns = now_ns - self.state.seen_ns
+        self.gap_s = gap_ns / 1e9
+        begun_again = f"step {self.state.step + 1} is begun again" if self.state.open_steps else "no step was cut"
+        self.end_steps("interrupted", self.state.seen_ns)
+        self.save(starts=self.state.starts + 1)
+        self._send(
+            RunResumed(
+                run=self.state.run,
+                t_ns=now_ns,
+                uid=self._uid("resumed", str(self.state.starts)),
+                gap_ns=gap_ns,
+                reason=f"taken up again at step {self.state.step + 1}; {begun_again}",
+            )
+        )
+
+    def _all_totals(self) -> tuple[StreamTotal, ...]:
+        """Of every stream that this process has sent, how many samples there are in all."""
+        with self._counting:
+            names = sorted(self._totals)
+        place = self._station.place
+        return tuple(
+            StreamTotal(
+                unit=unit,
+                signal=signal,
+                epoch=epoch,
+                samples=self._spool.position(StreamId(sample_key(place, unit, signal), UUID(epoch).hex)),
+            )
+            for unit, signal, epoch in names
+        )
+
+    def _send(self, document: AnyDocument) -> None:
+        assert self._sender is not None
+        self._sender.send_event(event_key(self._station.place), document)
+
+
+def _uid(*parts: str) -> str:
+    return uuid5(NAMESPACE_URL, "gyrofleet:station-run/" + "/".join(parts)).hex

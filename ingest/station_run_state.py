@@ -1,0 +1,116 @@
+"""How far a procedure's run at a station is: one small file, there whole or not at all."""
+
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from ingest.run_state import replace_file
+from stream.errors import BadInput, StoreError
+
+STATE_FILE = "procedure.json"
+
+Outcome = Literal["completed", "stopped", "aborted"]
+Phase = Literal["starting", "running", "ending", "ended"]
+
+
+class StationRunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A procedure's run as it stands.
+
+    Parameters
+    ----------
+    run : str
+        Its id.
+    procedure, plan : str
+        Name of the procedure, and the SHA-256 of its steps as they were planned.
+    units : tuple of str
+        Serial numbers.
+    t0_ns, seen_ns : int
+        The station's clock when it started, and when it was last seen going on.
+    starts : int
+        How often a process took it up.
+    phase, outcome : str
+        ``starting`` until its first documents are kept, ``running``, ``ending`` when nothing more is measured,
+        ``ended`` when a recorder has everything; and how it ended.
+    step : int
+        Index of the step that is worked on.
+    open_steps : mapping
+        Of the step that is being recorded: the identity of its document by unit.
+    epochs : mapping
+        Epoch of every unit's power-on by unit; none for one that is off.
+    steps_done : int
+        Steps that were completed.
+    is_powered : bool
+        Whether the units have power.
+    """
+
+    format: int = 1
+    run: str
+    procedure: str
+    plan: str
+    units: tuple[str, ...]
+    t0_ns: int
+    seen_ns: int
+    starts: int = 1
+    phase: Phase = "starting"
+    outcome: Outcome = "completed"
+    step: int = 0
+    open_steps: dict[str, str] = {}
+    epochs: dict[str, str] = {}
+    steps_done: int = 0
+    is_powered: bool = False
+
+
+def read_station_run(folder: Path) -> StationRunState | None:
+    """The run that is kept in a folder; None where there is none.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be read.
+    """
+    path = folder / STATE_FILE
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=StationRunState)
+    except FileNotFoundError:
+        return None
+    except (OSError, msgspec.MsgspecError) as error:
+        raise StoreError(
+            f"{path} cannot be read: {error}; the run's samples are safe, but it cannot be gone on with: give another "
+            f"--run"
+        ) from error
+
+
+def write_station_run(folder: Path, state: StationRunState) -> StationRunState:
+    """Put the state in the place of the one before; returns it.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written; the one before is then still there.
+    """
+    replace_file(folder / STATE_FILE, msgspec.json.format(msgspec.json.encode(state)) + b"\n")
+    return state
+
+
+def check_same(state: StationRunState, procedure: str, plan: str, units: tuple[str, ...]) -> None:
+    """Raise BadInput where a run that is to go on was started as another one."""
+    if state.procedure != procedure:
+        raise BadInput(f"run {state.run} is one of procedure {state.procedure}, not {procedure}: give another --run")
+    if state.units != units:
+        added, gone = sorted(set(units) - set(state.units)), sorted(set(state.units) - set(units))
+        raise BadInput(
+            f"run {state.run} was started with other units (new now: {', '.join(added) or 'none'}; gone: "
+            f"{', '.join(gone) or 'none'}): give the same --units, or another --run"
+        )
+    if state.plan != plan:
+        raise BadInput(
+            f"run {state.run} was started with other steps of {procedure}: give the same --set and the same file, or "
+            f"another --run"
+        )
+
+
+def unfinished_runs(spool: Path) -> list[StationRunState]:
+    """Runs of procedures in a store's spool that have not ended, in the order of their start."""
+    found = [read_station_run(path.parent) for path in sorted(spool.glob(f"*/{STATE_FILE}"))]
+    return sorted((each for each in found if each is not None and each.phase != "ended"), key=lambda each: each.t0_ns)

@@ -1,0 +1,103 @@
+"""The sources of a station: its buses, serial lines and instruments, each delivering batches of samples."""
+
+from collections.abc import Callable, Mapping
+from uuid import uuid4
+
+from ingest.instruments.base import Instrument
+from ingest.instruments.can_bus import CanBus
+from ingest.instruments.can_mapping import CanPlan, load_mapping
+from ingest.instruments.can_stream import CanDecoder
+from ingest.instruments.frame_layout import load_layout
+from ingest.instruments.serial_line import SerialLine
+from ingest.sampling import Sampler
+from ingest.station import Station
+from ingest.station_clock import StationClock
+from ingest.station_log import RunLog
+from ingest.station_run import Source
+from stream.errors import BadInput
+
+
+class StationSources:
+    """Makes the sources of a run at a station.
+
+    Parameters
+    ----------
+    station : Station
+        Where.
+    instruments : mapping of Instrument
+        Opened, by name.
+    clock : StationClock
+        The station's clock.
+    units : tuple of str
+        The units that are tested; each must come from a bus or a line.
+
+    Raises
+    ------
+    BadInput
+        If a database, mapping or layout cannot be read, or a unit comes from nowhere.
+    """
+
+    def __init__(
+        self, station: Station, instruments: Mapping[str, Instrument], clock: StationClock, units: tuple[str, ...]
+    ) -> None:
+        self._station = station
+        self._instruments = instruments
+        self._clock = clock
+        self._units = frozenset(units)
+        self._epoch = uuid4()
+        self._plans = {
+            name: _of_units(load_mapping(station.beside(bus.mapping), list(map(station.beside, bus.dbc))), self._units)
+            for name, bus in station.buses.items()
+        }
+        self._layouts = {name: load_layout(station.beside(line.layout)) for name, line in station.lines.items()}
+        known = {unit for plan in self._plans.values() for unit in plan.units}
+        known |= {line.unit for line in station.lines.values()}
+        if strangers := sorted(self._units - known):
+            raise BadInput(
+                f"no bus or line of station {station.table.name} ({station.path}) has unit {', '.join(strangers)}: add "
+                f"it to a mapping file, or take it out of --units"
+            )
+        if taken := sorted(self._units & set(instruments)):
+            raise BadInput(f"{', '.join(taken)}: a unit and an instrument of {station.path} have the same name")
+
+    def make(self, log: RunLog, report: Callable[[str], None]) -> list[Source]:
+        """Sources for the power-ons as they are; of units that are not tested nothing is taken."""
+        made: list[Source] = [
+            CanBus(
+                self._station.buses[name].bus,
+                self._clock,
+                CanDecoder(plan, run=log.state.run, epoch_of=log.epoch_of),
+                log.deliver,
+                report,
+                wanted={route.arbitration_id for route in plan.routes},
+            )
+            for name, plan in self._plans.items()
+        ]
+        for name, line in self._station.lines.items():
+            if line.unit in self._units:
+                made.append(
+                    SerialLine(
+                        line.port,
+                        line.baud,
+                        self._layouts[name],
+                        line.unit,
+                        log.state.run,
+                        log.epoch_of(line.unit),
+                        self._clock,
+                        log.deliver,
+                        report,
+                    )
+                )
+        return made
+
+    def samplers(self, log: RunLog, report: Callable[[str], None]) -> list[Source]:
+        """Samplers of all instruments, for the whole of a process."""
+        return [
+            Sampler(instrument, log.state.run, self._epoch, log.deliver, report)
+            for instrument in self._instruments.values()
+            if instrument.signals
+        ]
+
+
+def _of_units(plan: CanPlan, units: frozenset[str]) -> CanPlan:
+    return CanPlan(tuple(route for route in plan.routes if route.unit in units), plan.remarks)
