@@ -68,7 +68,7 @@ class Intake:
     clock_steps : list of ClockStep
         Steps back of a source's clock.
     to_seal : int
-        Ends of runs that were taken in, and what came behind the end of its run: samples that were sent again, estimates.
+        Ends of runs that were taken in, and what came behind the end of its run: what was sent again, estimates.
     """
 
     def __init__(self, log: EventLog) -> None:
