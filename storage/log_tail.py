@@ -1,6 +1,10 @@
 """What a store's log holds beyond given positions: for whoever has to catch up with it."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
 from typing import NamedTuple
 
 from storage.log_runs import RunScan, first_to_read
@@ -118,11 +122,7 @@ class LogTail:
 def open_records(store: Store) -> Iterator[LogRecord]:
     """What can be read of the segments that are not sealed, in their order."""
     for path in left_open(store):
-        _, _, durable = path.name.partition(".abandoned-")
-        try:
-            yield from SegmentScan(path, int(durable) if durable else None)
-        except FileNotFoundError:
-            continue  # sealed in between
+        yield from _open_segment(path)
 
 
 def records_of(store: Store, is_needed: Callable[[str], bool], wanted: Callable[[str], bool]) -> Iterator[LogRecord]:
@@ -143,18 +143,30 @@ def records_of(store: Store, is_needed: Callable[[str], bool], wanted: Callable[
         If a sealed segment that is needed is damaged.
     """
     done: set[str] = set()
+    begun: Counter[str] = Counter()  # what was read of a segment before it was sealed
     while True:
         fresh = [name for name in _sealed(store) if name not in done]
         for name in fresh:
             done.add(name)
             if is_needed(name):
-                yield from (record for record in read_segment(store.log / name) if wanted(record.topic))
+                rest = islice(read_segment(store.log / name), begun[name], None)
+                yield from (record for record in rest if wanted(record.topic))
         if fresh:
             continue
-        left = [record for record in open_records(store) if wanted(record.topic)]
+        for path in left_open(store):
+            name = path.name.partition(".mcap")[0] + ".mcap"
+            for record in islice(_open_segment(path), begun[name], None):
+                begun[name] += 1
+                if wanted(record.topic):
+                    yield record
         if done.issuperset(_sealed(store)):  # none was sealed while it was read
-            yield from left
             return
+
+
+def _open_segment(path: Path) -> Iterator[LogRecord]:
+    _, _, durable = path.name.partition(".abandoned-")
+    with suppress(FileNotFoundError):  # sealed in between
+        yield from SegmentScan(path, int(durable) if durable else None)
 
 
 def _sealed(store: Store) -> list[str]:

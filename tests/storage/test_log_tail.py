@@ -10,7 +10,7 @@ import pytest
 from storage.event_log import EventLog
 from storage.log_manifest import manifest_path
 from storage.log_runs import first_to_read
-from storage.log_tail import LogTail
+from storage.log_tail import LogTail, records_of
 from storage.mcap_records import EVENTS, SAMPLES, LogRecord
 from storage.sequence import place_of
 from storage.store import Store, WriterLock
@@ -168,3 +168,18 @@ def test_with_nothing_going_on_no_segment_is_read_and_all_is_known(writer: Write
         StreamId(KEY, UUID(int=1).hex): 10,
         StreamId(event_key(PLACE), "e"): 1,
     }
+
+
+@pytest.mark.parametrize("read_first", [0, 1, 7, 20])
+def test_a_segment_that_is_sealed_while_it_is_read_is_read_once(writer: Writer, read_first: int) -> None:
+    for _ in range(20):
+        writer.samples("r1", 1)
+    writer.log.sync()
+    records = records_of(writer.store, lambda _name: True, lambda _key: True)
+    found = [next(records) for _ in range(read_first)]
+    writer.log.seal()
+    for _ in range(20):
+        writer.samples("r1", 1)
+    writer.log.sync()
+    found += records
+    assert [decode_batch(record.data).seq for record in found] == list(range(0, 400, 10))
