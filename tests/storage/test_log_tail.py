@@ -183,3 +183,20 @@ def test_a_segment_that_is_sealed_while_it_is_read_is_read_once(writer: Writer, 
     writer.log.sync()
     found += records
     assert [decode_batch(record.data).seq for record in found] == list(range(0, 400, 10))
+
+
+def test_an_open_segment_is_read_once_though_another_is_sealed_meanwhile(writer: Writer, tmp_path: Path) -> None:
+    for _ in range(20):
+        writer.samples("r1", 1)
+    writer.seal()
+    (sealed,) = writer.store.log.glob("*.mcap")
+    aside = sealed.rename(tmp_path / sealed.name)
+    for _ in range(20):
+        writer.samples("r1", 2)
+    writer.log.sync()
+    records = records_of(writer.store, lambda _name: True, lambda _key: True)
+    found = [next(records) for _ in range(7)]
+    aside.rename(sealed)  # as one that had been given up, and is put right
+    found += records
+    read = sorted((decode_batch(record.data).epoch.int, decode_batch(record.data).seq) for record in found)
+    assert read == [(epoch, seq) for epoch in (1, 2) for seq in range(0, 200, 10)]
