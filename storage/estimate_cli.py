@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Seconds of a signal's time between estimates; signals that it goes on with keep theirs.",
 )
+@click.option("--no-spectrum", is_flag=True, help="Leave out the spectral density and its lines, a third of the work.")
 @reporting
 def estimate(
     folder: Path,
@@ -50,6 +51,7 @@ def estimate(
     averages_s: tuple[float, ...],
     checkpoint_every_s: float,
     *,
+    no_spectrum: bool,
     as_json: bool,
 ) -> None:
     """Estimate bias stability, Allan deviation, spectrum and noise of every signal on the bus, until stopped.
@@ -105,6 +107,7 @@ def estimate(
             log=log,
             checkpoint=checkpoint,
             checkpoint_every_s=checkpoint_every_s,
+            spectrum=not no_spectrum,
         )
         with worker:
             going_on = f", going on from {checkpoint}" if worker.resumed else ""

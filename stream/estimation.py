@@ -46,6 +46,9 @@ class Estimation:
         that comes before it can be had is left out, and comes again out of the log; and the end of a run waits for all
         its samples. Without one, what is missing is passed over, and a stream may be joined in its middle.
 
+    spectrum : bool
+        Whether a spectral density is kept as well.
+
     Attributes
     ----------
     positions : dict of StreamId to int
@@ -64,9 +67,11 @@ class Estimation:
         factories: Mapping[str, Callable[[], Estimator]],
         publish: Callable[[str, AnyDocument], None],
         fill: Callable[[StreamId, int], None] | None = None,
+        *,
+        spectrum: bool = True,
     ) -> None:
         self._every_ns = every_ns
-        self._factories = factories
+        self._fresh = functools.partial(fresh_followers, factories, spectrum=spectrum)
         self._publish = publish
         self._fill = fill
         self._signals: dict[tuple[str, str, str], SignalAnalysis] = {}
@@ -211,7 +216,7 @@ class Estimation:
 
     def _begin(self, place: Place, name: tuple[str, str, str]) -> SignalAnalysis:
         run, unit, signal = name
-        followers = fresh_followers(self._factories)
+        followers = self._fresh()
         analysis = self._signals[name] = SignalAnalysis(place, (unit, signal, run), self._every_ns, followers)
         if run in self._limits:
             analysis.apply_limits(self._limits[run])

@@ -205,6 +205,6 @@ class SignalAnalysis:
         return analysis
 
 
-def fresh_followers(factories: Mapping[str, Callable[[], Estimator]]) -> list[Follower]:
-    """One of each estimator, and a spectral density."""
-    return [*(make() for make in factories.values()), SpectralDensity()]
+def fresh_followers(factories: Mapping[str, Callable[[], Estimator]], *, spectrum: bool = True) -> list[Follower]:
+    """One of each estimator, and a spectral density if it is wanted."""
+    return [*(make() for make in factories.values()), *([SpectralDensity()] if spectrum else [])]

@@ -63,6 +63,8 @@ class EstimationWorker:
         File of the checkpoint, beside which the one before it is kept; it needs the log.
     checkpoint_every_s : float
         Interval between checkpoints, seconds.
+    spectrum : bool
+        Whether a spectral density of each signal is kept as well, for its lines; it is a third of the work.
 
     Raises
     ------
@@ -88,6 +90,7 @@ class EstimationWorker:
         log: RecordedLog | None = None,
         checkpoint: Path | None = None,
         checkpoint_every_s: float = 30.0,
+        spectrum: bool = True,
     ) -> None:
         self._publisher = publisher
         self._on_document = on_document
@@ -100,6 +103,7 @@ class EstimationWorker:
             default_estimators() if estimators is None else estimators,
             self._publish,
             None if log is None else self._fill,
+            spectrum=spectrum,
         )
         self._known = Identities(())
         self._fill_at = 0.0

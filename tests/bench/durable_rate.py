@@ -1,6 +1,6 @@
 """Durable end to end: source process -> Zenoh -> recorder process, with live estimates of every signal.
 
-    .venv/bin/python tests/bench/durable_rate.py [--batch 1000] [--signals 1000] [--seconds 15] [--offer 10] [--json]
+    .venv/bin/python tests/bench/durable_rate.py [--batch 1000] [--signals 1000] [--seconds 15] [--no-spectrum] [--json]
 
 A source sends counts like those of a fibre-optic gyro (Gaussian, standard deviation 50 counts, entropy 0.96 bytes) as
 fast as they are taken. `gyrofleet record` writes them, with fdatasync and acknowledgement every 100 ms. A third process
@@ -68,7 +68,7 @@ def source(endpoint: str, batch: int, signals: int, seconds: float, offer_per_s:
             time.sleep(5.0)
 
 
-def estimator(endpoint: str, store: str) -> None:
+def estimator(endpoint: str, store: str, *, spectrum: bool) -> None:
     """Keep the estimators of every signal; for every line on standard input, say when that many samples were seen."""
     from storage.log_tail import LogTail
     from storage.store import Store
@@ -77,7 +77,9 @@ def estimator(endpoint: str, store: str) -> None:
     from stream.zenoh_bus import ZenohBus
 
     with ZenohBus(connect=[endpoint]) as bus, DurablePublisher(bus) as publisher:
-        worker = EstimationWorker(bus, publisher, every_s=600.0, log=LogTail(Store.open(Path(store))))
+        worker = EstimationWorker(
+            bus, publisher, every_s=600.0, log=LogTail(Store.open(Path(store))), spectrum=spectrum
+        )
         print("ready", flush=True)
         wanted = int(sys.stdin.readline())
         while worker.counts.samples < wanted and worker.failure is None:
@@ -161,7 +163,9 @@ def free_endpoint() -> str:
         return f"tcp/127.0.0.1:{free.getsockname()[1]}"
 
 
-def ours(folder: Path, batch: int, signals: int, seconds: float, offer: float, *, with_lake: bool) -> dict[str, float]:
+def ours(
+    folder: Path, batch: int, signals: int, seconds: float, offer: float, *, with_lake: bool, spectrum: bool
+) -> dict[str, float]:
     """One run of the whole path."""
     endpoint, store = free_endpoint(), folder / "store"
     program = str(Path(sys.executable).with_name("gyrofleet"))
@@ -171,7 +175,7 @@ def ours(folder: Path, batch: int, signals: int, seconds: float, offer: float, *
     )
     atexit.register(recorder.kill)
     line(recorder)
-    worker = role("estimator", endpoint, store)
+    worker = role("estimator", endpoint, store, "spectrum" if spectrum else "")
     line(worker)
     sending = role("source", endpoint, batch, signals, seconds, offer)
     sent = json.loads(line(sending))
@@ -230,6 +234,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--offer", type=float, default=0.0, help="most million samples a second that are sent")
     parser.add_argument("--with-lake", action="store_true", help="the recorder makes the lake as well, meanwhile")
+    parser.add_argument("--no-spectrum", action="store_true", help="Allan deviation and bias stability only")
     parser.add_argument("--no-peer", action="store_true")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--role", nargs="+", help=argparse.SUPPRESS)
@@ -237,14 +242,14 @@ def main() -> None:
     match arguments.role:
         case ["source" | "plain" as how, endpoint, batch, signals, seconds, offer]:
             source(endpoint, int(batch), int(signals), float(seconds), float(offer), plain=how == "plain")
-        case ["estimator", endpoint, store]:
-            estimator(endpoint, store)
+        case ["estimator", endpoint, store, spectrum]:
+            estimator(endpoint, store, spectrum=bool(spectrum))
         case ["peer", endpoint, path]:
             peer(endpoint, path)
         case _:
             with tempfile.TemporaryDirectory() as folder:
                 shape = (arguments.batch, arguments.signals, arguments.seconds, arguments.offer * 1e6)
-                found = ours(Path(folder), *shape, with_lake=arguments.with_lake)
+                found = ours(Path(folder), *shape, with_lake=arguments.with_lake, spectrum=not arguments.no_spectrum)
                 beside = None if arguments.no_peer else theirs(Path(folder), *shape)
             tell(arguments, found, beside)
 

@@ -11,10 +11,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stream.batch import SampleBatch
+from stream.estimation import Estimation
 from stream.estimators.base import default_estimators
-from stream.events import AnyDocument, EstimatePublished, Limit, LimitsApplied
+from stream.events import (
+    AnyDocument,
+    EstimatePublished,
+    Limit,
+    LimitsApplied,
+    RunEnded,
+    SpectralLinesFound,
+    encode_event,
+)
 from stream.gathering import PIECE_SAMPLES, Gathering, GatheringState
-from stream.identity import Place
+from stream.identity import Place, event_key, sample_key
 from stream.signal_analysis import SignalAnalysis, SignalState, fresh_followers
 from stream.wire import encode_batch, read_wire_batch
 
@@ -174,3 +183,22 @@ def test_a_slow_signal_is_estimated_when_it_is_due_not_when_a_piece_is_full() ->
     allan = [each for each in found if isinstance(each, EstimatePublished) and each.estimator == "allan_deviation"]
     assert [(each.t_ns, each.samples) for each in allan] == [(k * 60 * 10**9, 60 * k + 1) for k in (1, 2, 3)]
     assert {each.every_ns for each in allan} == {60 * 10**9}
+
+
+def test_the_spectrum_can_be_left_out_and_changes_nothing_else() -> None:
+    said: list[list[AnyDocument]] = []
+    for spectrum in (True, False):
+        documents: list[AnyDocument] = []
+        said.append(documents)
+
+        def publish(_key: str, document: AnyDocument, to: list[AnyDocument] = documents) -> None:
+            to.append(document)
+
+        estimation = Estimation(10**9, default_estimators(), publish, spectrum=spectrum)
+        values = np.random.default_rng(1).normal(size=20_000)
+        batch = SampleBatch("U1", "rate", "r1", UUID(int=1), 0, 0, 10**6, "deg/h", values=values)
+        estimation.take(sample_key(PLACE, "U1", "rate"), encode_batch(batch))
+        estimation.take(event_key(PLACE), encode_event(RunEnded(run="r1", t_ns=20 * 10**9), "e", 0))
+    whole, without = said
+    assert sum(isinstance(document, SpectralLinesFound) for document in whole) == 1
+    assert without == [document for document in whole if not isinstance(document, SpectralLinesFound)]
