@@ -202,8 +202,10 @@ def _tell_next(imported: "FileImport", folder: Path) -> None:
     signal = next((each for each in here if is_angular_rate(each.unit_of_measure)), here[0])
     which = f"--unit {shlex.quote(signal.unit)} --signal {shlex.quote(signal.signal)} --run {shlex.quote(signal.run)}"
     store = "" if str(folder) == DEFAULT_STORE else f" --store {shlex.quote(str(folder))}"
-    fit = " --fit" if is_angular_rate(signal.unit_of_measure) else ""
-    notes().print(f"Ask it: gyrofleet allan {which}{fit}{store}", soft_wrap=True, markup=False)
+    how = " --fit" if is_angular_rate(signal.unit_of_measure) else ""
+    if signal.irregular:
+        how = f" --resample {10 * signal.sample_interval_s:.3g}"  # Allan's deviation needs a grid
+    notes().print(f"Ask it: gyrofleet allan {which}{how}{store}", soft_wrap=True, markup=False)
 
 
 def _conclusion(imported: "FileImport", folder: Path) -> str:

@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING, Any
 
+from pathlib import Path
+
 import click
 from rich.table import Table
 
@@ -77,11 +79,13 @@ def show(name: str, choices: tuple[str, ...], *, as_json: bool) -> None:
 @click.option(
     "--settings", help="What the station's instruments can be set to, as rate,temperature; else that is not checked."
 )
+@click.option("--station", type=click.Path(path_type=Path), help="The station's file, instead of --settings.")
 @_set_option
 @reporting
-def check(name: str, settings: str | None, choices: tuple[str, ...], *, as_json: bool) -> None:
+def check(name: str, settings: str | None, station: Path | None, choices: tuple[str, ...], *, as_json: bool) -> None:
     """Check a procedure, and whether a station can do it."""
     from ingest.procedure import SETTINGS, load_procedure
+    from ingest.station import load_station
 
     found = load_procedure(name)
     given = _given(choices)
@@ -92,6 +96,8 @@ def check(name: str, settings: str | None, choices: tuple[str, ...], *, as_json:
         if unknown := [each for each in able if each not in SETTINGS]:
             raise BadInput(f"--settings: {unknown[0]!r} is no setting; there is {', '.join(SETTINGS)}")
         unmet = found.unmet(able, given)
+    if station is not None:
+        unmet = found.unmet(load_station(station).settings, given)
     if unmet:
         raise BadInput(f"procedure {found.name} cannot be done at this station: {'; '.join(unmet)}")
     needed = found.requirements(given)
@@ -101,14 +107,14 @@ def check(name: str, settings: str | None, choices: tuple[str, ...], *, as_json:
                 "procedure": found.name,
                 "steps": len(steps),
                 "requirements": needed,
-                "station_checked": settings is not None,
+                "station_checked": settings is not None or station is not None,
             }
         )
         return
     needs = "; ".join(f"{each.setting} {each.least:g} to {each.most:g} {each.unit}" for each in needed) or "nothing"
     results().print(f"{found.name}: {len(steps)} steps, in order. It sets: {needs}.", markup=False)
-    if settings is None:
-        notes().print("Whether a station can do it was not checked; give --settings.", markup=False)
+    if settings is None and station is None:
+        notes().print("Whether a station can do it was not checked; give --station or --settings.", markup=False)
 
 
 @procedure.command("estimate-time")
