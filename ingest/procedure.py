@@ -149,12 +149,12 @@ class Procedure:
         Examples
         --------
         >>> load_procedure("scale_factor").unmet(["temperature"])
-        ('24 steps set a rate of -300 to 300 deg/s, and no instrument of the station can be set to a rate',)
+        ('24 steps set the rate, from -300 to 300 deg/s, and no instrument of the station has that setting',)
         """
         able = set(settings)
         return tuple(
-            f"{each.steps} steps set a {each.setting} of {each.least:g} to {each.most:g} {each.unit}, and no "
-            f"instrument of the station can be set to a {each.setting}"
+            f"{each.steps} steps set the {each.setting}, from {each.least:g} to {each.most:g} {each.unit}, and no "
+            "instrument of the station has that setting"
             for each in self.requirements(parameters)
             if each.setting not in able
         )

@@ -1,8 +1,7 @@
 """The commands `gyrofleet procedure list | show | check | estimate-time`."""
 
-from typing import TYPE_CHECKING, Any
-
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.table import Table

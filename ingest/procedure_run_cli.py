@@ -6,7 +6,7 @@ import shlex
 import string
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -14,13 +14,18 @@ from zoneinfo import ZoneInfo
 
 import msgspec
 
+from ingest.instruments.base import Instrument
+from ingest.instruments.scpi_instrument import ScpiInstrument
 from ingest.operator_console import ConsoleOperator
 from ingest.procedure import PlannedStep, Procedure, load_procedure
 from ingest.run_path import RunPath, path_to
+from ingest.run_steps import goes_on_at
 from ingest.station import Station, load_station
+from ingest.station_bench import StationBench
+from ingest.station_clock import StationClock
 from ingest.station_log import RunLog
 from ingest.station_run import RunStopped, StationRun
-from ingest.station_run_state import unfinished_runs
+from ingest.station_run_state import read_station_run, unfinished_runs
 from ingest.station_sources import StationSources
 from ingest.units_file import UnitEntry, load_units, mounted_documents
 from storage.store import writer_endpoint
@@ -70,12 +75,16 @@ def run_procedure(
     entries = load_units(asked.units, station.slots or None)
     serials = tuple(entry.serial for entry in entries)
     check_station(station, procedure, asked.parameters)
+    clock = station.make_clock()
+    instruments = station.make_instruments(clock)
+    check_limits(station, instruments, procedure, asked.parameters)
+    run = asked.run or _run_id(spool_folder, procedure, serials, station, clock.now_ns())
+    _check_end(asked, spool_folder / run, procedure)
     connect = connect or writer_endpoint(folder)
     if connect is None:
         compile_kernels(quiet=as_json)
-    clock = station.make_clock()
-    run = asked.run or _run_id(spool_folder, procedure, serials, station, clock.now_ns())
     with ExitStack() as stack:
+        stack.enter_context(station.held())
         stop = stack.enter_context(until_stopped())
         spool = stack.enter_context(Spool(spool_folder / run, max_bytes=spool_bytes))
         for damage in spool.damages:
@@ -83,7 +92,6 @@ def run_procedure(
         operator = stack.enter_context(
             ConsoleOperator(notes(), stop, says_yes=asked.says_yes, quiet=as_json, listens=not asked.says_yes)
         )
-        instruments = station.make_instruments(clock)
         plan = hashlib.sha256(msgspec.json.encode(steps)).hexdigest()
         log = RunLog(run, procedure.name, plan, serials, station, spool, clock)
         if log.state.phase == "ended":
@@ -104,13 +112,15 @@ def run_procedure(
             about | _about(station, procedure, asked.parameters),
             operator=asked.operator or _common(entries, "operator"),
             lot=asked.lot or _common(entries, "lot"),
+            at=goes_on_at(steps, log.state.step),
         )
-        for warning in warnings:
+        for warning in [*warnings, *_others(spool_folder, log, procedure)]:
             operator.told(warning)
         resumed = f"goes on at step {log.state.step + 1} after a gap of {log.gap_s:,.0f} s, " if log.is_resumed else ""
         _tell(log, steps, "running", f"{resumed}{path.where}", as_json=as_json)
         code = 0
-        if asked.is_ended:
+        if log.state.phase == "running" and asked.is_ended:
+            _bring_to_rest(log, steps, station, instruments, operator, clock)
             log.end("stopped")
         elif log.state.phase == "running" and sources is not None:
             live = StationRun(
@@ -131,15 +141,14 @@ def run_procedure(
             return leave("interrupted before all of it was recorded")
         path.finish()
         log.close()
-        _tell(log, steps, "ended", _next(path), as_json=as_json)
+        short = log.state.short_records
+        lacking = f"{short} records of a unit in a step lack samples, see its notes; " if short else ""
+        _tell(log, steps, "ended", lacking + _next(path), as_json=as_json)
         return code
 
 
 def check_station(station: Station, procedure: Procedure, parameters: Mapping[str, str]) -> None:
-    """Raise BadInput where a station lacks what a procedure sets.
-
-    What is beyond an instrument's range is refused by the instrument's own limits, before anything is sent.
-    """
+    """Raise BadInput where a station lacks what a procedure sets or switches."""
     lacking = [each for each in procedure.requirements(parameters) if each.setting not in station.settings]
     if lacking:
         wants = "; ".join(f"{each.setting} from {each.least:g} to {each.most:g} {each.unit}" for each in lacking)
@@ -149,16 +158,68 @@ def check_station(station: Station, procedure: Procedure, parameters: Mapping[st
         )
 
 
+def check_limits(
+    station: Station, instruments: Mapping[str, Instrument], procedure: Procedure, parameters: Mapping[str, str]
+) -> None:
+    """Raise BadInput where a procedure goes beyond what an instrument may be set to, or switches power that is none."""
+    for each in procedure.requirements(parameters):
+        name = station.settings[each.setting]
+        instrument = instruments[name]
+        if not isinstance(instrument, ScpiInstrument):
+            continue
+        low, high = instrument.limits(each.setting)
+        if not low <= each.least <= each.most <= high:
+            raise BadInput(
+                f"procedure {procedure.name} sets a {each.setting} of {each.least:g} to {each.most:g} {each.unit}, and "
+                f"instruments.{name} of {station.path} may be set to {low:g} to {high:g} {each.unit}: choose other "
+                f"values with --set, or another station"
+            )
+    switches = any(step.power is not None for step in procedure.steps(parameters))
+    if switches and not StationBench(station, instruments).supplies():
+        raise BadInput(
+            f"procedure {procedure.name} switches the units off and on, and station {station.table.name} "
+            f"({station.path}) has no instrument that does: add its supply"
+        )
+
+
+def _check_end(asked: ProcedureRun, spool: Path, procedure: Procedure) -> None:
+    if asked.is_ended and read_station_run(spool) is None:
+        raise BadInput(f"there is nothing to end: no run of {procedure.name} with these units has been left unfinished")
+
+
+def _bring_to_rest(
+    log: RunLog, steps: tuple[PlannedStep, ...], station: Station, instruments: Mapping[str, Instrument],
+    operator: ConsoleOperator, clock: StationClock,
+) -> None:  # fmt: skip
+    """Make a station safe that a run was left at, perhaps by being killed; it is ended whether that works or not."""
+    with ExitStack() as stack:
+        for instrument in instruments.values():
+            with suppress(InstrumentError):  # told below, where it cannot be made safe
+                instrument.open()
+                stack.callback(instrument.close)
+        StationRun(log, steps, station, instruments, operator, clock).make_safe()
+
+
+def _others(spool: Path, log: RunLog, procedure: Procedure) -> list[str]:
+    """Runs of this procedure that were left unfinished with other units."""
+    return [
+        f"warning: run {state.run} of {', '.join(state.units[:4])}{' and others' if len(state.units) > 4 else ''} was "
+        f"left unfinished at step {state.step + 1}; give its --units to go on with it, with --end to end it"
+        for state in unfinished_runs(spool)
+        if state.procedure == procedure.name and state.run != log.state.run
+    ]
+
+
 def _run_id(spool: Path, procedure: Procedure, units: tuple[str, ...], station: Station, now_ns: int) -> str:
     """The run of this procedure and these units that is to go on; else a fresh id: the day and a letter."""
     for state in unfinished_runs(spool):
-        if (state.procedure, state.units) == (procedure.name, units):
+        if state.procedure == procedure.name and set(state.units) == set(units):
             return state.run
     day = dt.datetime.fromtimestamp(now_ns / 1e9, ZoneInfo(station.table.time_zone)).date()
     for n in range(26 * 26):
         letters = string.ascii_uppercase
         name = f"{day}-{procedure.name}-{letters[n // 26 - 1] if n >= 26 else ''}{letters[n % 26]}"
-        if not (spool / name).exists():
+        if not any((spool / name).glob("*.json")):  # a run was begun there
             return name
     raise BadInput(f"there are {26 * 26} runs of {procedure.name} on {day}: give this one a name with --run")
 
@@ -217,6 +278,7 @@ def _tell(log: RunLog, steps: tuple[PlannedStep, ...], event: str, remark: str, 
                 "steps": len(steps),
                 "steps_done": state.steps_done,
                 "samples": log.samples,
+                "short_records": state.short_records,
                 "resumed": log.is_resumed,
                 "gap_s": log.gap_s,
                 "outcome": state.outcome if event == "ended" else None,

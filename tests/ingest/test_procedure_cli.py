@@ -40,7 +40,7 @@ def test_check_says_what_a_station_lacks() -> None:
     assert "rate -300 to 300 deg/s" in run("check", "scale_factor")
     assert json.loads(run("check", "scale_factor", "--settings", "rate,angle", "--json"))["station_checked"]
     told = run("check", "scale_factor", "--settings", "temperature", code=1)
-    assert "no instrument of the station can be set to a rate" in told
+    assert "no instrument of the station has that setting" in told
     assert "'speed' is no setting" in run("check", "scale_factor", "--settings", "speed", code=1)
 
 
