@@ -1,0 +1,56 @@
+"""The instrument that the README shows, in a file of its own, measures; and its procedure and station can be read."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import msgspec
+
+from ingest.instruments.base import Instrument
+from ingest.instruments.simulated.scpi_device import SimulatedDevice
+from ingest.instruments.simulated.scpi_server import ScpiServer
+from ingest.procedure import load_procedure
+from ingest.station import load_station
+from ingest.station_clock import StationClock
+
+README = Path(__file__).parents[2] / "README.md"
+
+
+def block(language: str, holds: str) -> str:
+    blocks = re.findall(rf"```{language}\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    (found,) = (each for each in blocks if holds in each)
+    return str(found)
+
+
+def test_an_instrument_of_forty_lines_measures(tmp_path: Path) -> None:
+    source = block("python", "class PressureGauge(")
+    assert len(source.splitlines()) <= 40
+    path = tmp_path / "pressure_gauge.py"
+    path.write_text(source)
+    spec = importlib.util.spec_from_file_location("pressure_gauge", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    kind: type[Instrument] = module.PressureGauge
+    clock = StationClock()
+    device = SimulatedDevice("ACME,GAUGE,1,1", clock, {}, {"MEASure:PRESsure?": lambda: "1.25E-3"})
+    with ScpiServer({"gauge": device}) as server:
+        table = {"resource": server.resource("gauge"), "channel": 2, "sample_interval_s": 0.5}
+        with kind("gauge", msgspec.convert(table, kind.options_type), clock) as gauge:
+            (reading,) = gauge.sample()
+    assert (reading.signal, reading.value) == ("pressure", 1.25e-3)
+    assert "MEAS:PRES? 2" in device.lines
+
+
+def test_the_procedure_and_the_station_shown_are_whole(tmp_path: Path) -> None:
+    path = tmp_path / "own.toml"
+    path.write_text(block("toml", "bias_two_temperatures"), encoding="utf-8")
+    steps = load_procedure(str(path)).steps()
+    assert [step.settings["temperature"] for step in steps if step.words.step == "static"] == [-20.0, 50.0]
+    assert sum(step.record_s for step in steps) == 3600.0
+    path = tmp_path / "station.toml"
+    path.write_text(block("toml", "[instruments.chamber]"), encoding="utf-8")
+    station = load_station(path)
+    assert station.settings == {"temperature": "chamber"}
+    assert station.buses["can"].bus.interface == "socketcan"
