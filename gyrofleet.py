@@ -1,5 +1,11 @@
 """The front door: the commands of all packages, assembled."""
 
+import atexit
+import os
+import sys
+from contextlib import suppress
+from typing import NoReturn
+
 import click
 
 from analytics.allan_cli import allan
@@ -46,5 +52,24 @@ for command in (
 ):
     main.add_command(command)
 
+
+def front_door() -> NoReturn:
+    """Run the command line, and end the process with its exit code.
+
+    The code is the command's own: a library's thread that is still at work while its library is taken down aborts the
+    process (seen as -6 behind a message that had been told in order), so that is not waited for.
+    """
+    code = 0
+    try:
+        main()
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    with suppress(OSError):  # whoever read the output has gone
+        atexit._run_exitfuncs()  # noqa: SLF001  what Python does before it takes the libraries down
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(code)
+
+
 if __name__ == "__main__":
-    main()
+    front_door()

@@ -24,6 +24,7 @@ from stream.errors import BadInput
 if TYPE_CHECKING:
     from ingest.importer import FileImport
     from ingest.instruments.can_mapping import CanPlan
+    from ingest.instruments.table_columns import TableOptions
     from ingest.sample_file import SampleFile
 
 _LISTED_BAD_ROWS = 20
@@ -72,10 +73,8 @@ def import_files(
     under its own name in lower case; `gyrofleet can scan` proposes a mapping. Of a damaged log what is good is
     imported, and the exit code is 1.
     """
-    from ingest.can_import import CanLogFile
     from ingest.importer import import_file
     from ingest.instruments.table_columns import TableOptions
-    from ingest.instruments.table_file import TableFile
     from ingest.moment import moment_ns
     from stream.identity import Place, check_name
 
@@ -97,11 +96,7 @@ def import_files(
         for path in files:
             task = progress.add_task(f"checking {path.name}", total=1.0)
             began = time.monotonic()
-            file: SampleFile = (
-                CanLogFile(path, plan, run=run, start_ns=options.start_ns, intervals=intervals)
-                if _is_can_log(path)
-                else TableFile(path, options)
-            )
+            file = _file(path, plan, options, intervals)
             summary = file.check(lambda done, task=task: progress.update(task, completed=done))  # type: ignore[misc]
             progress.update(task, completed=1.0, visible=len(files) <= 10)
             checked.append((path, file, summary, time.monotonic() - began))
@@ -190,6 +185,19 @@ def _tell(imported: "FileImport", folder: Path) -> None:
     if imported.damage:
         said = f"error: {imported.file}: {imported.damage}; what is good of it is imported"
         console.print(said, style="red", markup=False, soft_wrap=True)
+
+
+def _file(
+    path: Path, plan: "CanPlan", options: "TableOptions", intervals: dict[tuple[str, str, str], int]
+) -> "SampleFile":
+    """What a file is, by its name; only what is needed is loaded."""
+    if _is_can_log(path):
+        from ingest.can_import import CanLogFile
+
+        return CanLogFile(path, plan, run=options.run, start_ns=options.start_ns, intervals=intervals)
+    from ingest.instruments.table_file import TableFile
+
+    return TableFile(path, options)
 
 
 def _tell_next(imported: "FileImport", folder: Path) -> None:
