@@ -1,5 +1,6 @@
 """The operator of a run at a terminal: prompts, pause, stop and abort by a word and Enter."""
 
+import signal
 import sys
 import threading
 import time
@@ -9,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ingest.procedure import PlannedStep
+from ingest.station_run import RunStopped
 from stream.console import Stop
 
 _TOLD_EVERY_S = 5.0
@@ -49,7 +51,9 @@ class ConsoleOperator:
         )  # fmt: skip
         self._task = self._progress.add_task("", total=1.0)
         self._total_s = 0.0
+        self._hears = listens
         if listens:
+            signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # in the background reading fails, and the run goes on
             threading.Thread(target=self._listen, name="gyrofleet-operator", daemon=True).start()
 
     def __enter__(self) -> "ConsoleOperator":
@@ -64,7 +68,13 @@ class ConsoleOperator:
         self._console.print(text, soft_wrap=True, markup=False)
 
     def ready(self, prompt: str) -> bool:
-        """Whether Enter was given since the prompt was first shown."""
+        """Whether Enter was given since the prompt was first shown.
+
+        Raises
+        ------
+        RunStopped
+            If nobody can give it, as standard input has ended.
+        """
         if self._says_yes:
             return True
         if self._asked != prompt:
@@ -76,6 +86,10 @@ class ConsoleOperator:
             self._asked = None
             self._done = 0
             return True
+        if not self._hears and self._words.empty():
+            raise RunStopped(
+                f"nobody can confirm {prompt!r}: standard input has ended; run it at a terminal, or say --yes"
+            )
         return False
 
     def wishes(self) -> str | None:
@@ -98,8 +112,13 @@ class ConsoleOperator:
             self._console.print(text, soft_wrap=True, markup=False)
 
     def _listen(self) -> None:
-        for line in sys.stdin:
-            self._words.put(line.strip().lower())
+        try:
+            for line in sys.stdin:
+                self._words.put(line.strip().lower())
+        except (OSError, ValueError):  # in the background, or what is typed is no text
+            pass
+        finally:
+            self._hears = False
 
     def _read(self) -> None:
         while True:

@@ -134,6 +134,7 @@ def run_procedure(
                 operator.told(str(aborted))
                 code = 1
             log.end("aborted" if code else "completed")
+            code = code or len(live.unsafe[:1])  # told already; whoever waits for the command is to look as well
         else:
             log.end(log.state.outcome)  # it was killed while it waited for the recorder
         path.publisher.drain(lambda: stop.asked_at is not None and time.monotonic() > stop.asked_at + _PATIENCE_S)

@@ -98,8 +98,9 @@ def run(
     """Carry out a PROCEDURE at a station, or send samples of units that are simulated in this process.
 
     `gyrofleet run PROCEDURE --station FILE --units FILE` sets the station's instruments, waits until they have
-    settled, records, and goes on to the next step; `gyrofleet procedure list` has the procedures. At a terminal,
+    settled, records, and goes on to the next step; `gyrofleet procedure list` has the procedures. Without --yes,
     p Enter pauses, c Enter goes on, a Enter aborts; Ctrl-C makes the station safe and leaves the run to go on later.
+    What prepares the record that was cut, a soak or a time without power, is then done again.
 
     Where a `gyrofleet record` writes the store, it goes there, else it is recorded in this process. What no recorder
     has yet waits in a spool on disk. Interrupted or killed, the run goes on under its id when the same command is

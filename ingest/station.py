@@ -1,10 +1,13 @@
 """A station: where it is, its instruments and buses, and which unit sits where; a TOML file."""
 
 import datetime as dt
+import fcntl
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import msgspec
 
@@ -119,6 +122,26 @@ class Station(msgspec.Struct, frozen=True, kw_only=True):
         kinds = instrument_kinds()
         return {name: kinds[kind](name, options, clock) for name, (kind, options) in self.instruments.items()}
 
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Have the station for one run alone.
+
+        Raises
+        ------
+        BadInput
+            If another run of this computer has it.
+        """
+        with self.path.open("rb") as file:
+            with suppress(OSError):  # where files cannot be locked, people see to it
+                try:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise BadInput(
+                        f"another gyrofleet run is at work at station {self.table.name} ({self.path}); wait until it "
+                        f"has ended, or stop it"
+                    ) from None
+            yield
+
     def beside(self, name: str) -> Path:
         """A file that the station file names."""
         return self.path.parent / name
@@ -156,6 +179,7 @@ def load_station(path: Path) -> Station:
     latitude_deg = file.station.latitude_deg
     if latitude_deg is not None and not -90.0 <= latitude_deg <= 90.0:
         raise BadInput(f"{path}: station.latitude_deg is {latitude_deg:g}; it lies between -90 and 90")
+    _check_times(path, file)
     instruments = {name: _options(path, name, table) for name, table in file.instruments.items()}
     return Station(
         path=path,
@@ -169,6 +193,23 @@ def load_station(path: Path) -> Station:
     )
 
 
+def _check_times(path: Path, file: _File) -> None:
+    clock, zone = file.clock, file.station.time_zone
+    try:
+        ZoneInfo(zone)
+    except (ValueError, KeyError, OSError) as error:
+        raise BadInput(
+            f"{path}: station.time_zone is {zone!r}, which is not known; write it as Asia/Shanghai, or UTC"
+        ) from error
+    if not 0.0 < clock.speed <= 1e6:
+        raise BadInput(f"{path}: clock.speed is {clock.speed:g}; it is more than 0 and at most 1e6 times real time")
+    if clock.speed != 1.0 and (clock.start_ns is None or clock.origin_s is None):
+        raise BadInput(
+            f"{path}: clock.speed is {clock.speed:g} without clock.start_ns and clock.origin_s: the clocks of two "
+            f"processes would not agree; a real station has no [clock]"
+        )
+
+
 def _options(path: Path, name: str, table: dict[str, Any]) -> tuple[str, Options]:
     check_name("instrument", name)
     kinds = instrument_kinds()
@@ -176,19 +217,31 @@ def _options(path: Path, name: str, table: dict[str, Any]) -> tuple[str, Options
     if kind not in kinds:
         known = ", ".join(sorted(kinds))
         raise BadInput(f"{path}: instruments.{name}.kind is {kind!r}; gyrofleet knows {known}")
-    rest = {key: value for key, value in table.items() if key != "kind"}
+    # TOML has days of its own, and who leaves the quotes out means the same
+    rest = {key: value.isoformat() if isinstance(value, dt.date) else value for key, value in table.items()}
+    del rest["kind"]
     try:
         options = msgspec.convert(rest, kinds[kind].options_type)
         if options.calibration_due is not None:
             dt.date.fromisoformat(options.calibration_due)
     except (msgspec.ValidationError, ValueError) as error:
         raise BadInput(f"{path}: instruments.{name} (a {kind}): {error}") from error
+    if not 0.0 < options.sample_interval_s < float("inf"):
+        raise BadInput(
+            f"{path}: instruments.{name}.sample_interval_s is {options.sample_interval_s:g}; it is read every so many "
+            f"seconds, more than 0"
+        )
     return kind, options
 
 
-def _slot(path: Path, name: str, slot: SlotTable, instruments: Mapping[str, object]) -> SlotTable:
-    if slot.power is not None and slot.power not in instruments:
+def _slot(path: Path, name: str, slot: SlotTable, instruments: Mapping[str, tuple[str, Options]]) -> SlotTable:
+    if slot.power is None:
+        return slot
+    if slot.power not in instruments:
         raise BadInput(f"{path}: slots.{name}.power is {slot.power!r}, which is no instrument of this station")
+    kind, _ = instruments[slot.power]
+    if "output" not in instrument_kinds()[kind].settings:
+        raise BadInput(f"{path}: slots.{name}.power is {slot.power!r}, a {kind}, which switches nothing on or off")
     return slot
 
 

@@ -15,6 +15,7 @@ from ingest.procedure import PlannedStep
 from ingest.station import Station
 from ingest.station_clock import StationClock
 from ingest.station_run_state import Outcome, StationRunState, check_same, read_station_run, write_station_run
+from ingest.step_coverage import StepCoverage
 from stream.acknowledgement import StreamId
 from stream.batch import SampleBatch
 from stream.delivery import Sender
@@ -30,7 +31,7 @@ from stream.events import (
     StepStarted,
     StreamTotal,
 )
-from stream.identity import event_key, sample_key
+from stream.identity import SampleKey, event_key, parse_key, sample_key
 from stream.spool import Spool
 
 
@@ -67,6 +68,8 @@ class RunLog:
         Whether another process began it.
     gap_s : float
         How long nothing was measured before it was taken up, seconds at the station.
+    coverage : StepCoverage
+        What units deliver in the step that is recorded.
     """
 
     def __init__(
@@ -87,6 +90,7 @@ class RunLog:
         self._totals: Counter[tuple[str, str, str]] = Counter()
         self._first: dict[StreamId, int] = {}
         self._counting = threading.Lock()
+        self.coverage = StepCoverage(found.units)
         self._sender: Sender | None = None
         self._uid = partial(_uid, f"{run}/{found.t0_ns}")
         self._notes = 0
@@ -112,6 +116,7 @@ class RunLog:
         if first:
             batch = dataclasses.replace(batch, seq=batch.seq + first)
         self._sender.send_batch(key, batch)
+        self.coverage.see(batch)
         with self._counting:
             self._totals[batch.unit, batch.signal, str(batch.epoch)] += len(batch)
 
@@ -123,6 +128,7 @@ class RunLog:
         *,
         operator: str | None,
         lot: str | None,
+        at: int | None = None,
     ) -> list[str]:
         """Send the documents with which the run starts, or goes on; what people should be warned of.
 
@@ -136,10 +142,13 @@ class RunLog:
             What else is to be remembered of the run.
         operator, lot : str, optional
             Who is responsible, and the production lot.
+        at : int, optional
+            Index of the step that it goes on with; by default that at which it was.
         """
         self._sender = sender
         warnings: list[str] = []
         if self.state.phase == "starting":
+            self.save()  # killed from here on, it is taken up as the same run
             self._send(
                 RunStarted(
                     run=self.state.run,
@@ -161,8 +170,8 @@ class RunLog:
             for warning in warnings:
                 self.note(warning)
         elif self.is_resumed and self.state.phase == "running":
-            self._resume()
-        if self.state.phase in {"starting", "running"}:
+            self._resume(self.state.step if at is None else at)
+        if self.state.phase == "starting":
             self.save(phase="running")
         return warnings
 
@@ -186,89 +195,101 @@ class RunLog:
         """Remember that a recorder has everything."""
         self.save(phase="ended")
 
-    def note(self, text: str) -> None:
-        """Have something remembered with the run; from any thread."""
+    def note(self, text: str, unit: str | None = None) -> None:
+        """Have something remembered with the run, or with a unit in it; from any thread."""
         with self._counting:
             self._notes += 1
             number = self._notes
         uid = self._uid("note", str(self.state.starts), str(number))
-        self._send(NoteAdded(run=self.state.run, t_ns=self._clock.now_ns(), uid=uid, text=text, author="station"))
+        now_ns = self._clock.now_ns()
+        self._send(NoteAdded(run=self.state.run, t_ns=now_ns, uid=uid, text=text, author="station", unit=unit))
 
     def begin_step(self, step: PlannedStep) -> int:
         """Say that a step begins for all units now; when that is, nanoseconds."""
         t_ns = self._clock.now_ns()
+        settled_ns = t_ns + round(step.settle_s * 1e9)
+        self.coverage.begin(settled_ns, settled_ns + round(step.record_s * 1e9))
         uids = {unit: self._uid("step", str(step.number), unit, str(t_ns)) for unit in self.state.units}
+        self.save(open_steps=uids)  # first, so that no crash leaves a step that nobody ends
         for unit, uid in uids.items():
             self._send(StepStarted(run=self.state.run, t_ns=t_ns, uid=uid, unit=unit, words=step.words))
-        self.save(open_steps=uids)
         return t_ns
 
     def end_steps(self, outcome: str, t_ns: int | None = None) -> None:
-        """Say how the step that is being recorded has ended, now or at another time."""
-        for unit, uid in self.state.open_steps.items():
-            self._send(
-                StepEnded(
-                    run=self.state.run,
-                    t_ns=self._clock.now_ns() if t_ns is None else t_ns,
-                    uid=self._uid("step-ended", uid),
-                    unit=unit,
-                    step_uid=uid,
-                    outcome=outcome,
-                )
-            )
+        """Say how the step that is being recorded has ended, now or at another time; completed, the next one is due."""
         if self.state.open_steps:
-            self.save(open_steps={})
+            t_ns = self._clock.now_ns() if t_ns is None else t_ns
+            self.save(
+                open_steps={}, closed_steps=self.state.open_steps, closed_as=outcome, closed_ns=t_ns,
+                step=self.state.step + (outcome == "completed"),
+                steps_done=self.state.steps_done + (outcome == "completed"),
+            )  # fmt: skip
+            self._say_closed()
 
     def power_on(self) -> None:
         """All units have power: a new epoch of each."""
-        self.save(epochs={unit: str(uuid4()) for unit in self.state.units}, is_powered=True)
-        t_ns = self._clock.now_ns()
-        for unit, epoch in self.state.epochs.items():
-            self._send(PowerOn(run=self.state.run, t_ns=t_ns, uid=self._uid("on", epoch), unit=unit, epoch=epoch))
+        epochs = {unit: str(uuid4()) for unit in self.state.units}
+        self.save(epochs=epochs, is_powered=True, powered_ns=self._clock.now_ns())
+        self._say_powered()
 
-    def power_off(self) -> None:
-        """No unit has power."""
-        t_ns = self._clock.now_ns()
+    def power_off(self, t_ns: int | None = None) -> None:
+        """No unit has power, from now on or from another time; said once."""
+        t_ns = self._clock.now_ns() if t_ns is None else t_ns
         for unit, epoch in self.state.epochs.items():
             self._send(PowerOff(run=self.state.run, t_ns=t_ns, uid=self._uid("off", epoch), unit=unit, epoch=epoch))
-        self.save(is_powered=False)
+        self.save(is_powered=False, epochs={})
 
     def save(self, **changes: object) -> None:
         """Remember how far the run is."""
         seen_ns = max(self.state.seen_ns, self._clock.now_ns())
         self.state = write_station_run(self._spool.folder, replace(self.state, seen_ns=seen_ns, **changes))
 
-    def _resume(self) -> None:
+    def _resume(self, at: int) -> None:
         now_ns = self._clock.now_ns()
-        gap_ns = now_ns - self.state.seen_ns
+        gap_ns = max(0, now_ns - self.state.seen_ns)  # a clock that was set back says nothing of a gap
         self.gap_s = gap_ns / 1e9
-        begun_again = f"step {self.state.step + 1} is begun again" if self.state.open_steps else "no step was cut"
+        self._say_closed()  # the crash may have come before it
+        if self.state.is_powered:
+            self._say_powered()
         self.end_steps("interrupted", self.state.seen_ns)
-        self.save(starts=self.state.starts + 1)
+        again = f"step {self.state.step + 1} is begun again"
+        cut = again if self.state.closed_as == "interrupted" else "no step was cut"
+        back = f", from step {at + 1} on" if at < self.state.step else ""
+        self.save(starts=self.state.starts + 1, step=at, steps_done=at)
         self._send(
             RunResumed(
                 run=self.state.run,
                 t_ns=now_ns,
                 uid=self._uid("resumed", str(self.state.starts)),
                 gap_ns=gap_ns,
-                reason=f"taken up again at step {self.state.step + 1}; {begun_again}",
+                reason=f"taken up again at step {at + 1}; {cut}{back}",
             )
         )
 
+    def _say_closed(self) -> None:
+        state = self.state
+        for unit, uid in state.closed_steps.items():
+            self._send(
+                StepEnded(
+                    run=state.run, t_ns=state.closed_ns, uid=self._uid("step-ended", uid), unit=unit, step_uid=uid,
+                    outcome=state.closed_as,
+                )
+            )  # fmt: skip
+
+    def _say_powered(self) -> None:
+        for unit, epoch in self.state.epochs.items():
+            uid = self._uid("on", epoch)
+            self._send(PowerOn(run=self.state.run, t_ns=self.state.powered_ns, uid=uid, unit=unit, epoch=epoch))
+
     def _all_totals(self) -> tuple[StreamTotal, ...]:
-        """Of every stream that this process has sent, how many samples there are in all."""
-        with self._counting:
-            names = sorted(self._totals)
-        place = self._station.place
-        return tuple(
-            StreamTotal(
-                unit=unit,
-                signal=signal,
-                epoch=epoch,
-                samples=self._spool.position(StreamId(sample_key(place, unit, signal), UUID(epoch).hex)),
-            )
-            for unit, signal, epoch in names
-        )
+        """Of every stream of the run, whichever process has sent it, how many samples there are in all."""
+        totals = []
+        for stream, state in self._spool.streams.items():
+            key = parse_key(stream.key)
+            if isinstance(key, SampleKey):
+                epoch = str(UUID(stream.epoch))
+                totals.append(StreamTotal(unit=key.unit, signal=key.signal, epoch=epoch, samples=state.appended))
+        return tuple(sorted(totals, key=lambda total: (total.unit, total.signal, total.epoch)))
 
     def _send(self, document: AnyDocument) -> None:
         assert self._sender is not None

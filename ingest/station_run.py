@@ -7,7 +7,9 @@ from typing import Protocol
 
 from ingest.instruments.base import Instrument
 from ingest.procedure import PlannedStep
+from ingest.run_steps import lasts_s, settings_before
 from ingest.station import Station
+from ingest.station_bench import StationBench
 from ingest.station_clock import StationClock
 from ingest.station_log import RunLog
 from stream.errors import InstrumentError, RunAborted
@@ -16,6 +18,7 @@ _LOOK_S = 0.05
 _SAVE_EVERY_S = 5.0
 _ASK_SETTLED_S = 1.0  # at the station
 _RETRY_S = 2.0
+_ARRIVE_S = 2.0  # how long the last samples of a step may take to come
 
 
 class Source(Protocol):
@@ -67,6 +70,11 @@ class StationRun:
         The station's clock.
     settle_timeout_s : float
         Seconds at the station after which an instrument that has not settled is given up.
+
+    Attributes
+    ----------
+    unsafe : tuple of str
+        Instruments that could not be made safe at the end.
     """
 
     def __init__(
@@ -82,12 +90,12 @@ class StationRun:
     ) -> None:
         self._log = log
         self._steps = steps
-        self._station = station
-        self._instruments = instruments
+        self._bench = StationBench(station, instruments)
         self._operator = operator
         self._clock = clock
         self._settle_timeout_s = settle_timeout_s
         self._is_set_up = False
+        self.unsafe: tuple[str, ...] = ()
 
     def report(self, text: str) -> None:
         """Remember what a source or instrument says, and tell the operator; from any thread."""
@@ -114,45 +122,58 @@ class StationRun:
             If a source cannot be started.
         """
         active: list[Source] = []
-
-        def restart() -> None:
-            _stop(active)
-            active.extend(sources())
-            for source in active:
-                source.start()
-
+        outcome = "interrupted"
         try:
             for sampler in samplers:
                 sampler.start()
-            if not self._log.state.is_powered:
-                self._switch(1.0)
-                self._log.power_on()
-            restart()
+            self._power_up()
+            if self._log.state.is_powered:
+                self._restart(active, sources)
             while self._log.state.step < len(self._steps):
-                self._work(self._steps[self._log.state.step], active, restart)
-        except RunStopped:
-            self._log.end_steps("interrupted")
-            raise
-        except RunAborted:
-            self._log.end_steps("aborted")
+                self._work(self._steps[self._log.state.step], active, partial(self._restart, active, sources))
+        except RunAborted as aborted:
+            outcome = "interrupted" if isinstance(aborted, RunStopped) else "aborted"
             raise
         finally:
-            self.make_safe()
+            cut_ns = self._clock.now_ns()
+            troubles = self._bench.rest()  # before anything is said, which may have to wait for a recorder
+            rest_ns = self._clock.now_ns()
             _stop(active)
             _stop(list(samplers))
+            self._log.end_steps(outcome, cut_ns)
+            self._tell_rest(troubles, rest_ns)
 
     def make_safe(self) -> None:
         """Bring every instrument to where it can be left alone; what fails is said, and hinders no other."""
-        is_off = False
-        for name, instrument in self._instruments.items():
-            try:
-                with instrument.lock:
-                    instrument.make_safe()
-                is_off |= name in self._supplies()
-            except InstrumentError as error:
-                self.report(f"warning: {name} could not be made safe: {error}; see to it by hand")
-        if is_off and self._log.state.is_powered:
-            self._log.power_off()
+        troubles = self._bench.rest()
+        self._tell_rest(troubles, self._clock.now_ns())
+
+    def _tell_rest(self, troubles: Mapping[str, str], rest_ns: int) -> None:
+        self.unsafe = tuple(troubles)
+        supplies = self._bench.supplies()
+        if supplies and not any(name in troubles for name in supplies):
+            self._log.power_off(rest_ns)
+        for name, trouble in troubles.items():
+            self.report(f"warning: {name} could not be made safe: {trouble}; see to it by hand")
+
+    def _power_up(self) -> None:
+        """Have the units powered, unless the step that is due begins without power; whoever lost it has a new epoch."""
+        if self._log.state.is_powered and self._bench.is_dead():
+            self.report("the units have lost their power since the run was left")
+            self._log.save(is_powered=False)
+        if self._log.state.is_powered:
+            return
+        self._log.power_off()  # where a crash came before it was said
+        rest = self._steps[self._log.state.step :]
+        if rest and rest[0].power not in {"cycle", "off"}:
+            self._bench.switch(1.0)
+            self._log.power_on()
+
+    def _restart(self, active: list[Source], sources: Callable[[], Sequence[Source]]) -> None:
+        _stop(active)
+        for source in sources():
+            active.append(source)
+            source.start()
 
     def _work(self, step: PlannedStep, active: list[Source], restart: Callable[[], None]) -> None:
         """One step, from its commands to its last sample."""
@@ -160,16 +181,22 @@ class StationRun:
             prompt = f"{step.prompt.en} / {step.prompt.zh}"
             self._until(step, "waiting for the operator", partial(self._operator.ready, prompt), None)
         if step.power in {"cycle", "off"}:
-            self._until(step, "switching off", partial(self._switch, 0.0), self._settle_timeout_s)
-            self._log.power_off()
+            self._log.save(is_powered=False)  # before it is: who takes the run up after a crash switches on, or off
+            self._until(step, "switching off", partial(self._bench.switch, 0.0), self._settle_timeout_s)
+            off_ns = self._clock.now_ns()
             _stop(active)
+            self._log.power_off(off_ns)
             self._pause(step, "power off", step.off_s)
-        for what, value in self._due(step):
-            self._until(step, f"setting {what} to {value:g}", partial(self._set, what, value), self._settle_timeout_s)
-        for what in step.wait_settled:
-            self._until(step, f"{what} settles", partial(self._is_settled, what), self._settle_timeout_s)
+        due = self._due(step)
+        for what, value in due.items():
+            self._until(
+                step, f"setting {what} to {value:g}", partial(self._bench.set, what, value), self._settle_timeout_s
+            )
+        # what was set before an interruption has to be reached anew
+        for what in dict.fromkeys([*(each for each in due if each not in step.settings), *step.wait_settled]):
+            self._until(step, f"{what} settles", partial(self._bench.is_settled, what), self._settle_timeout_s)
         if step.power in {"cycle", "on"}:
-            self._until(step, "switching on", partial(self._switch, 1.0), self._settle_timeout_s)
+            self._until(step, "switching on", partial(self._bench.switch, 1.0), self._settle_timeout_s)
             self._log.power_on()
             restart()
         self._pause(step, "warming up", step.warm_up_s)
@@ -178,45 +205,34 @@ class StationRun:
             # what settles is in the data, and dropped when the step is evaluated
             lasts_s = step.settle_s + step.record_s
             self._pause(step, "recording", lasts_s, began_ns)
-            self._log.end_steps("completed", began_ns + round(lasts_s * 1e9) - 1)
+            end_ns = began_ns + round(lasts_s * 1e9)
+            self._await_last(step)
+            self._log.end_steps("completed", end_ns - 1)
         else:
             self._pause(step, "settling", step.settle_s)
-        state = self._log.state
-        self._log.save(step=state.step + 1, steps_done=state.steps_done + 1)
+            state = self._log.state
+            self._log.save(step=state.step + 1, steps_done=state.steps_done + 1)
 
-    def _due(self, step: PlannedStep) -> list[tuple[str, float]]:
+    def _await_last(self, step: PlannedStep) -> None:
+        """Wait until the samples of a step have come, which they do a little later; say which units lack some."""
+        coverage = self._log.coverage
+        until_s = time.monotonic() + _ARRIVE_S + self._clock.computer_s(2.0 * coverage.longest_interval_s)
+        is_enough = lambda: coverage.is_whole or time.monotonic() > until_s  # noqa: E731
+        self._until(step, "the last samples come", is_enough, None)
+        named = step.words.step or step.words.procedure
+        lacking = coverage.lacking()
+        for unit, what in lacking:
+            text = f"warning: step {step.number} ({named}), unit {unit}: {what}; see its wiring and power"
+            self._log.note(text, unit)
+            self._operator.told(text)
+        if lacking:
+            self._log.save(short_records=self._log.state.short_records + len(dict(lacking)))
+
+    def _due(self, step: PlannedStep) -> dict[str, float]:
         """What is to be commanded: what is new, and after an interruption, since all was made safe, what held then."""
-        due: dict[str, float] = {}
-        if not self._is_set_up:
-            for earlier in self._steps[: self._log.state.step]:
-                due = {what: value for what, value in due.items() if not _replaces(earlier.settings, what)}
-                due |= earlier.settings
-            due = {what: value for what, value in due.items() if not _replaces(step.settings, what)}
-            self._is_set_up = True
-        return list((due | step.settings).items())
-
-    def _switch(self, on: float) -> bool:
-        for name in self._supplies():
-            with self._instruments[name].lock:
-                self._instruments[name].set("output", on)
-        return True
-
-    def _supplies(self) -> list[str]:
-        """What powers the slots, else every supply that the station has."""
-        named = {slot.power for slot in self._station.slots.values() if slot.power is not None}
-        able = [name for name, instrument in self._instruments.items() if "output" in instrument.settings]
-        return sorted(named) or able
-
-    def _set(self, what: str, value: float) -> bool:
-        instrument = self._instruments[self._station.settings[what]]
-        with instrument.lock:
-            instrument.set(what, value)
-        return True
-
-    def _is_settled(self, what: str) -> bool:
-        instrument = self._instruments[self._station.settings[what]]
-        with instrument.lock:
-            return instrument.is_settled(what)
+        due = {} if self._is_set_up else settings_before(self._steps, self._log.state.step)
+        self._is_set_up = True
+        return due | step.settings
 
     def _pause(self, step: PlannedStep, doing: str, station_s: float, since_ns: int | None = None) -> None:
         """Wait so long at the station, while the operator may pause or stop the run."""
@@ -229,8 +245,10 @@ class StationRun:
         asked_ns = 0
         trouble = ""
         while True:
+            before_ns = self._clock.now_ns()
             self._obey()
             now_ns = self._clock.now_ns()
+            began_ns += now_ns - before_ns  # a pause is nobody's delay
             passed_s = (now_ns - began_ns) / 1e9
             if timeout_s is None or now_ns - asked_ns >= _ASK_SETTLED_S * 1e9:
                 asked_ns = now_ns
@@ -271,16 +289,7 @@ class StationRun:
 
     def _left_s(self, step: PlannedStep, passed_s: float) -> float:
         rest = self._steps[self._log.state.step + 1 :]
-        return max(0.0, sum(map(_lasts_s, (step, *rest))) - passed_s)
-
-
-def _lasts_s(step: PlannedStep) -> float:
-    return step.off_s + step.warm_up_s + step.settle_s + step.record_s
-
-
-def _replaces(settings: Mapping[str, float], what: str) -> bool:
-    """A table turns or stands somewhere: one takes the place of the other."""
-    return (what == "angle" and "rate" in settings) or (what == "rate" and "angle" in settings)
+        return max(0.0, sum(map(lasts_s, (step, *rest))) - passed_s)
 
 
 def _stop(sources: list[Source]) -> None:

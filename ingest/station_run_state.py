@@ -42,6 +42,13 @@ class StationRunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         Steps that were completed.
     is_powered : bool
         Whether the units have power.
+    powered_ns : int
+        When they were given it.
+    closed_steps, closed_as, closed_ns : mapping, str and int
+        Of the step that has ended last: the identity of its document by unit, how and when it has ended. It is said
+        again after a crash, which may have come before it was said.
+    short_records : int
+        Records of a unit in a step that lack samples.
     """
 
     format: int = 1
@@ -59,6 +66,11 @@ class StationRunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     epochs: dict[str, str] = {}
     steps_done: int = 0
     is_powered: bool = False
+    powered_ns: int = 0
+    closed_steps: dict[str, str] = {}
+    closed_as: str = ""
+    closed_ns: int = 0
+    short_records: int = 0
 
 
 def read_station_run(folder: Path) -> StationRunState | None:
@@ -97,7 +109,7 @@ def check_same(state: StationRunState, procedure: str, plan: str, units: tuple[s
     """Raise BadInput where a run that is to go on was started as another one."""
     if state.procedure != procedure:
         raise BadInput(f"run {state.run} is one of procedure {state.procedure}, not {procedure}: give another --run")
-    if state.units != units:
+    if set(state.units) != set(units):
         added, gone = sorted(set(units) - set(state.units)), sorted(set(state.units) - set(units))
         raise BadInput(
             f"run {state.run} was started with other units (new now: {', '.join(added) or 'none'}; gone: "

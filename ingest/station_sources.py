@@ -50,6 +50,7 @@ class StationSources:
             for name, bus in station.buses.items()
         }
         self._layouts = {name: load_layout(station.beside(line.layout)) for name, line in station.lines.items()}
+        self._check_twice()
         known = {unit for plan in self._plans.values() for unit in plan.units}
         known |= {line.unit for line in station.lines.values()}
         if strangers := sorted(self._units - known):
@@ -59,6 +60,22 @@ class StationSources:
             )
         if taken := sorted(self._units & set(instruments)):
             raise BadInput(f"{', '.join(taken)}: a unit and an instrument of {station.path} have the same name")
+
+    def _check_twice(self) -> None:
+        """Refuse a signal that comes on two ways: its samples could not be numbered."""
+        ways: dict[tuple[str, str], str] = {}
+        found = [
+            (f"buses.{name}", unit, signal) for name, plan in self._plans.items() for unit, signal, _ in plan.signals
+        ]
+        found += [
+            (f"lines.{name}", line.unit, "") for name, line in self._station.lines.items() if line.unit in self._units
+        ]
+        for way, unit, signal in found:
+            if (other := ways.setdefault((unit, signal), way)) != way:
+                what = f"signal {signal} of unit {unit}" if signal else f"unit {unit}"
+                raise BadInput(
+                    f"{self._station.path}: {what} comes from {other} and from {way} as well: take it out of one"
+                )
 
     def make(self, log: RunLog, report: Callable[[str], None]) -> list[Source]:
         """Sources for the power-ons as they are; of units that are not tested nothing is taken."""

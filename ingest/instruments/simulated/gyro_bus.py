@@ -1,7 +1,7 @@
 """Simulated gyros on a CAN bus, in a process of their own: what acts on them comes from that of the instruments."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,6 +43,8 @@ class GyroBus:
         Given the frames of a tick, each an arbitration id and 8 bytes, in the order of their moments.
     on_power : callable, optional
         Given every power-on and its seconds so far, as it begins and when it has ended.
+    power_ons : mapping of int, optional
+        How often each unit has been powered on before.
 
     Notes
     -----
@@ -56,13 +58,15 @@ class GyroBus:
         supply: SimulatedSupply,
         send: Callable[[Sequence[tuple[int, bytes]]], None],
         on_power: Callable[[SimulatedGyroModel, float], None] | None = None,
+        power_ons: Mapping[str, int] | None = None,
     ) -> None:
+        power_ons = power_ons or {}
         self._plan = plan
         self._environment = environment
         self._supply = supply
         self._send = send
         self._on_power = on_power
-        self._gyros = [_Gyro(unit, FIRST_ID + i) for i, unit in enumerate(plan.units)]
+        self._gyros = [_Gyro(unit, FIRST_ID + i, power_ons.get(unit, 0)) for i, unit in enumerate(plan.units)]
         self._done_ns = 0
         self.frames = 0
 
@@ -147,6 +151,7 @@ def play(
     bus: Any,
     is_over: Callable[[], bool],
     on_power: Callable[[SimulatedGyroModel, float], None] | None = None,
+    power_ons: Mapping[str, int] | None = None,
 ) -> int:
     """Play a fleet until it is over; how many frames were sent.
 
@@ -162,7 +167,7 @@ def play(
         Where to send.
     is_over : callable
         Asked at every tick.
-    on_power : callable, optional
+    on_power, power_ons : callable and mapping, optional
         See `GyroBus`.
 
     Raises
@@ -183,7 +188,7 @@ def play(
         angle_deg=table.angle_deg,
         temperature_deg_c=chamber.temperature_deg_c,
     )
-    gyros = GyroBus(plan, environment, supply, send, on_power)
+    gyros = GyroBus(plan, environment, supply, send, on_power, power_ons)
     try:
         while not is_over():
             gyros.advance(world.look())

@@ -1,5 +1,6 @@
 """The two processes of a simulated station: its instruments, which speak SCPI, and its gyros, which speak CAN."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -20,6 +21,13 @@ from stream.console import until_stopped
 from stream.errors import GyrofleetError
 
 TRUTH = "truth.jsonl"
+_LOOK_S = 0.5
+_PARENT = os.getppid()
+
+
+class _Told(msgspec.Struct):
+    unit: str
+    power_on: int
 
 
 def devices(simulation: Simulation) -> tuple[SimulatedChamber, SimulatedRateTable, SimulatedSupply]:
@@ -40,7 +48,7 @@ def instruments(folder: Path) -> None:
         until_stopped() as stop,
     ):
         print("ready", flush=True)
-        while not stop.wait(3600.0):
+        while not (stop.wait(_LOOK_S) or _is_orphan()):
             pass
 
 
@@ -64,8 +72,29 @@ def gyros(folder: Path) -> None:
         print("ready", flush=True)
         play(
             load_plan(folder / PLAN), world, chamber, table, supply, simulation.latitude_deg, simulation.position, bus,
-            lambda: stop.asked_at is not None, tell,
+            lambda: stop.asked_at is not None or _is_orphan(), tell, power_ons_so_far(folder / TRUTH),
         )  # fmt: skip
+
+
+def power_ons_so_far(path: Path) -> dict[str, int]:
+    """How often each unit has been powered on already; a line of the file that a crash has cut off says nothing."""
+    found: dict[str, int] = {}
+    try:
+        lines = path.read_bytes().splitlines()
+    except FileNotFoundError:
+        return found
+    for line in lines:
+        try:
+            told = msgspec.json.decode(line, type=_Told)
+        except msgspec.DecodeError:
+            continue
+        found[told.unit] = max(found.get(told.unit, 0), told.power_on)
+    return found
+
+
+def _is_orphan() -> bool:
+    """Whether the process that plays the station has been killed."""
+    return os.getppid() != _PARENT
 
 
 def main() -> None:
