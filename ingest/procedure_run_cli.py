@@ -4,6 +4,7 @@ import datetime as dt
 import hashlib
 import shlex
 import string
+import sys
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
@@ -90,7 +91,9 @@ def run_procedure(
         for damage in spool.damages:
             notes().print(f"warning: the spool is damaged: {damage}", soft_wrap=True, markup=False)
         operator = stack.enter_context(
-            ConsoleOperator(notes(), stop, says_yes=asked.says_yes, quiet=as_json, listens=not asked.says_yes)
+            ConsoleOperator(
+                notes(), stop, says_yes=asked.says_yes, quiet=as_json, listens=not asked.says_yes or sys.stdin.isatty()
+            )
         )
         plan = hashlib.sha256(msgspec.json.encode(steps)).hexdigest()
         log = RunLog(run, procedure.name, plan, serials, station, spool, clock)
@@ -102,7 +105,7 @@ def run_procedure(
         if log.state.phase == "starting" or (log.state.phase == "running" and not asked.is_ended):
             sources = StationSources(station, instruments, clock, serials)
             for name, instrument in instruments.items():
-                about[f"instrument.{name}"] = instrument.open()
+                about[f"instrument.{name}"] = _opened(instrument, station)
                 stack.callback(instrument.close)
         path = stack.enter_context(path_to(folder, run, connect, spool, asked.every_s))
         leave = partial(_leave, log, steps, path, stop, as_json=as_json)
@@ -146,6 +149,16 @@ def run_procedure(
         lacking = f"{short} records of a unit in a step lack samples, see its notes; " if short else ""
         _tell(log, steps, "ended", lacking + _next(path), as_json=as_json)
         return code
+
+
+def _opened(instrument: Instrument, station: Station) -> str:
+    try:
+        return instrument.open()
+    except InstrumentError as error:
+        if not station.table.simulated:
+            raise
+        folder = shlex.quote(str(station.path.parent))
+        raise InstrumentError(f"{error}; this station is simulated: `gyrofleet simulate {folder}` plays it") from error
 
 
 def check_station(station: Station, procedure: Procedure, parameters: Mapping[str, str]) -> None:

@@ -66,9 +66,7 @@ _LONGEST_FOLDER_BYTES = 200
 @click.option("--site", default="local", show_default=True, help="Site the samples come from.")
 @click.option(
     "--station",
-    default="simulated",
-    show_default=True,
-    help="PROCEDURE: the station's file; with --simulate its name in the data.",
+    help="PROCEDURE: the station's file; with --simulate its name in the data, else `simulated`.",
 )
 @store_option
 @click.option("--connect", help="Where the recorder listens; by default, where the one listens that writes the store.")
@@ -154,6 +152,8 @@ def _run_procedure(
                 f"--set {each}: write it as NAME=VALUE; `gyrofleet procedure show {procedure}` has the names"
             )
         chosen[name] = value
+    if given["station"] is None:
+        raise BadInput("say at which station: --station FILE; `gyrofleet simulate FOLDER` makes one to try it on")
     if run_id is not None:
         check_name("run", run_id)
     asked = ProcedureRun(
@@ -195,6 +195,7 @@ def _simulate(
     from stream.spool import Spool
 
     check_name("run", run_id)
+    given["station"] = given["station"] or "simulated"
     parameters = msgspec.convert(given, RunParameters)
     check_name("site", parameters.site)
     check_name("station", parameters.station)

@@ -3,7 +3,6 @@
 import dataclasses
 import datetime as dt
 import threading
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from functools import partial
 from uuid import NAMESPACE_URL, UUID, uuid4, uuid5
@@ -87,7 +86,6 @@ class RunLog:
         check_same(found, procedure, plan, units)
         self.state = found
         self.gap_s = 0.0
-        self._totals: Counter[tuple[str, str, str]] = Counter()
         self._first: dict[StreamId, int] = {}
         self._counting = threading.Lock()
         self.coverage = StepCoverage(found.units)
@@ -97,9 +95,8 @@ class RunLog:
 
     @property
     def samples(self) -> int:
-        """Samples delivered since this process took the run up."""
-        with self._counting:
-            return self._totals.total()
+        """Samples of the run so far, whichever process has sent them."""
+        return sum(total.samples for total in self._all_totals())
 
     def epoch_of(self, unit: str) -> UUID:
         """Epoch of a unit's present power-on."""
@@ -117,8 +114,6 @@ class RunLog:
             batch = dataclasses.replace(batch, seq=batch.seq + first)
         self._sender.send_batch(key, batch)
         self.coverage.see(batch)
-        with self._counting:
-            self._totals[batch.unit, batch.signal, str(batch.epoch)] += len(batch)
 
     def begin(
         self,

@@ -24,7 +24,7 @@ _json = msgspec.json.Encoder(decimal_format="number")
 
 DEFAULT_STORE = "gyrofleet-data"
 _PATIENCE_S = 3.0
-_INTERRUPTED = "interrupted; what is done is kept, and the same command goes on from there"
+_INTERRUPTED = "interrupted; what is recorded is kept, and an import or a run goes on with the same command"
 
 store_option = click.option(
     "--store",
@@ -67,7 +67,8 @@ def reporting(command: Callable[P, R]) -> Callable[..., R]:
         try:
             return command(*args, **kwargs)
         except GyrofleetError as error:
-            _tell(type(error).__name__, str(error), as_json=kwargs.get("as_json", False))
+            kind = next(each.__name__ for each in type(error).__mro__ if not each.__name__.startswith("_"))
+            _tell(kind, str(error), as_json=kwargs.get("as_json", False))
             sys.exit(1)
         except KeyboardInterrupt:
             _tell("Interrupted", _INTERRUPTED, as_json=kwargs.get("as_json", False))

@@ -76,6 +76,7 @@ class VibrationTable(ScpiInstrument):
 
     def __init__(self, name: str, options: Any, clock: StationClock) -> None:
         super().__init__(name, options, clock)
+        self._shakes = False
         for what in self.settings:
             self.settling(what, 1.0)
 
@@ -84,6 +85,12 @@ class VibrationTable(ScpiInstrument):
         if what == "frequency":
             return self.options.lowest_frequency_hz, self.options.highest_frequency_hz
         return 0.0, self.options.max_amplitude_deg_per_s
+
+    def set(self, what: str, value: float) -> None:
+        """Command a setting; from the first amplitude on its rate is recorded as a trace, until it is 0 again."""
+        super().set(what, value)
+        if what == "amplitude":
+            self._shakes = value > 0.0
 
     def settling(self, what: str, value: float) -> Settling:
         """When a setting counts as reached."""
@@ -95,8 +102,9 @@ class VibrationTable(ScpiInstrument):
         return Settling(value, band, options.stable_s)
 
     def sample(self) -> list[Reading]:
-        """Everything recorded since the last time, or one value where nothing is recorded."""
-        if not self.has("trace"):
+        """Everything recorded since the last time; one value at rest, or where nothing is recorded."""
+        # a table that nobody shakes would fill the store with thousands of zeros a second
+        if not (self.has("trace") and self._shakes):
             return super().sample()
         answer = self.connection.ask(self._text("trace", None))
         fields = answer.text.split(",")

@@ -246,7 +246,7 @@ def test_a_scale_factor_is_measured_as_it_was_planted(
     turned = rows(
         store,
         "select p.rate_command as r, max(abs(s.value - p.rate_command)) as off, count(*) as n from steps p "
-        "join samples s on s.signal = 'table_rate' and s.t_ns between p.t_start_ns and p.t_end_ns "
+        "join samples s on s.unit = 'table' and s.signal = 'table_rate' and s.t_ns between p.t_start_ns and p.t_end_ns "
         "where p.unit = 'SIM-0001' group by all",
     )
     assert len(turned) == 23  # at rest before and after
@@ -530,7 +530,7 @@ def test_what_is_wrong_in_files_is_said_with_its_place_and_nothing_is_started(
     assert bench.ask("table", "RATE:ACT?") == "0.000000"
     missing = gyrofleet("run", "scale_factor", "--units", listed, "--yes")
     assert missing.code == 1
-    assert "give --station FILE" in missing.err
+    assert "say at which station: --station FILE" in missing.err
 
 
 def test_a_recorder_elsewhere_may_be_killed_in_the_middle(

@@ -27,7 +27,7 @@ def test_a_simulated_station_is_read_as_it_was_written(folder: Path) -> None:
     station = load_station(folder / "station.toml")
     assert station.settings == {
         "temperature": "chamber", "rate": "table", "angle": "table", "voltage": "supply", "current_limit": "supply",
-        "output": "supply",
+        "output": "supply", "frequency": "vibration", "amplitude": "vibration",
     }  # fmt: skip
     assert list(station.slots) == ["S1", "S2"]
     clock = station.make_clock()

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ingest.instruments.simulated.bench import SimulatedBench
 from ingest.instruments.simulated.physics.gyro_model import SimulatedGyroModel
 from ingest.instruments.simulated.physics.mounting import TableEnvironment
 from ingest.instruments.simulated.physics.plan import Plan
-from ingest.instruments.simulated.scpi_chamber import SimulatedChamber
-from ingest.instruments.simulated.scpi_rate_table import SimulatedRateTable
 from ingest.instruments.simulated.scpi_supply import SimulatedSupply
 from ingest.instruments.simulated.station_files import FIRST_ID
 from ingest.instruments.simulated.world import World
@@ -143,9 +142,7 @@ def _payload(
 def play(
     plan: Plan,
     world: World,
-    chamber: SimulatedChamber,
-    table: SimulatedRateTable,
-    supply: SimulatedSupply,
+    bench: SimulatedBench,
     latitude_deg: float,
     position: str,
     bus: Any,
@@ -160,7 +157,9 @@ def play(
     plan : Plan
         The fleet.
     world : World
-        Lets `chamber`, `table` and `supply`, which are copies, follow the instruments.
+        Lets the bench, which is a copy, follow the instruments.
+    bench : SimulatedBench
+        What acts on the gyros.
     latitude_deg, position : float and str
         Where the table stands, and how the gyros stand on it.
     bus : can.BusABC
@@ -181,14 +180,8 @@ def play(
         for arbitration_id, data in frames:
             bus.send(can.Message(arbitration_id=arbitration_id, data=data, is_extended_id=False, check=False))
 
-    environment = TableEnvironment(
-        latitude_deg,
-        position,
-        rate_deg_per_s=table.rate_deg_per_s,
-        angle_deg=table.angle_deg,
-        temperature_deg_c=chamber.temperature_deg_c,
-    )
-    gyros = GyroBus(plan, environment, supply, send, on_power, power_ons)
+    environment = bench.environment(latitude_deg, position)
+    gyros = GyroBus(plan, environment, bench.supply, send, on_power, power_ons)
     try:
         while not is_over():
             gyros.advance(world.look())

@@ -60,7 +60,7 @@ def write_station(
     now_s = time.time() if now_s is None else now_s
     # a fast clock is soon in the future, so it starts in the past
     start_ns = round(now_s * 1e9) - (_DAYS_BACK_NS if speed > 1.0 else 0)
-    ports = dict(zip(("chamber", "table", "supply", "world"), _free_ports(4), strict=True))
+    ports = dict(zip(("chamber", "table", "vibration", "supply", "world"), _free_ports(5), strict=True))
     simulation = Simulation(
         speed=speed, start_ns=start_ns, origin_s=now_s, ports=ports, multicast_port=_free_udp_port()
     )
@@ -124,6 +124,12 @@ kind = "rate_table"
 resource = "{resource["table"]}"
 sample_interval_s = 5.0
 max_rate_deg_per_s = 400.0
+
+[instruments.vibration]
+kind = "vibration_table"
+resource = "{resource["vibration"]}"
+sample_interval_s = 5.0
+max_amplitude_deg_per_s = 200.0
 
 [instruments.supply]
 kind = "power_supply"

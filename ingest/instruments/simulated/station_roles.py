@@ -6,14 +6,12 @@ from pathlib import Path
 
 import msgspec
 
+from ingest.instruments.simulated.bench import SimulatedBench
 from ingest.instruments.simulated.gyro_bus import play
 from ingest.instruments.simulated.physics.gyro_model import SimulatedGyroModel
 from ingest.instruments.simulated.physics.plan import load_plan
 from ingest.instruments.simulated.physics.truth import truth
-from ingest.instruments.simulated.scpi_chamber import SimulatedChamber
-from ingest.instruments.simulated.scpi_rate_table import SimulatedRateTable
 from ingest.instruments.simulated.scpi_server import ScpiServer
-from ingest.instruments.simulated.scpi_supply import SimulatedSupply
 from ingest.instruments.simulated.station_files import MULTICAST, PLAN, Simulation, read_simulation
 from ingest.instruments.simulated.world import World, WorldServer
 from ingest.station_clock import StationClock
@@ -30,21 +28,19 @@ class _Told(msgspec.Struct):
     power_on: int
 
 
-def devices(simulation: Simulation) -> tuple[SimulatedChamber, SimulatedRateTable, SimulatedSupply]:
+def bench_of(simulation: Simulation) -> SimulatedBench:
     """The instruments; the gyros' process has the like, which follow those of the instruments' process."""
-    clock = StationClock(simulation.speed, simulation.start_ns, simulation.origin_s)
-    return SimulatedChamber(clock), SimulatedRateTable(clock), SimulatedSupply(clock)
+    return SimulatedBench.at(StationClock(simulation.speed, simulation.start_ns, simulation.origin_s))
 
 
 def instruments(folder: Path) -> None:
     """Play the instruments until asked to stop; the supply is on from the beginning."""
     simulation = read_simulation(folder)
-    chamber, table, supply = devices(simulation)
-    named = {"chamber": chamber, "table": table, "supply": supply}
-    supply.handle("VOLT 5;CURR 5;OUTP ON")
+    bench = bench_of(simulation)
+    bench.supply.handle("VOLT 5;CURR 5;OUTP ON")
     with (
-        ScpiServer(named, ports=simulation.ports),
-        WorldServer(named, simulation.ports["world"]),
+        ScpiServer(bench.named, ports=simulation.ports),
+        WorldServer(bench.named, simulation.ports["world"]),
         until_stopped() as stop,
     ):
         print("ready", flush=True)
@@ -57,21 +53,20 @@ def gyros(folder: Path) -> None:
     import can
 
     simulation = read_simulation(folder)
-    chamber, table, supply = devices(simulation)
-    copies = {"chamber": chamber, "table": table, "supply": supply}
+    bench = bench_of(simulation)
 
     def tell(model: SimulatedGyroModel, duration_s: float) -> None:
         with (folder / TRUTH).open("ab") as file:
             file.write(msgspec.json.encode(truth(model, duration_s)) + b"\n")
 
     with (
-        World("127.0.0.1", simulation.ports["world"], copies) as world,
+        World("127.0.0.1", simulation.ports["world"], bench.named) as world,
         can.Bus(channel=MULTICAST, interface="udp_multicast", port=simulation.multicast_port) as bus,
         until_stopped() as stop,
     ):
         print("ready", flush=True)
         play(
-            load_plan(folder / PLAN), world, chamber, table, supply, simulation.latitude_deg, simulation.position, bus,
+            load_plan(folder / PLAN), world, bench, simulation.latitude_deg, simulation.position, bus,
             lambda: stop.asked_at is not None or _is_orphan(), tell, power_ons_so_far(folder / TRUTH),
         )  # fmt: skip
 
