@@ -396,7 +396,7 @@ def test_what_a_station_lacks_is_told() -> None:
     procedure = load_procedure("scale_factor_temperature_sensitivity")
     assert procedure.unmet(["rate", "temperature"]) == ()
     (lack,) = procedure.unmet(["rate"])
-    assert "a temperature of -40 to 60 degC" in lack
+    assert "the temperature, from -40 to 60 degC" in lack
 
 
 def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:

@@ -202,6 +202,8 @@ def test_a_trace_is_kept_with_its_own_interval() -> None:
         )
         table = VibrationTable("V", options, clock)
         table.open()
+        table.set("amplitude", 10.0)
+        table.sample()  # what it recorded before
         batches: list[SampleBatch] = []
         said: list[str] = []
         sampler = Sampler(table, "r1", EPOCH, batches.append, said.append, batch_s=0.2)
