@@ -67,8 +67,8 @@ class Intake:
         Streams of which something is missing before what came; to be asked for.
     clock_steps : list of ClockStep
         Steps back of a source's clock.
-    to_seal : int
-        Ends of runs that were taken in, and what came behind the end of its run: what was sent again, estimates.
+    ended_runs, late : int
+        Ends of runs that were taken in, and messages behind the end of their run: what was sent again, estimates.
     """
 
     def __init__(self, log: EventLog) -> None:
@@ -77,7 +77,7 @@ class Intake:
         self.moved: set[StreamId] = set()
         self.rewinds: list[StreamId] = []
         self.clock_steps: list[ClockStep] = []
-        self.to_seal = 0
+        self.ended_runs = self.late = 0
         self._ended: dict[str, None] = {}
         self._asked: dict[StreamId, tuple[int, float]] = {}
         self._last_ns: dict[StreamId, int] = {}
@@ -142,7 +142,7 @@ class Intake:
         stream = StreamId(key, message.epoch)
         place = Place(stream, message.seq, message.seq + 1, document.t_ns, document.t_ns, document.run, is_end)
         if self._append(place, LogRecord(key, EVENTS, arrival_ns, document.t_ns, payload)) and is_end:
-            self.to_seal += 1
+            self.ended_runs += 1
             self._ended[document.run] = None
             if len(self._ended) > _MOST_ENDED:
                 del self._ended[next(iter(self._ended))]
@@ -153,7 +153,7 @@ class Intake:
         if seq == expected:
             self._log.append(place, record)
             self.moved.add(stream)
-            self.to_seal += place.run in self._ended
+            self.late += place.run in self._ended
             return True
         if next_seq <= expected:
             self.counts.duplicates += 1

@@ -4,6 +4,7 @@ It never ends for an error of the disk: the segment that suffered it is given up
 sources, and a new segment is begun; while the disk takes nothing, or has no room, recording is paused and says so.
 """
 
+import math
 import threading
 import time
 from collections import deque
@@ -93,8 +94,9 @@ class Recorder:
         self._state = threading.Condition()
         self._closing = False
         self._epoch = uuid4().hex
-        self._to_seal = self._noted_recoveries = 0
+        self._ended_runs = self._late = self._noted_recoveries = 0
         self._seal_at: float | None = None
+        self._quiet_at: float | None = None
         self._synced_at = self._troubled_at = time.monotonic()
         self._wall_ahead_ns: int | None = None
         self._builder = LakeBuilder(store, on_lake=on_lake, on_warning=self._warn) if builds_lake else None
@@ -187,16 +189,20 @@ class Recorder:
         for key, payload, arrival_ns in taken:
             self._intake.take(key, payload, arrival_ns)
         now = time.monotonic()
-        if self._intake.to_seal > self._to_seal:
-            self._to_seal = self._intake.to_seal
-            due = now + _SEAL_GRACE_S
-            self._seal_at = due if self._seal_at is None else min(self._seal_at, due)
+        if self._intake.ended_runs > self._ended_runs:
+            self._ended_runs = self._intake.ended_runs
+            self._seal_at = now + _SEAL_GRACE_S
+        if self._intake.late > self._late:
+            # once no more of it comes: a run that is added to for hours is not to be cut into seconds
+            self._late = self._intake.late
+            self._quiet_at = now + _SEAL_GRACE_S
         self._ask_rewinds()
         if is_last or now - self._synced_at >= self._sync_interval_s:
             self._sync()
             self._synced_at = now
             self._look_around(now)
-        if is_last or self._log.due or (self._seal_at is not None and now >= self._seal_at):
+        due = min((at for at in (self._seal_at, self._quiet_at) if at is not None), default=math.inf)
+        if is_last or self._log.due or now >= due:
             self._seal()
         return is_last
 
@@ -228,7 +234,7 @@ class Recorder:
             self._acknowledge(tuple(StreamPosition(s.key, s.epoch, self._log.marks.get(s, 0)) for s in moved))
 
     def _seal(self) -> None:
-        self._seal_at = None
+        self._seal_at = self._quiet_at = None
         recovered = self._log.recover()  # segments that were abandoned since
         self._note_recoveries()
         self._sync()

@@ -218,9 +218,10 @@ def _checked(payload: bytes) -> tuple[samples_pb2.SampleBatch, int]:
     n = message.samples
     if schema < 1 or not 1 <= n <= MAX_SAMPLES_PER_BATCH or len(message.epoch) != 16:
         raise WireError(f"not a sample batch: schema {schema}, {n} samples, epoch {len(message.epoch)} bytes")
-    planes, times_ns = len(message.count_planes), message.times_ns
-    # nearly every batch has nothing but planes
-    if planes not in (n, 2 * n, 3 * n, 4 * n) or times_ns or message.values or message.counts or message.flags:
+    planes, values, times_ns = len(message.count_planes), len(message.values), message.times_ns
+    # nearly every batch has nothing but planes, or nothing but values
+    is_plain = planes in (n, 2 * n, 3 * n, 4 * n) if not values else values == 8 * n and not planes
+    if not is_plain or times_ns or message.counts or message.flags:
         _check_lengths(message)
     t0_ns, dt_ns = message.t0_ns, message.dt_ns
     last_ns = int.from_bytes(times_ns[-8:], "little", signed=True) if times_ns else t0_ns + (n - 1) * dt_ns

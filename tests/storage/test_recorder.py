@@ -348,3 +348,18 @@ def test_samples_that_come_behind_the_end_of_their_run_are_in_the_lake_soon(tmp_
         publisher.drain()
         until(lambda: recorder.counts.segments == 2)
         until(lambda: len(lake_values(store)) == 100)
+
+
+def test_a_run_that_is_added_to_behind_its_end_is_not_cut_into_seconds(tmp_path: Path) -> None:
+    store = Store.create(tmp_path)
+    bus = LocalBus()
+    with Recorder(store, bus, EventLog(store), sync_interval_s=0.01) as recorder, DurablePublisher(bus) as publisher:
+        publisher.send_event(event_key(PLACE), RunEnded(run="r1", t_ns=0))
+        publisher.drain()
+        until(lambda: recorder.counts.segments == 1)
+        for i in range(40):  # 4 s, as another file of the same run
+            publisher.send_batch(KEY, batch(i))
+            time.sleep(0.1)
+        during = recorder.counts.segments
+        until(lambda: recorder.counts.segments == 2)
+    assert during == 1
