@@ -13,6 +13,7 @@ from ingest.instruments.can_mapping import CanPlan
 from ingest.instruments.can_samples import CanCounts, CanSamples, SignalPiece
 from ingest.instruments.can_stream import nominal_interval_ns
 from ingest.instruments.can_summary import CanSummary, remarks, some_ids
+from ingest.instruments.file_stamp import FileStamp
 from ingest.instruments.table_batches import Batcher, BatchHead
 from ingest.instruments.table_grid import SamplingGrid
 from ingest.instruments.table_summary import SignalChunk, SignalSummary
@@ -67,7 +68,7 @@ class CanLogFile:
         self._run = check_name("run", path.stem if run is None else run)
         self._start_ns = start_ns
         self._intervals = {} if intervals is None else intervals
-        self._stamp = self._stamped()
+        self._stamp = FileStamp(path)
         self._summary: CanSummary | None = None
 
     def check(self, progress: Progress | None = None) -> CanSummary:
@@ -189,10 +190,10 @@ class CanLogFile:
         return nominal_interval_ns(intervals_ns, measured_ns, message.cycle_ns)
 
     def _pieces(self, samples: CanSamples, clock: RunClock, progress: Progress | None) -> Iterator[SignalPiece]:
-        self._check_unchanged()
+        self._stamp.check()
         for block in self._log.blocks(progress):
             yield from samples.take(_placed(block, clock))
-        self._check_unchanged()
+        self._stamp.check()
 
     def _nothing(self, counts: CanCounts) -> str:
         damage = f" ({self._log.damage})" if self._log.damage else ""
@@ -201,17 +202,6 @@ class CanLogFile:
             + (f"ids that are not in the database: {some_ids(counts.unknown)}; " if counts.unknown else "")
             + "see `gyrofleet can scan`"
         )
-
-    def _stamped(self) -> tuple[int, int]:
-        try:
-            status = self._path.stat()
-        except OSError:
-            return -1, -1
-        return status.st_size, status.st_mtime_ns
-
-    def _check_unchanged(self) -> None:
-        if self._stamped() != self._stamp:
-            raise BadInput(f"{self._path}: changed while it was read; import it again once it is complete")
 
 
 def _placed(block: FrameBlock, clock: RunClock) -> FrameBlock:

@@ -3,7 +3,7 @@
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from uuid import NAMESPACE_URL, UUID, uuid5
@@ -15,7 +15,7 @@ from ingest.instruments.can_summary import CanSummary
 from ingest.instruments.table_rows import BadRow
 from ingest.instruments.table_summary import SignalSummary, TableSummary
 from ingest.pipeline import EmbeddedPipeline
-from ingest.sample_file import SampleFile
+from ingest.sample_file import Progress, SampleFile
 from ingest.stored import StoredSamples
 from storage.catalog import Catalog
 from storage.store import Store, writer_endpoint
@@ -26,7 +26,6 @@ from stream.events import NoteAdded, RunEnded, RunStarted, StreamTotal
 from stream.identity import Place, event_key, sample_key
 from stream.zenoh_bus import ZenohBus
 
-Progress = Callable[[float], None]
 _Name = tuple[str, str, str]
 
 _NAMESPACE = uuid5(NAMESPACE_URL, "gyrofleet/import")

@@ -4,6 +4,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from queue import Empty, SimpleQueue
 
 from rich.console import Console
@@ -51,6 +52,7 @@ class ConsoleOperator:
         )  # fmt: skip
         self._task = self._progress.add_task("", total=1.0)
         self._total_s = 0.0
+        self._look: Callable[[], None] | None = None
         self._hears = listens
         if listens:
             signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # in the background reading fails, and the run goes on
@@ -62,6 +64,10 @@ class ConsoleOperator:
 
     def __exit__(self, *_: object) -> None:
         self._progress.stop()
+
+    def watch(self, look: Callable[[], None]) -> None:
+        """Have `look` called now and then, which tells what else is wrong."""
+        self._look = look
 
     def told(self, text: str) -> None:
         """Print what has happened."""
@@ -93,8 +99,10 @@ class ConsoleOperator:
         return False
 
     def wishes(self) -> str | None:
-        """What was asked for by word or by signal."""
+        """What was asked for by word or by signal; asked all the time, so other troubles are told meanwhile."""
         self._read()
+        if self._look is not None:
+            self._look()
         if self._stop.asked_at is not None:
             return "stop"
         if self._aborted:

@@ -1,5 +1,6 @@
 """A procedure as it stands in a TOML file, before its loops are unrolled."""
 
+import difflib
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal
@@ -186,10 +187,12 @@ def read_procedure(name: str | Path, beside: Path | None = None) -> tuple[Proced
     """
     text = str(name)
     if not isinstance(name, Path) and not text.endswith(".toml") and "/" not in text:
-        if text not in ready_names():
+        if text not in (ready := ready_names()):
+            near = difflib.get_close_matches(text, ready, n=1)
+            hint = f", did you mean {near[0]}?" if near else ";"
             raise BadInput(
-                f"no procedure {text!r}; `gyrofleet procedure list` shows those that are ready, a file of your own is "
-                f"given by its path, as ./{text}.toml"
+                f"no procedure {text!r}{hint} `gyrofleet procedure list` shows those that are ready, a file of your "
+                f"own is given by its path, as ./{text}.toml"
             )
         found = files("ingest").joinpath(_READY, f"{text}.toml")
         return parse_procedure(found.read_bytes(), f"procedure {text}"), f"procedure {text}", None

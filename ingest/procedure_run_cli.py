@@ -16,23 +16,21 @@ from zoneinfo import ZoneInfo
 import msgspec
 
 from ingest.instruments.base import Instrument
-from ingest.instruments.scpi_instrument import ScpiInstrument
 from ingest.operator_console import ConsoleOperator
 from ingest.procedure import PlannedStep, Procedure, load_procedure
-from ingest.run_path import RunPath, path_to
+from ingest.run_path import RunPath, TroubleWatch, opened_spool, path_to, recorder_at
 from ingest.run_steps import goes_on_at
 from ingest.station import Station, load_station
-from ingest.station_bench import StationBench
+from ingest.station_abilities import check_limits, check_station
 from ingest.station_clock import StationClock
 from ingest.station_log import RunLog
 from ingest.station_run import RunStopped, StationRun
-from ingest.station_run_state import read_station_run, unfinished_runs
+from ingest.station_run_state import StationRunState, check_same, read_station_run, unfinished_runs
 from ingest.station_sources import StationSources
 from ingest.units_file import UnitEntry, load_units, mounted_documents
 from storage.store import writer_endpoint
 from stream.console import Stop, compile_kernels, notes, print_json, results, until_stopped
 from stream.errors import BadInput, InstrumentError, RunAborted
-from stream.spool import Spool
 
 _INTERRUPTED = 130
 _PATIENCE_S = 5.0
@@ -80,34 +78,37 @@ def run_procedure(
     instruments = station.make_instruments(clock)
     check_limits(station, instruments, procedure, asked.parameters)
     run = asked.run or _run_id(spool_folder, procedure, serials, station, clock.now_ns())
-    _check_end(asked, spool_folder / run, procedure)
-    connect = connect or writer_endpoint(folder)
-    if connect is None:
-        compile_kernels(quiet=as_json)
     with ExitStack() as stack:
         stack.enter_context(station.held())
+        plan = hashlib.sha256(msgspec.json.encode(steps)).hexdigest()
+        known = _known(asked, spool_folder / run, procedure, plan, serials)
+        connect = connect or writer_endpoint(folder)
+        if connect is None:
+            compile_kernels(quiet=as_json)
         stop = stack.enter_context(until_stopped())
-        spool = stack.enter_context(Spool(spool_folder / run, max_bytes=spool_bytes))
-        for damage in spool.damages:
-            notes().print(f"warning: the spool is damaged: {damage}", soft_wrap=True, markup=False)
         operator = stack.enter_context(
             ConsoleOperator(
                 notes(), stop, says_yes=asked.says_yes, quiet=as_json, listens=not asked.says_yes or sys.stdin.isatty()
             )
         )
-        plan = hashlib.sha256(msgspec.json.encode(steps)).hexdigest()
+        phase = "starting" if known is None else known.phase
+        about: dict[str, str] = {}
+        sources: StationSources | None = None
+        if phase == "starting" or (phase == "running" and not asked.is_ended):
+            sources = StationSources(station, instruments, clock, serials)
+            about = {f"instrument.{name}": _opened(stack, each, station) for name, each in instruments.items()}
+        # nothing is made on disk before everybody is reached
+        elsewhere = stack.enter_context(recorder_at(None if phase == "ended" else connect))
+        spool = stack.enter_context(
+            opened_spool(folder, spool_folder / run, spool_bytes, is_remote=connect is not None)
+        )
         log = RunLog(run, procedure.name, plan, serials, station, spool, clock)
         if log.state.phase == "ended":
             _tell(log, steps, "ended", "nothing to do, all of it is recorded", as_json=as_json)
             return 0
-        about: dict[str, str] = {}
-        sources: StationSources | None = None
-        if log.state.phase == "starting" or (log.state.phase == "running" and not asked.is_ended):
-            sources = StationSources(station, instruments, clock, serials)
-            for name, instrument in instruments.items():
-                about[f"instrument.{name}"] = _opened(instrument, station)
-                stack.callback(instrument.close)
-        path = stack.enter_context(path_to(folder, run, connect, spool, asked.every_s))
+        path = stack.enter_context(path_to(folder, run, elsewhere, spool, asked.every_s))
+        trouble = TroubleWatch(path.publisher, operator.told)
+        operator.watch(trouble.look)
         leave = partial(_leave, log, steps, path, stop, as_json=as_json)
         warnings = log.begin(
             path.sender,
@@ -140,7 +141,7 @@ def run_procedure(
             code = code or len(live.unsafe[:1])  # told already; whoever waits for the command is to look as well
         else:
             log.end(log.state.outcome)  # it was killed while it waited for the recorder
-        path.publisher.drain(lambda: stop.asked_at is not None and time.monotonic() > stop.asked_at + _PATIENCE_S)
+        _drain(path, trouble, stop)
         if path.publisher.outstanding:
             return leave("interrupted before all of it was recorded")
         path.finish()
@@ -151,54 +152,29 @@ def run_procedure(
         return code
 
 
-def _opened(instrument: Instrument, station: Station) -> str:
+def _known(
+    asked: ProcedureRun, spool: Path, procedure: Procedure, plan: str, units: tuple[str, ...]
+) -> StationRunState | None:
+    """The run as it was left; None where none was begun."""
+    state = read_station_run(spool)
+    if state is not None:
+        check_same(state, procedure.name, plan, units)
+    elif asked.is_ended:
+        raise BadInput(f"there is nothing to end: no run of {procedure.name} with these units has been left unfinished")
+    return state
+
+
+def _opened(stack: ExitStack, instrument: Instrument, station: Station) -> str:
+    """Connect to an instrument until the stack is left; what it says it is."""
     try:
-        return instrument.open()
+        identity = instrument.open()
     except InstrumentError as error:
         if not station.table.simulated:
             raise
         folder = shlex.quote(str(station.path.parent))
         raise InstrumentError(f"{error}; this station is simulated: `gyrofleet simulate {folder}` plays it") from error
-
-
-def check_station(station: Station, procedure: Procedure, parameters: Mapping[str, str]) -> None:
-    """Raise BadInput where a station lacks what a procedure sets or switches."""
-    lacking = [each for each in procedure.requirements(parameters) if each.setting not in station.settings]
-    if lacking:
-        wants = "; ".join(f"{each.setting} from {each.least:g} to {each.most:g} {each.unit}" for each in lacking)
-        raise BadInput(
-            f"station {station.table.name} ({station.path}) cannot do procedure {procedure.name}: it has no instrument "
-            f"for {wants}; it can set {', '.join(sorted(station.settings)) or 'nothing'}"
-        )
-
-
-def check_limits(
-    station: Station, instruments: Mapping[str, Instrument], procedure: Procedure, parameters: Mapping[str, str]
-) -> None:
-    """Raise BadInput where a procedure goes beyond what an instrument may be set to, or switches power that is none."""
-    for each in procedure.requirements(parameters):
-        name = station.settings[each.setting]
-        instrument = instruments[name]
-        if not isinstance(instrument, ScpiInstrument):
-            continue
-        low, high = instrument.limits(each.setting)
-        if not low <= each.least <= each.most <= high:
-            raise BadInput(
-                f"procedure {procedure.name} sets a {each.setting} of {each.least:g} to {each.most:g} {each.unit}, and "
-                f"instruments.{name} of {station.path} may be set to {low:g} to {high:g} {each.unit}: choose other "
-                f"values with --set, or another station"
-            )
-    switches = any(step.power is not None for step in procedure.steps(parameters))
-    if switches and not StationBench(station, instruments).supplies():
-        raise BadInput(
-            f"procedure {procedure.name} switches the units off and on, and station {station.table.name} "
-            f"({station.path}) has no instrument that does: add its supply"
-        )
-
-
-def _check_end(asked: ProcedureRun, spool: Path, procedure: Procedure) -> None:
-    if asked.is_ended and read_station_run(spool) is None:
-        raise BadInput(f"there is nothing to end: no run of {procedure.name} with these units has been left unfinished")
+    stack.callback(instrument.close)
+    return identity
 
 
 def _bring_to_rest(
@@ -255,6 +231,16 @@ def _about(station: Station, procedure: Procedure, parameters: Mapping[str, str]
 def _common(entries: tuple[UnitEntry, ...], what: str) -> str | None:
     values = {getattr(entry, what) for entry in entries}
     return values.pop() if len(values) == 1 else None
+
+
+def _drain(path: RunPath, trouble: TroubleWatch, stop: Stop) -> None:
+    """Wait until all of it is recorded; asked to stop, not for long."""
+
+    def is_given_up() -> bool:
+        trouble.look()
+        return stop.asked_at is not None and time.monotonic() > stop.asked_at + _PATIENCE_S
+
+    path.publisher.drain(is_given_up)
 
 
 def _leave(log: RunLog, steps: tuple[PlannedStep, ...], path: RunPath, stop: Stop, why: str, *, as_json: bool) -> int:

@@ -1,36 +1,17 @@
-"""The command `gyrofleet run`."""
+"""The command `gyrofleet run`: its options, and which of the two kinds of run they ask for."""
 
-import shlex
 import sys
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
+from click.core import ParameterSource
 
-from stream.console import (
-    DEFAULT_STORE,
-    Stop,
-    compile_kernels,
-    notes,
-    print_json,
-    reporting,
-    results,
-    store_option,
-    until_stopped,
-)
+from stream.console import reporting, store_option
 from stream.errors import BadInput
 
-if TYPE_CHECKING:
-    from ingest.live_run import LiveRun
-    from ingest.run_path import RunPath
-    from stream.delivery import DurablePublisher
-
-_INTERRUPTED = 130
-_PATIENCE_S = 5.0
-_TOLD_EVERY_S = 5.0
-_LOOK_EVERY_S = 0.2
-_LONGEST_FOLDER_BYTES = 200
+_ONLY_PROCEDURE = frozenset({"units", "parameters", "says_yes", "settle_timeout_h", "every_s"})
+_ONLY_SIMULATED = frozenset({"hours", "rate_hz", "batch", "speed", "seed", "start", "procedure", "site"})
 
 
 @click.command("run")
@@ -96,9 +77,9 @@ def run(
     """Carry out a PROCEDURE at a station, or send samples of units that are simulated in this process.
 
     `gyrofleet run PROCEDURE --station FILE --units FILE` sets the station's instruments, waits until they have
-    settled, records, and goes on to the next step; `gyrofleet procedure list` has the procedures. Without --yes,
-    p Enter pauses, c Enter goes on, a Enter aborts; Ctrl-C makes the station safe and leaves the run to go on later.
-    What prepares the record that was cut, a soak or a time without power, is then done again.
+    settled, records, and goes on to the next step; `gyrofleet procedure list` has the procedures. At a terminal,
+    with --yes too, p Enter pauses, c Enter goes on, a Enter aborts; Ctrl-C makes the station safe and leaves the run
+    to go on later. What prepares the record that was cut, a soak or a time without power, is then done again.
 
     Where a `gyrofleet record` writes the store, it goes there, else it is recorded in this process. What no recorder
     has yet waits in a spool on disk. Interrupted or killed, the run goes on under its id when the same command is
@@ -116,7 +97,30 @@ def run(
             "give a procedure, --station FILE and --units FILE, or --simulate N and --run ID; "
             "`gyrofleet procedure list` has the procedures"
         )
-    _simulate(run_id, folder, connect, spool_folder, spool_mb, given, is_ended=is_ended, as_json=as_json)
+    _refuse(
+        _ONLY_PROCEDURE,
+        "only for a procedure at a station, and --simulate sends units at rest without one: leave that out, or name "
+        "a procedure instead of --simulate",
+    )
+    from ingest.simulated_run_cli import run_simulated
+
+    sys.exit(
+        run_simulated(
+            run_id, given, folder, connect, spool_folder, spool_mb << 20, is_ended=is_ended, as_json=as_json
+        )
+    )  # fmt: skip
+
+
+def _refuse(names: frozenset[str], why: str) -> None:
+    """Raise BadInput where options were given that mean nothing for this kind of run."""
+    context = click.get_current_context()
+    stray = [
+        each.opts[0]
+        for each in context.command.params
+        if each.name in names and context.get_parameter_source(each.name) is ParameterSource.COMMANDLINE
+    ]
+    if stray:
+        raise BadInput(f"{', '.join(stray)}: {why}")
 
 
 def _run_procedure(
@@ -137,11 +141,17 @@ def _run_procedure(
     as_json: bool,
 ) -> int:
     from ingest.procedure_run_cli import ProcedureRun, run_procedure
+    from ingest.run_path import check_spool_name, spools_of
     from storage.store import writer_endpoint
     from stream.identity import check_name
 
     if given["simulate"] is not None:
         raise BadInput("--simulate is for units without a procedure; `gyrofleet simulate` has a station for procedures")
+    _refuse(
+        _ONLY_SIMULATED,
+        f"only with --simulate; a procedure has its own steps, and its station is in the station's file: leave that "
+        f"out; `gyrofleet procedure show {procedure}` has what --set can choose",
+    )
     if units is None:
         raise BadInput("say which units are tested: --units FILE, a CSV with a column serial, or one serial a line")
     chosen: dict[str, str] = {}
@@ -169,161 +179,7 @@ def _run_procedure(
         settle_timeout_s=settle_timeout_h * 3600.0,
         every_s=every_s,
     )
-    is_remote = (connect or writer_endpoint(folder)) is not None
-    spools = spool_folder or _spool_folder(folder, run_id or "run", is_remote=is_remote).parent
-    return run_procedure(asked, folder, connect, spools, spool_mb << 20, as_json=as_json)
-
-
-def _simulate(
-    run_id: str,
-    folder: Path,
-    connect: str | None,
-    spool_folder: Path | None,
-    spool_mb: int,
-    given: dict[str, Any],
-    *,
-    is_ended: bool,
-    as_json: bool,
-) -> None:
-    import msgspec
-
-    from ingest.live_run import LiveRun
-    from ingest.run_path import path_to
-    from ingest.run_state import RunParameters
-    from storage.store import writer_endpoint
-    from stream.identity import check_name
-    from stream.spool import Spool
-
-    check_name("run", run_id)
-    given["station"] = given["station"] or "simulated"
-    parameters = msgspec.convert(given, RunParameters)
-    check_name("site", parameters.site)
-    check_name("station", parameters.station)
-    connect = connect or writer_endpoint(folder)
-    if connect is None:
-        compile_kernels(quiet=as_json)
-    spool_folder = spool_folder or _spool_folder(folder, run_id, is_remote=connect is not None)
-    with Spool(spool_folder, max_bytes=spool_mb << 20) as spool, until_stopped() as stop:
-        for damage in spool.damages:
-            notes().print(f"warning: the spool is damaged: {damage}", soft_wrap=True, markup=False)
-        live = LiveRun(run_id, parameters, spool)
-        if live.is_over:
-            tell_run(live, "ended", "nothing to do, all of it is recorded", as_json=as_json)
-            return
-        with path_to(folder, run_id, connect, spool) as path:
-            code = _send(live, path, stop, _Watch(path.publisher, as_json=as_json), is_ended=is_ended)
-    sys.exit(code)
-
-
-def _spool_folder(folder: Path, run_id: str, *, is_remote: bool) -> Path:
-    """Beside the store; where its samples go elsewhere, in no folder that could become one."""
-    if len(run_id.encode()) > _LONGEST_FOLDER_BYTES:
-        raise BadInput(
-            f"--run {run_id} has {len(run_id.encode())} bytes in UTF-8, and the folder of its spool is named after it: "
-            f"{_LONGEST_FOLDER_BYTES} at most; give a shorter one, or --spool FOLDER"
-        )
-    if is_remote and not (folder / "store.json").exists():
-        return folder.with_name(folder.name + "-spool") / run_id
-    if not is_remote:
-        from storage.store import Store
-
-        Store.create(folder)
-    return folder / "spool" / run_id
-
-
-def _send(live: "LiveRun", path: "RunPath", stop: Stop, watch: "_Watch", *, is_ended: bool) -> int:
-    """Send what is left of the run; returns the exit code."""
-    if not (is_ended and live.state.phase == "running"):
-        live.begin(path.sender)
-    watch.tell(live, "running", path.where)
-    if not is_ended:
-        for batch in live.batches(stop.wait):
-            if stop.asked_at is not None:
-                break
-            path.sender.send_batch(live.key(batch), batch)
-            watch.look(live)
-    if stop.asked_at is None:
-        live.end(path.sender, "stopped" if is_ended else "completed")
-        path.publisher.drain(lambda: watch.look(live) or stop.asked_at is not None)
-    if stop.asked_at is None:
-        path.finish()
-        live.close()
-        watch.tell(live, "ended", _next(live, path))
-        return 0
-    patient_until = stop.asked_at + _PATIENCE_S
-    path.publisher.drain(lambda: time.monotonic() > patient_until)
-    left = path.publisher.outstanding
-    if left:
-        path.publisher.abandon()
-    else:
-        path.finish()
-    kept = f"{left} messages wait in {live.folder}; " if left else ""
-    watch.tell(live, "interrupted", f"{kept}give the same command to go on, with --end to end it")
-    return _INTERRUPTED
-
-
-def _next(live: "LiveRun", path: "RunPath") -> str:
-    """What to ask of the run."""
-    if path.folder is None:
-        return "every sample is recorded"
-    store = "" if str(path.folder) == DEFAULT_STORE else f" --store {shlex.quote(str(path.folder))}"
-    return f"ask it: gyrofleet allan --unit SIM-0001 --signal rate --run {shlex.quote(live.state.run)} --fit{store}"
-
-
-class _Watch:
-    """Tells how the run goes on: now and then, and whenever something is wrong."""
-
-    def __init__(self, publisher: "DurablePublisher", *, as_json: bool) -> None:
-        self._publisher = publisher
-        self._as_json = as_json
-        self._looked_at = self._told_at = time.monotonic()
-        self._trouble: str | None = None
-        self._sent = 0
-
-    def look(self, live: "LiveRun") -> bool:
-        """Say what there is to say; False."""
-        now = time.monotonic()
-        if now - self._looked_at < _LOOK_EVERY_S:
-            return False
-        self._looked_at = now
-        paused = self._publisher.paused
-        trouble = self._publisher.warning or (f"the recorder pauses: {paused}" if paused else None)
-        if trouble != self._trouble:
-            self._trouble = trouble
-            notes().print(f"warning: {trouble}" if trouble else "going on", soft_wrap=True, markup=False)
-        if now - self._told_at >= _TOLD_EVERY_S and not self._as_json:
-            samples, outstanding = live.samples, self._publisher.outstanding
-            rate = (samples - self._sent) / (now - self._told_at)
-            self._told_at, self._sent = now, samples
-            notes().print(f"{samples:,} samples, {rate:,.0f}/s, {outstanding:,} messages not recorded yet")
-        return False
-
-    def tell(self, live: "LiveRun", event: str, remark: str) -> None:
-        """Say where the run is."""
-        tell_run(live, event, remark, self._publisher.resent, as_json=self._as_json)
-        self._sent = live.samples
-
-
-def tell_run(live: "LiveRun", event: str, remark: str, resent: int = 0, *, as_json: bool) -> None:
-    """Print where a run is, for people or as JSON."""
-    gap_s = live.gap_ns / 1e9
-    if as_json:
-        print_json(
-            {
-                "event": event,
-                "run": live.state.run,
-                "samples": live.samples,
-                "starts": live.state.starts,
-                "resumed": live.is_resumed,
-                "gap_s": gap_s,
-                "resent": resent,
-                "outcome": live.state.outcome if event == "ended" else None,
-                "remark": remark,
-            }
-        )
-        return
-    resumed = f", resumed after a gap of {gap_s:,.1f} s" if live.is_resumed and event == "running" else ""
-    console = notes() if event == "running" else results()
-    console.print(
-        f"run {live.state.run} {event}{resumed}, {live.samples:,} samples: {remark}", soft_wrap=True, markup=False
-    )
+    if spool_folder is None:
+        check_spool_name(run_id or "")
+        spool_folder = spools_of(folder, is_remote=(connect or writer_endpoint(folder)) is not None)
+    return run_procedure(asked, folder, connect, spool_folder, spool_mb << 20, as_json=as_json)

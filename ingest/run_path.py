@@ -7,9 +7,21 @@ from typing import NamedTuple
 
 from ingest.pipeline import EmbeddedPipeline
 from ingest.replaying import estimated_every_s
+from storage.store import Store
+from stream.console import notes
 from stream.delivery import DurablePublisher, Sender
+from stream.errors import BadInput
 from stream.spool import Spool
 from stream.zenoh_bus import ZenohBus
+
+_LONGEST_FOLDER_BYTES = 200
+
+
+class Elsewhere(NamedTuple):
+    """A recorder in another process, and the bus on which it is reached."""
+
+    bus: ZenohBus
+    endpoint: str
 
 
 class RunPath(NamedTuple):
@@ -22,9 +34,102 @@ class RunPath(NamedTuple):
     folder: Path | None
 
 
+class TroubleWatch:
+    """Tells what keeps samples from being recorded: once when it begins or changes, and once when it is over.
+
+    Parameters
+    ----------
+    publisher : DurablePublisher
+        What sends them.
+    tell : callable
+        Takes the sentence.
+    """
+
+    def __init__(self, publisher: DurablePublisher, tell: Callable[[str], None]) -> None:
+        self._publisher = publisher
+        self._tell = tell
+        self._trouble: str | None = None
+
+    def look(self) -> None:
+        """Say what has changed since the last look."""
+        paused = self._publisher.paused
+        trouble = self._publisher.warning or (f"the recorder pauses: {paused}" if paused else None)
+        if trouble != self._trouble:
+            self._trouble = trouble
+            self._tell(f"warning: {trouble}" if trouble else "recording goes on")
+
+
+def spools_of(folder: Path, *, is_remote: bool) -> Path:
+    """Where the spools of a store's runs lie: in it; where samples go elsewhere, in no folder that could become one.
+
+    Examples
+    --------
+    >>> str(spools_of(Path("data"), is_remote=False)), str(spools_of(Path("data"), is_remote=True))
+    ('data/spool', 'data-spool')
+    """
+    if is_remote and not (folder / "store.json").exists():
+        return folder.with_name(folder.name + "-spool")
+    return folder / "spool"
+
+
+def check_spool_name(run: str) -> None:
+    """Raise BadInput where the folder of a run's spool, which has its name, could not be made."""
+    if (size := len(run.encode())) > _LONGEST_FOLDER_BYTES:
+        raise BadInput(
+            f"--run {run} has {size} bytes in UTF-8, and the folder of its spool is named after it: "
+            f"{_LONGEST_FOLDER_BYTES} at most; give a shorter one, or --spool FOLDER"
+        )
+
+
+@contextmanager
+def recorder_at(connect: str | None) -> Iterator[Elsewhere | None]:
+    """Reach the recorder that listens at `connect`; None for the one in this process.
+
+    It is reached before a spool is opened: what cannot be sent to anybody leaves no folders behind.
+
+    Raises
+    ------
+    BusError
+        If it cannot be reached.
+    """
+    if connect is None:
+        yield None
+        return
+    with ZenohBus(connect=[connect]) as bus:
+        yield Elsewhere(bus, connect)
+
+
+@contextmanager
+def opened_spool(folder: Path, spool_folder: Path, max_bytes: int, *, is_remote: bool) -> Iterator[Spool]:
+    """Open a run's spool, and say what was found damaged in it.
+
+    Parameters
+    ----------
+    folder : Path
+        The store. Where this process records, it is made first: a folder that holds a spool could not become one.
+    spool_folder : Path
+        The spool's own.
+    max_bytes : int
+        How much may wait in it.
+    is_remote : bool
+        Whether another process records.
+
+    Raises
+    ------
+    GyrofleetError
+        If either cannot be written, or another process has the spool.
+    """
+    if not is_remote:
+        Store.create(folder)
+    with Spool(spool_folder, max_bytes=max_bytes) as spool:
+        for damage in spool.damages:
+            notes().print(f"warning: the spool is damaged: {damage}", soft_wrap=True, markup=False)
+        yield spool
+
+
 @contextmanager
 def path_to(
-    folder: Path, run: str, connect: str | None, spool: Spool, every_s: float | None = None
+    folder: Path, run: str, elsewhere: Elsewhere | None, spool: Spool, every_s: float | None = None
 ) -> Iterator[RunPath]:
     """Open the way to a recorder, or record in this process.
 
@@ -34,8 +139,8 @@ def path_to(
         The store, where it is recorded in this process.
     run : str
         Id of the run.
-    connect : str, optional
-        Where the recorder listens.
+    elsewhere : Elsewhere, optional
+        The recorder in another process, if there is one; it is left to the caller to close.
     spool : Spool
         Keeps what the recorder does not have yet.
     every_s : float, optional
@@ -44,11 +149,12 @@ def path_to(
     Raises
     ------
     GyrofleetError
-        If the recorder cannot be reached, or the store not be written.
+        If the store cannot be written.
     """
-    if connect is not None:
-        with ZenohBus(connect=[connect]) as bus, DurablePublisher(bus, spool=spool) as publisher:
-            yield RunPath(publisher, publisher, publisher.drain, f"to the recorder at {connect}", None)
+    if elsewhere is not None:
+        with DurablePublisher(elsewhere.bus, spool=spool) as publisher:
+            where = f"to the recorder at {elsewhere.endpoint}"
+            yield RunPath(publisher, publisher, publisher.drain, where, None)
     else:
         # of the same interval as those of a `gyrofleet estimate` that may have begun them, else they would differ
         every_s = every_s or estimated_every_s(folder, run)

@@ -1,6 +1,5 @@
 """How far a live run is: one small file beside its spool, there whole or not at all."""
 
-import os
 from pathlib import Path
 from typing import Literal
 
@@ -8,8 +7,8 @@ import msgspec
 
 from ingest.live_source import PowerUp
 from ingest.moment import moment_ns
-from storage.store import sync_folder
-from stream.errors import BadInput, StoreError
+from ingest.state_file import read_state, write_state
+from stream.errors import BadInput
 
 _FILE = "run.json"
 _FORMAT = 1
@@ -100,16 +99,9 @@ def read_run(folder: Path, run: str, parameters: RunParameters) -> RunState | No
     StoreError
         If it cannot be read.
     """
-    path = folder / _FILE
-    try:
-        state = msgspec.json.decode(path.read_bytes(), type=RunState)
-    except FileNotFoundError:
+    state = read_state(folder / _FILE, RunState)
+    if state is None:
         return None
-    except (OSError, msgspec.MsgspecError) as error:
-        raise StoreError(
-            f"{path} cannot be read: {error}; the run's samples are safe, but it cannot be gone on with: give another "
-            f"--run"
-        ) from error
     if state.run != run:
         raise BadInput(f"{folder} is the spool of run {state.run}, not of {run}: give --spool another folder")
     others = [
@@ -132,25 +124,4 @@ def write_run(folder: Path, state: RunState) -> RunState:
     StoreError
         If it cannot be written; the one before is then still there.
     """
-    replace_file(folder / _FILE, msgspec.json.format(msgspec.json.encode(state)) + b"\n")
-    return state
-
-
-def replace_file(path: Path, content: bytes) -> None:
-    """Put a file in the place of the one before, whole or not at all.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written; the one before is then still there.
-    """
-    fresh = path.with_name(path.name + ".part")
-    try:
-        with fresh.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.replace(path)
-        sync_folder(path.parent)
-    except OSError as error:
-        raise StoreError(f"{path} cannot be written: {error}; free space or mend the disk, and start again") from error
+    return write_state(folder / _FILE, state)

@@ -13,6 +13,8 @@ import msgspec
 
 from ingest.instruments.base import Instrument, Options, instrument_kinds
 from ingest.instruments.can_bus_open import CanBusOptions
+from ingest.instruments.scpi import ScpiOptions
+from ingest.instruments.visa_resource import resource_trouble
 from ingest.station_clock import StationClock
 from stream.errors import BadInput
 from stream.identity import Place, check_name
@@ -231,6 +233,8 @@ def _options(path: Path, name: str, table: dict[str, Any]) -> tuple[str, Options
             f"{path}: instruments.{name}.sample_interval_s is {options.sample_interval_s:g}; it is read every so many "
             f"seconds, more than 0"
         )
+    if isinstance(options, ScpiOptions) and (trouble := resource_trouble(options.resource)) is not None:
+        raise BadInput(f"{path}: instruments.{name}.resource is {options.resource!r}: {trouble}")
     return kind, options
 
 

@@ -5,8 +5,8 @@ from typing import Literal
 
 import msgspec
 
-from ingest.run_state import replace_file
-from stream.errors import BadInput, StoreError
+from ingest.state_file import read_state, write_state
+from stream.errors import BadInput
 
 STATE_FILE = "procedure.json"
 
@@ -81,16 +81,7 @@ def read_station_run(folder: Path) -> StationRunState | None:
     StoreError
         If it cannot be read.
     """
-    path = folder / STATE_FILE
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=StationRunState)
-    except FileNotFoundError:
-        return None
-    except (OSError, msgspec.MsgspecError) as error:
-        raise StoreError(
-            f"{path} cannot be read: {error}; the run's samples are safe, but it cannot be gone on with: give another "
-            f"--run"
-        ) from error
+    return read_state(folder / STATE_FILE, StationRunState)
 
 
 def write_station_run(folder: Path, state: StationRunState) -> StationRunState:
@@ -101,8 +92,7 @@ def write_station_run(folder: Path, state: StationRunState) -> StationRunState:
     StoreError
         If it cannot be written; the one before is then still there.
     """
-    replace_file(folder / STATE_FILE, msgspec.json.format(msgspec.json.encode(state)) + b"\n")
-    return state
+    return write_state(folder / STATE_FILE, state)
 
 
 def check_same(state: StationRunState, procedure: str, plan: str, units: tuple[str, ...]) -> None:

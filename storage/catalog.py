@@ -1,8 +1,11 @@
 """SQL over a store: DuckDB views on the lake, for reading only."""
 
+import re
 from collections.abc import Iterable, Iterator
+from functools import cache
+from importlib.metadata import entry_points
 from importlib.resources import files
-from typing import Any
+from typing import Any, Protocol
 
 import duckdb
 import pyarrow as pa
@@ -23,6 +26,28 @@ _SQL_TYPES = {
     pa.string(): "varchar",
     pa.bool_(): "boolean",
 }
+
+
+class Layer(Protocol):
+    """Further tables, made by a package that stands above this one; an entry point in the group `gyrofleet.catalog`.
+
+    Its tables are made when a statement first names one of them.
+    """
+
+    tables: tuple[str, ...]
+    """Names of its tables, views and macros."""
+    folder: str
+    """Folder in the store in which it keeps what it has computed."""
+
+    def fill(self, catalog: "Catalog") -> None:
+        """Define the tables in the catalogue, through `Catalog.put` and `Catalog.define`."""
+
+
+@cache
+def layers() -> tuple[Layer, ...]:
+    """The layers that are installed."""
+    found = sorted(entry_points(group="gyrofleet.catalog"), key=lambda each: each.name)
+    return tuple(each.load()() for each in found)
 
 
 class Catalog:
@@ -51,6 +76,7 @@ class Catalog:
         self._connection = duckdb.connect()
         self._connection.execute("set timezone = 'UTC'")
         self.parts = read_manifest(store).parts
+        self._unfilled = list(layers())
         for table in ("samples", "events", "estimates", "rollup_1s", "rollup_10s", "clocks"):
             self._attach(f"lake_{table}", table, self.parts)
         self._attach("lake_channels_kept", "channels", [part for part in self.parts if part.dropped is None])
@@ -58,8 +84,9 @@ class Catalog:
         for script in sorted(files("storage").joinpath("schema").iterdir(), key=lambda each: each.name):
             if script.name.endswith(".sql"):
                 self._run(script.read_text())
-        lake = str(store.lake.resolve()).replace("'", "''")
-        self._connection.execute(f"set allowed_directories = ['{lake}']")
+        folders = [store.lake, *(store.folder / layer.folder for layer in layers())]
+        allowed = ", ".join("'" + str(each.resolve()).replace("'", "''") + "'" for each in folders)
+        self._connection.execute(f"set allowed_directories = [{allowed}]")
         self._connection.execute("set enable_external_access = false")
         self._connection.execute("set lock_configuration = true")
 
@@ -85,6 +112,37 @@ class Catalog:
                 f"damaged, `gyrofleet recover` makes it anew from the log"
             ) from error
 
+    def define(self, sql: str) -> None:
+        """Run statements that define tables, views and macros; for layers.
+
+        Raises
+        ------
+        QueryError
+            If one fails.
+        """
+        try:
+            self._connection.execute(sql)
+        except duckdb.Error as error:
+            raise QueryError(_told(error)) from error
+
+    def put(self, name: str, table: pa.Table) -> None:
+        """Make a table of these rows, in place of one of that name."""
+        self._connection.register("put_rows", table)
+        try:
+            self.define(f'create or replace table "{name}" as select * from put_rows')  # noqa: S608  a layer's own name
+        finally:
+            self._connection.unregister("put_rows")
+
+    def _fill(self, sql: str) -> None:
+        words = set(re.findall(r"\w+", sql.lower()))
+        for layer in [each for each in self._unfilled if words.intersection(each.tables)]:
+            self._unfilled.remove(layer)  # before: it asks this catalogue
+            try:
+                layer.fill(self)
+            except BaseException:
+                self._unfilled.append(layer)
+                raise
+
     def reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
         """The result of one statement that reads, to be taken piece by piece through `guarded`.
 
@@ -93,6 +151,7 @@ class Catalog:
         QueryError
             If the statement would write, is more than one, or fails.
         """
+        self._fill(sql)
         try:
             statements = self._connection.extract_statements(sql)
             if len(statements) != 1:
@@ -108,7 +167,8 @@ class Catalog:
             reason = _told(error)
             if "disabled by configuration" in reason:
                 reason += "; only the store is read here, import other data first"
-            raise QueryError(f"{reason} (views: {', '.join(VIEWS)})") from error
+            known = ", ".join([*VIEWS, *(table for layer in layers() for table in layer.tables)])
+            raise QueryError(f"{reason} (views: {known})") from error
 
     def guarded(self, reader: pa.RecordBatchReader) -> Iterator[pa.RecordBatch]:
         """The pieces of a result.

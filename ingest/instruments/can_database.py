@@ -61,11 +61,27 @@ def load_messages(paths: Sequence[Path]) -> "list[Message]":
         except FileNotFoundError as error:
             raise BadInput(f"{path}: no such file; give a CAN database (.dbc)") from error
         except Exception as error:  # parsers raise whatever bad text leads to
-            raise BadInput(f"{path}: cannot be read as a CAN database: {' '.join(str(error).split())}") from error
+            raise BadInput(_told(path, error)) from error
         if not isinstance(database, cantools.database.can.Database):
             raise BadInput(f"{path}: holds diagnostics, not messages; give a CAN database (.dbc)")
         found += database.messages
     return found
+
+
+def _told(path: Path, error: Exception) -> str:
+    """What is wrong with a database, where, and what to do about it, around the words of the parser."""
+    from cantools.database.errors import UnsupportedDatabaseFormatError
+
+    said = " ".join(str(error).split())
+    line = re.search(r"\bline (\d+)", said)
+    cause = getattr(error, "e_dbc", None)
+    if isinstance(cause, KeyError):
+        said = f"it uses {cause.args[0]}, which it does not define"
+    elif ">>!<<" in said:
+        said = f"the parser stopped at the mark >>!<<, {said}"
+    is_database = isinstance(error, UnsupportedDatabaseFormatError)
+    todo = "mend that, or export it anew from the tool it comes from" if is_database else "give a CAN database (.dbc)"
+    return f"{path}: {f'line {line[1]}: ' if line else ''}cannot be read as a CAN database ({said}); {todo}"
 
 
 def _encoding(path: Path) -> str | None:

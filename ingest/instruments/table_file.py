@@ -11,6 +11,7 @@ from uuid import UUID
 import numpy as np
 
 from ingest.instruments.csv_chunks import CsvTable
+from ingest.instruments.file_stamp import FileStamp
 from ingest.instruments.parquet_chunks import ParquetTable
 from ingest.instruments.table_batches import Batcher, BatchHead
 from ingest.instruments.table_checks import GoodRows, Owner, RowFilter
@@ -18,17 +19,15 @@ from ingest.instruments.table_columns import SignalColumn, TableOptions, read_he
 from ingest.instruments.table_grid import SamplingGrid
 from ingest.instruments.table_rows import BadRows, NumberCells, TableReader
 from ingest.instruments.table_summary import SignalChunk, SignalSummary, TableSummary
+from ingest.sample_file import Keep, Progress
 from ingest.steps import StepTracker
-from stream.batch import BoolArray, FloatArray, IntArray, SampleBatch
+from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import BadInput
 from stream.events import StepEnded, StepStarted
 
 CSV_SUFFIXES = frozenset({".csv", ".tsv", ".txt"})
 PARQUET_SUFFIXES = frozenset({".parquet", ".pq"})
 COUNT_UNITS = frozenset({"count", "LSB"})
-
-Progress = Callable[[float], None]
-Keep = Callable[[str, str, str, IntArray], BoolArray]
 
 _INT32 = np.iinfo(np.int32)
 # Batches are split at gaps where that leaves at least this many samples in one on average.
@@ -70,7 +69,7 @@ class TableFile:
         self._reader = _open(path)
         self._columns = read_header(path, self._reader.titles, options)
         self._reader.bind(self._columns)
-        self._stamp = _stamp(path)
+        self._stamp = FileStamp(path)
         self._summary: TableSummary | None = None
         # the names that the options give are checked before anything is read
         self._new_filter()
@@ -189,12 +188,12 @@ class TableFile:
                 yield ended
 
     def _good_rows(self, rows: RowFilter, progress: Progress | None) -> Iterator[GoodRows]:
-        self._check_unchanged()
+        self._stamp.check()
         for block in self._reader.blocks():
             yield from rows.good(block)
             if progress is not None:
                 progress(block.done)
-        self._check_unchanged()
+        self._stamp.check()
 
     def _new_filter(self) -> RowFilter:
         return RowFilter(self._path, self._columns, self._options)
@@ -226,10 +225,6 @@ class TableFile:
     def _may_be_counts(self, signal: SignalColumn) -> bool:
         return signal.unit_of_measure in COUNT_UNITS or signal.title in self._reader.integer_titles
 
-    def _check_unchanged(self) -> None:
-        if _stamp(self._path) != self._stamp:
-            raise BadInput(f"{self._path}: changed while it was read; import it again once it is complete")
-
 
 def _open(path: Path) -> TableReader:
     suffix = path.suffix.lower()
@@ -247,14 +242,6 @@ def _open(path: Path) -> TableReader:
         raise BadInput(f"{path}: no such file") from error
     except OSError as error:
         raise BadInput(f"{path}: cannot be opened ({error.strerror or error})") from error
-
-
-def _stamp(path: Path) -> tuple[int, int]:
-    try:
-        status = path.stat()
-    except OSError:
-        return -1, -1
-    return status.st_size, status.st_mtime_ns
 
 
 def _samples(times_ns: IntArray, cells: NumberCells) -> tuple[IntArray, FloatArray]:

@@ -1,15 +1,23 @@
-"""What the tests of the table reader share."""
+"""What the tests of the table reader share, and those of live CAN buses: a bus that can be pulled out."""
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from uuid import UUID
+from typing import Any, ClassVar
+from uuid import UUID, uuid4
 
+import can
+import can.interfaces
 import numpy as np
 import polars as pl
 import pytest
+from can.interfaces.virtual import VirtualBus
 
+from ingest.instruments.can_bus import CanBus, CanBusOptions
+from ingest.instruments.can_frames import FrameBlock
 from ingest.instruments.table_file import TableFile
 from ingest.instruments.table_rows import BadRow
+from ingest.station_clock import StationClock
 from stream.batch import SampleBatch
 from stream.events import StepEnded, StepStarted
 
@@ -71,3 +79,160 @@ def by_signal() -> Callable[[Delivered], dict[str, Delivered]]:
 def said() -> Callable[[tuple[BadRow, ...]], list[str]]:
     """Give bad rows as people read them."""
     return lambda bad: [str(row) for row in bad]
+
+
+class Keeper:
+    """Decodes nothing: keeps all frames, and makes one sample of each."""
+
+    def __init__(self) -> None:
+        self.blocks: list[FrameBlock] = []
+        self.epoch = uuid4()
+
+    def take(self, block: FrameBlock) -> list[SampleBatch]:
+        seq = sum(map(len, self.blocks))
+        self.blocks.append(block)
+        numbers = np.ascontiguousarray(block.data[:, :4]).view("<u4")[:, 0].astype(np.float64)
+        return [SampleBatch("G1", "n", "r1", self.epoch, seq, int(block.t_ns[0]), 1000, "", values=numbers)]
+
+    def finish(self) -> list[SampleBatch]:
+        return []
+
+    @property
+    def frames(self) -> list[tuple[int, bytes]]:
+        return [
+            (int(block.arbitration_id[i]), block.data[i, : block.length[i]].tobytes())
+            for block in self.blocks
+            for i in range(len(block))
+        ]
+
+
+class Plug:
+    """What a test does to a faulty bus."""
+
+    is_there = True
+    state = can.BusState.ACTIVE
+    opened = 0
+    last_words: list[can.Message] | None = None  # what the interface still gives before it is gone
+
+    def __init__(self) -> None:
+        self.filters_asked: list[Any] = []
+
+    def pull(self) -> None:
+        self.is_there = False
+
+    def plug_in(self) -> None:
+        self.is_there = True
+
+
+class FaultyBus(VirtualBus):
+    """A virtual bus that can be unplugged and go off the bus; python-can finds it by name."""
+
+    plugs: ClassVar[dict[str, Plug]] = {}
+
+    def __init__(self, channel: str, **options: Any) -> None:
+        self.plug = self.plugs.setdefault(channel, Plug())
+        if not self.plug.is_there:
+            self._is_shutdown = True
+            raise can.CanInitializationError("no such device")
+        super().__init__(channel, **options)
+        self.plug.opened += 1
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self.plug.last_words:
+            return self.plug.last_words.pop(0), False
+        if not self.plug.is_there or self.plug.last_words is not None:
+            self.plug.last_words = None
+            raise can.CanOperationError("device not configured")
+        return super()._recv_internal(timeout)
+
+    def _apply_filters(self, filters: Any) -> None:
+        self.plug.filters_asked.append(filters)
+
+    @property
+    def state(self) -> can.BusState:
+        return self.plug.state
+
+    @state.setter
+    def state(self, new_state: can.BusState) -> None:
+        raise NotImplementedError
+
+
+class BusBench:
+    """One bus under test: what it delivered and said."""
+
+    def __init__(self, channel: str, interface: str = "virtual", **more: Any) -> None:
+        self.keeper = Keeper()
+        self.delivered: list[SampleBatch] = []
+        self.said: list[str] = []
+        self.clock = StationClock()
+        options = CanBusOptions(
+            interface=interface,
+            channel=channel,
+            **{name: more.pop(name) for name in ("fd", "number", "options", "filter") if name in more},
+        )
+        arguments: dict[str, Any] = {
+            "decoder": self.keeper,
+            "deliver": self.delivered.append,
+            "report": self.said.append,
+            "block_s": 0.01,
+            "reopen_s": (0.01, 0.05),
+        }
+        self.bus = CanBus(options, self.clock, **arguments | more)
+
+    @property
+    def numbers(self) -> list[int]:
+        return [int.from_bytes(data[:4], "little") for _, data in self.keeper.frames]
+
+
+@pytest.fixture
+def bus_bench() -> type[BusBench]:
+    """Make a bus under test on a channel."""
+    return BusBench
+
+
+@pytest.fixture
+def keeper() -> Keeper:
+    return Keeper()
+
+
+@pytest.fixture
+def channel() -> str:
+    return uuid4().hex
+
+
+@pytest.fixture
+def sender(channel: str) -> Iterator[can.BusABC]:
+    with can.Bus(channel, interface="virtual", ignore_config=True) as bus:
+        yield bus
+
+
+@pytest.fixture
+def faulty(monkeypatch: pytest.MonkeyPatch, channel: str) -> Plug:
+    monkeypatch.setitem(can.interfaces.BACKENDS, "faulty", (__name__, "FaultyBus"))
+    FaultyBus.plugs[channel] = Plug()
+    return FaultyBus.plugs[channel]
+
+
+@pytest.fixture
+def frame() -> Callable[..., can.Message]:
+    """Make a frame that carries a number."""
+
+    def make(number: int, arbitration_id: int = 0x123, **more: Any) -> can.Message:
+        return can.Message(
+            arbitration_id=arbitration_id, is_extended_id=False, data=number.to_bytes(4, "little") + bytes(4), **more
+        )
+
+    return make
+
+
+@pytest.fixture
+def until() -> Callable[..., None]:
+    """Wait until something is so."""
+
+    def wait(condition: Callable[[], object], within_s: float = 10.0) -> None:
+        end_s = time.monotonic() + within_s
+        while not condition():
+            assert time.monotonic() < end_s, "waited in vain"
+            time.sleep(0.002)
+
+    return wait

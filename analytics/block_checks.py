@@ -1,0 +1,150 @@
+"""What looks wrong with the channels of a record: constant, copied, missing, or on another clock."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from analytics.run_blocks import RunBlocks
+from storage.catalog import Catalog
+from stream.batch import FloatArray
+
+_COPY = 1.0 - 1e-9
+_FEWEST_FOR_COPY = 10
+_CLOCK_APART_S = 1.0
+
+
+@dataclass(frozen=True)
+class Note:
+    """Something that was left out, supposed or looks wrong.
+
+    Parameters
+    ----------
+    what : str
+        In one word, such as ``constant`` or ``copy``.
+    text : str
+        As a sentence.
+    channel : str, optional
+        Which channel.
+    runs : tuple of str
+        In which runs.
+    is_limit : bool
+        Whether it limits what can be concluded from the record.
+    """
+
+    what: str
+    text: str
+    channel: str | None = None
+    runs: tuple[str, ...] = ()
+    is_limit: bool = False
+
+
+def in_runs(found: Sequence[str], of: int) -> str:
+    """Say in which runs.
+
+    Examples
+    --------
+    >>> in_runs(["r1"], 1), in_runs(["r1", "r2"], 9), in_runs(["r1", "r2"], 2)
+    ('in run r1', 'in 2 of 9 runs (r1, r2)', 'in all 2 runs')
+    """
+    if len(found) == of:
+        return f"in run {found[0]}" if of == 1 else f"in all {of} runs"
+    listed = ", ".join(found[:3]) + (", ..." if len(found) > 3 else "")
+    return f"in {len(found)} of {of} runs ({listed})"
+
+
+def check_channels(runs: Sequence[RunBlocks]) -> list[Note]:
+    """Notes on channels that are constant, copies of each other, in counts, or missing at times."""
+    names = sorted({name for run in runs for name in run.channels})
+    return [
+        *(note for name in names for note in _check_one(runs, name)),
+        *_check_copies(runs, [name for name in names if name not in _constant(runs, names)]),
+    ]
+
+
+def _check_one(runs: Sequence[RunBlocks], name: str) -> list[Note]:
+    having = [run for run in runs if name in run.channels]
+    notes = []
+    if len(having) < len(runs):
+        missing = [run.run for run in runs if name not in run.channels]
+        text = f"channel {name} is missing {in_runs(missing, len(runs))}: effects that need it are looked for nowhere"
+        notes.append(Note("missing_channel", text, name, tuple(missing), is_limit=True))
+    gaps = {run.run: int(np.isnan(run.mean(name)).sum()) for run in having}
+    if gone := [run for run, blocks in gaps.items() if blocks]:
+        blocks = sum(gaps.values())
+        total = sum(len(run) for run in having)
+        text = f"channel {name} has no reading near {blocks:,} of {total:,} blocks, {in_runs(gone, len(having))}"
+        notes.append(Note("channel_gap", text, name, tuple(gone)))
+    if name in _constant(having, [name]):
+        text = f"channel {name} never changes: what depends on it cannot be seen, nor told from the bias"
+        notes.append(Note("constant", text, name, tuple(run.run for run in having), is_limit=True))
+    units = sorted({run.channels[name].unit_of_measure for run in having})
+    if len(units) > 1:
+        text = f"channel {name} is in {' and '.join(units)}, depending on the run: import it in one unit of measure"
+        notes.append(Note("mixed_units", text, name, is_limit=True))
+    elif units[0] in {"count", "LSB"}:
+        notes.append(Note("counts", f"channel {name} is in {units[0]}: coefficients are per {units[0]}", name))
+    return notes
+
+
+def _constant(runs: Sequence[RunBlocks], names: Sequence[str]) -> set[str]:
+    found = set()
+    for name in names:
+        values = np.concatenate([run.mean(name) for run in runs if name in run.channels])
+        values = values[np.isfinite(values)]
+        if len(values) == 0 or float(np.ptp(values)) <= 1e-12 * float(np.abs(values).max()):
+            found.add(name)
+    return found
+
+
+def _check_copies(runs: Sequence[RunBlocks], names: Sequence[str]) -> list[Note]:
+    everywhere = [name for name in names if all(name in run.channels for run in runs)]
+    values = {name: np.concatenate([run.mean(name) for run in runs]) for name in everywhere}
+    notes = []
+    for one, other in itertools.combinations(everywhere, 2):
+        if _is_copy(values[one], values[other]):
+            text = (
+                f"channels {one} and {other} are copies of each other: an effect of one cannot be told from the other"
+            )
+            notes.append(Note("copy", text, other, is_limit=True))
+    return notes
+
+
+def _is_copy(one: FloatArray, other: FloatArray) -> bool:
+    both = np.isfinite(one) & np.isfinite(other)
+    if both.sum() < _FEWEST_FOR_COPY or np.ptp(one[both]) == 0 or np.ptp(other[both]) == 0:
+        return False
+    return abs(float(np.corrcoef(one[both], other[both])[0, 1])) > _COPY
+
+
+def check_clocks(catalog: Catalog, unit: str, signal: str, instruments: Sequence[str]) -> list[Note]:
+    """Notes on runs in which the clock of a unit and that of an instrument are more than a second apart.
+
+    As the delays of their messages at the recorder tell; of what was imported nothing tells.
+    """
+    apart: dict[str, dict[str, float]] = {}
+    for run, instrument, own_ns, other_ns in catalog.rows(
+        "select k.run, o.unit, k.offset_least_ns, min(o.offset_least_ns) from clocks k join clocks o on k.run = o.run "
+        "where k.unit = $unit and k.signal = $signal and k.reason is null and o.reason is null "
+        "and list_contains($instruments, o.unit) group by all",
+        {"unit": unit, "signal": signal, "instruments": list(instruments)},
+    ):
+        seconds = (own_ns - other_ns) / 1e9
+        if abs(seconds) > _CLOCK_APART_S:
+            apart.setdefault(str(instrument), {})[str(run)] = seconds
+    return [
+        Note(
+            "clock_offset",
+            f"the clock of {instrument} is {_signed(list(by_run.values()))} s off that of {unit} in run "
+            f"{', '.join(by_run)}: its channels are joined where their own clock puts them",
+            runs=tuple(by_run),
+            is_limit=True,
+        )
+        for instrument, by_run in sorted(apart.items())
+    ]
+
+
+def _signed(seconds: Sequence[float]) -> str:
+    lo, hi = min(seconds), max(seconds)
+    return f"{lo:+.1f}" if hi - lo < 0.1 else f"{lo:+.1f} to {hi:+.1f}"

@@ -1,0 +1,144 @@
+"""Block means of a stored signal, made in SQL from the rollups, or from the samples where rollups do not fit."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from storage.catalog import Catalog
+from stream.batch import FloatArray, IntArray
+
+SECOND_NS = 10**9
+LEAST_PAIRS = 8
+_MEDIAN_OF_SQUARE = 0.4549364231195728  # of a standard normal
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """A signal of one run in blocks, in its own unit.
+
+    Parameters
+    ----------
+    slot : array of int
+        Numbers of the blocks, increasing.
+    n : array of int
+        Samples in each.
+    mean, spread : array
+        Mean and standard deviation of the samples in each.
+    centre_s : array
+        Mean moment of the samples, seconds from the beginning of slot 0.
+    white_variance : array
+        Of each mean, by the scatter within the block; NaN where nothing tells.
+    """
+
+    slot: IntArray
+    n: IntArray
+    mean: FloatArray
+    spread: FloatArray
+    centre_s: FloatArray
+    white_variance: FloatArray
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Where the blocks of a run lie: block b from t0_ns + b*block_ns on; samples from first_ns to last_ns count."""
+
+    t0_ns: int
+    first_ns: int
+    last_ns: int
+
+
+_PIECES = {
+    True: """
+      select r.run, r.t_ns + 500000000 as t_ns, r.t_ns as start_ns, r.n, r.mean, r.m2, g.t0_ns
+      from rollup_1s r join (select unnest($runs) as run, unnest($t0) as t0_ns, unnest($first) as first_ns,
+        unnest($last) as last_ns) g on r.run = g.run
+      where r.unit = $unit and r.signal = $signal and list_contains($runs, r.run)
+        and r.t_ns + 1000000000 > g.first_ns and r.t_ns <= g.last_ns and $piece_ns > 0""",
+    False: """
+      select s.run, avg(s.t_ns - g.t0_ns)::bigint + any_value(g.t0_ns) as t_ns, min(s.t_ns) as start_ns,
+        count(*) as n, avg(s.value) as mean, var_pop(s.value) * count(*) as m2, any_value(g.t0_ns) as t0_ns
+      from samples s join (select unnest($runs) as run, unnest($t0) as t0_ns, unnest($first) as first_ns,
+        unnest($last) as last_ns) g on s.run = g.run
+      where s.unit = $unit and s.signal = $signal and list_contains($runs, s.run)
+        and s.t_ns between g.first_ns and g.last_ns and isfinite(s.value)
+      group by s.run, (s.t_ns - g.t0_ns) // $piece_ns""",
+}
+
+# The white part from successive differences of the pieces: a drift within the block does not count.
+_BLOCKS = """
+with piece as (
+  {pieces}
+), stepped as (
+  select *, (start_ns - t0_ns) // $block_ns as slot,
+    mean - lag(mean) over own as step, 1.0 / n + 1.0 / lag(n) over own as pair
+  from piece window own as (partition by run, (start_ns - t0_ns) // $block_ns order by start_ns)
+), block as (
+  select run, slot, sum(n)::bigint as n, sum(n * mean) / sum(n) as mean,
+    sqrt(sum(m2) / sum(n) + var_pop(mean)) as spread,
+    sum(n * ((t_ns - t0_ns) / 1e9)) / sum(n) as centre_s,
+    avg(step * step / pair) as sample_variance, count(step) as pairs
+  from stepped group by run, slot
+), typical as (
+  select run, median(step * step / pair) as middle, avg(step * step / pair) as average from stepped group by run
+)
+select run, slot, n, mean, spread, centre_s, sample_variance, pairs, middle, average
+from block join typical using (run) order by run, slot
+"""
+
+
+def block_means(
+    catalog: Catalog, unit: str, signal: str, grids: Mapping[str, Grid], block_s: float
+) -> dict[str, Blocks]:
+    """Block means of a signal in several runs, by run; a run without any is not in the result.
+
+    Notes
+    -----
+    A block is made of pieces: the rollup's seconds, or thirty-two parts of a block that is no whole number of seconds.
+    With pieces i of n_i samples and mean m_i, the variance of a sample is the mean over neighbours within the block of
+    (m_i - m_j)**2/(1/n_i + 1/n_j), that of the block's mean this over the samples in it. Noise that is white from one
+    piece on counts in full, whatever the samples within a piece share; slow change hardly counts. A block of fewer than
+    8 such pairs takes the median over its run (over 0.455, the median of the square of a normal deviate).
+    """
+    if not grids:
+        return {}
+    block_ns = round(block_s * SECOND_NS)
+    runs = list(grids)
+    whole = block_ns % SECOND_NS == 0 and all(grid.t0_ns % SECOND_NS == 0 for grid in grids.values())
+    table = catalog.reader(
+        _BLOCKS.format(pieces=_PIECES[whole]),
+        {
+            "unit": unit,
+            "signal": signal,
+            "runs": runs,
+            "t0": [grids[run].t0_ns for run in runs],
+            "first": [grids[run].first_ns for run in runs],
+            "last": [grids[run].last_ns for run in runs],
+            "block_ns": block_ns,
+            "piece_ns": max(1, block_ns // 32),
+        },
+    ).read_all()
+    names = np.array(table.column("run").to_pylist(), dtype=object)
+    columns = {name: table.column(name).to_numpy() for name in table.column_names if name != "run"}
+    found = {}
+    for run in runs:
+        rows = names == run
+        if rows.any():
+            found[run] = _blocks({name: column[rows] for name, column in columns.items()})
+    return found
+
+
+def _blocks(columns: Mapping[str, FloatArray]) -> Blocks:
+    n = columns["n"].astype(np.int64)
+    middle, average = float(columns["middle"][0] or 0.0), float(columns["average"][0] or 0.0)
+    typical = middle / _MEDIAN_OF_SQUARE if middle > 0 else average
+    pairs, own = columns["pairs"], columns["sample_variance"].astype(np.float64)
+    variance = np.where(pairs >= LEAST_PAIRS, own, typical if typical > 0 else np.nan)
+    return Blocks(
+        slot=columns["slot"].astype(np.int64),
+        n=n,
+        mean=columns["mean"].astype(np.float64),
+        spread=columns["spread"].astype(np.float64),
+        centre_s=columns["centre_s"].astype(np.float64),
+        white_variance=variance / n,
+    )

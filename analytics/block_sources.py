@@ -1,0 +1,109 @@
+"""Which stored signals are the channels of a unit: its own, and those of the instruments that were in the run."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from analytics.block_checks import Note
+from analytics.run_blocks import STANDARD_CHANNELS
+from storage.catalog import Catalog
+from stream.quantities import is_angular_rate
+
+
+class Source(NamedTuple):
+    """One stored signal of one run that is a channel.
+
+    Parameters
+    ----------
+    name : str
+        Of the channel.
+    unit, signal, run : str
+        What is stored.
+    unit_of_measure : str
+        Of the stored values.
+    interval_s : float
+        Between readings, seconds.
+    samples, kept_raw : int
+        Readings, and how many of them are still there one by one.
+    """
+
+    name: str
+    unit: str
+    signal: str
+    run: str
+    unit_of_measure: str
+    interval_s: float
+    samples: int
+    kept_raw: int
+
+
+_CANDIDATES = """
+select c.run, c.unit, c.signal, c.unit_of_measure, coalesce(c.sample_interval_s, 0), c.samples, c.kept_raw
+from signals c
+where list_contains($runs, c.run) and not (c.unit = $unit and c.signal = $signal)
+  and (c.unit = $unit or not exists (
+    select 1 from signals t where t.run = c.run and t.unit = c.unit and t.signal = $signal))
+  and (c.unit = $unit or not exists (select 1 from units u where u.run = c.run and u.unit = c.unit))
+order by c.run, c.unit <> $unit, c.unit, c.signal
+"""
+
+
+def sources_of(
+    catalog: Catalog, unit: str, signal: str, runs: Sequence[str]
+) -> tuple[dict[str, list[Source]], list[Note]]:
+    """Channels of each run, and what is to be said of them.
+
+    Own signals come first. Every other unit of the run that neither has the signal nor was mounted as a unit under test
+    is an instrument. A rate that the unit itself gives is an output like the signal, and no channel. Where several
+    instruments give the same signal, the one that changes most has the name; of the others those that change are called
+    ``INSTRUMENT.SIGNAL``.
+    """
+    found: dict[str, dict[str, list[Source]]] = {run: {} for run in runs}
+    outputs: set[str] = set()
+    for run, owner, name, unit_of_measure, interval_s, samples, kept_raw in catalog.rows(
+        _CANDIDATES, {"unit": unit, "signal": signal, "runs": list(runs)}
+    ):
+        if owner == unit and name not in STANDARD_CHANNELS and is_angular_rate(unit_of_measure):
+            outputs.add(name)
+            continue
+        source = Source(name, owner, name, run, unit_of_measure, float(interval_s), int(samples), int(kept_raw))
+        found[run].setdefault(name, []).append(source)
+    notes = []
+    if outputs:
+        text = f"{', '.join(sorted(outputs))} of {unit} are outputs of the unit like {signal}: not taken as channels"
+        notes.append(Note("output", text))
+    chosen: dict[str, list[Source]] = {}
+    several: dict[tuple[str, str], set[str]] = {}
+    for run, by_name in found.items():
+        chosen[run] = []
+        for name, sources in by_name.items():
+            own, others = _ordered(catalog, unit, sources)
+            chosen[run].append(own)
+            chosen[run].extend(other._replace(name=f"{other.unit}.{name}") for other in others)
+            if len(sources) > 1:
+                several.setdefault((name, own.unit), set()).update(each.unit for each in sources if each is not own)
+    notes += [
+        Note(
+            "several",
+            f"channel {name} is that of {of}; {', '.join(sorted(others))} give one of that name as well",
+            name,
+        )
+        for (name, of), others in sorted(several.items())
+    ]
+    return chosen, notes
+
+
+def _ordered(catalog: Catalog, unit: str, sources: Sequence[Source]) -> tuple[Source, list[Source]]:
+    """The source that has the name, and others that change."""
+    if len(sources) == 1:
+        return sources[0], []
+    spans = {each: _span(catalog, each) for each in sources}
+    ordered = sorted(sources, key=lambda each: (each.unit != unit, -spans[each], each.unit))
+    return ordered[0], [each for each in ordered[1:] if spans[each] > 0.0]
+
+
+def _span(catalog: Catalog, source: Source) -> float:
+    rows = catalog.rows(
+        "select max(hi) - min(lo) from rollup_10s where unit = $unit and signal = $signal and run = $run",
+        {"unit": source.unit, "signal": source.signal, "run": source.run},
+    )
+    return float(rows[0][0] or 0.0)

@@ -1,0 +1,67 @@
+"""What the standard channels are called, and the fixed points from which their effects count."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+CHANNEL_NAMES: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "input_rate": ("input rate", "输入角速率"),
+        "rate_o": ("rate about the output axis", "输出轴角速率"),
+        "rate_s": ("rate about the spin axis", "自转轴角速率"),
+        "table_rate": ("table rate", "转台角速率"),
+        "table_angle": ("table angle", "转台角度"),
+        "table_acceleration": ("table acceleration", "转台角加速度"),
+        "gravity_i": ("gravity along the input axis", "输入轴重力分量"),
+        "gravity_o": ("gravity along the output axis", "输出轴重力分量"),
+        "gravity_s": ("gravity along the spin axis", "自转轴重力分量"),
+        "temperature": ("gyro temperature", "陀螺温度"),
+        "case_temperature": ("case temperature", "壳体温度"),
+        "chamber_temperature": ("chamber air temperature", "温箱空气温度"),
+        "chamber_setpoint": ("chamber set-point", "温箱设定值"),
+        "supply_voltage": ("supply voltage", "供电电压"),
+        "supply_current": ("supply current", "供电电流"),
+        "magnetic_i": ("magnetic field along the input axis", "输入轴磁场分量"),
+        "magnetic_o": ("magnetic field along the output axis", "输出轴磁场分量"),
+        "magnetic_s": ("magnetic field along the spin axis", "自转轴磁场分量"),
+        "vibration": ("vibration level", "振动量级"),
+        "humidity": ("relative humidity", "相对湿度"),
+        "time_since_power_on": ("time since power-on", "通电时间"),
+        "day": ("calendar time", "日历时间"),
+    }
+)
+"""English and Chinese name of each standard channel."""
+
+_ROOM = MappingProxyType({"degC": 25.0, "K": 298.15, "kelvin": 298.15, "degF": 77.0})
+
+
+def reference_point(unit_of_measure: str) -> float:
+    """Where a channel in this unit counts as nothing: 25 degC for a temperature, else 0 (also for raw counts).
+
+    Examples
+    --------
+    >>> reference_point("degC"), reference_point("K"), reference_point("count")
+    (25.0, 298.15, 0.0)
+    """
+    return _ROOM.get(unit_of_measure, 0.0)
+
+
+def standard_reference(channel: str) -> float:
+    """The same for a channel in its standard unit, as a simulation has it.
+
+    Examples
+    --------
+    >>> standard_reference("case_temperature"), standard_reference("input_rate")
+    (25.0, 0.0)
+    """
+    return _ROOM["degC"] if "temperature" in channel or channel == "chamber_setpoint" else 0.0
+
+
+def channel_name(channel: str) -> tuple[str, str]:
+    """English and Chinese name; a channel that is not standard is called what the record calls it.
+
+    Examples
+    --------
+    >>> channel_name("compressor")
+    ('compressor', 'compressor')
+    """
+    return CHANNEL_NAMES.get(channel, (channel, channel))

@@ -1,0 +1,88 @@
+"""Channels that the words of a run's steps give: how the input axis lies, and the rate that was commanded."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from storage.catalog import Catalog
+from stream.batch import FloatArray, IntArray
+
+_OF_INPUT_AXIS = {"up": 1.0, "down": -1.0}
+_HORIZONTAL = frozenset({"east_west", "east", "west", "north", "south", "horizontal"})
+_SIGNAL_AXES = {"x": "X", "y": "Y", "z": "Z"}
+
+
+class Step(NamedTuple):
+    """A step of one unit as far as it matters here; an open one ends with the run."""
+
+    start_ns: int
+    end_ns: int
+    position: str | None
+    rate_command_deg_per_s: float | None
+
+
+def read_steps(catalog: Catalog, unit: str) -> dict[str, list[Step]]:
+    """Steps of a unit by run, in the order of time."""
+    found: dict[str, list[Step]] = {}
+    for run, start_ns, end_ns, position, rate in catalog.rows(
+        "select run, t_start_ns, coalesce(t_end_ns, 9223372036854775807), position, rate_command "
+        "from steps where unit = $unit order by run, t_start_ns",
+        {"unit": unit},
+    ):
+        found.setdefault(str(run), []).append(Step(int(start_ns), int(end_ns), position, rate))
+    return found
+
+
+def input_axis_up(position: str | None, signal: str) -> float | None:
+    """Component upwards of the input axis in a position: 1, -1, 0 where it is horizontal, None where unknown.
+
+    Known are the words of the procedures of the standards: ``IRA_up``, ``IRA_down``, ``IRA_east_west`` and the like,
+    and ``X_up`` to ``Z_down`` for the signals ``rate_x`` to ``rate_z``.
+
+    Examples
+    --------
+    >>> [input_axis_up(word, "rate") for word in ("IRA_up", "IRA_down", "IRA_east_west", "X_up", None)]
+    [1.0, -1.0, 0.0, None, None]
+    >>> input_axis_up("X_down", "rate_x"), input_axis_up("X_down", "rate_y")
+    (-1.0, 0.0)
+    """
+    axis, _, towards = (position or "").partition("_")
+    if axis == "IRA":
+        return 0.0 if towards in _HORIZONTAL else _OF_INPUT_AXIS.get(towards)
+    own = _SIGNAL_AXES.get(signal.rpartition("_")[2]) if "_" in signal else None
+    if own is None or axis not in _SIGNAL_AXES.values() or towards not in _OF_INPUT_AXIS:
+        return None
+    return _OF_INPUT_AXIS[towards] if axis == own else 0.0
+
+
+def by_position(steps: Sequence[Step], middle_ns: IntArray, signal: str) -> FloatArray:
+    """Component upwards of the input axis at moments; between steps of one position it stays, else NaN."""
+    up = np.full(len(middle_ns), np.nan)
+    named = [step for step in steps if step.position is not None]
+    for at, step in enumerate(named):
+        value = input_axis_up(step.position, signal)
+        if value is None:
+            continue
+        is_first = at == 0 or (at > 0 and all(each.position == step.position for each in named[:at]))
+        stays = at + 1 < len(named) and named[at + 1].position == step.position
+        is_last = at + 1 == len(named)
+        start_ns = -(2**62) if is_first else step.start_ns
+        end_ns = named[at + 1].start_ns if stays else 2**62 if is_last else step.end_ns
+        up[(middle_ns >= start_ns) & (middle_ns <= end_ns)] = value
+    return up
+
+
+def unknown_positions(steps: Sequence[Step], signal: str) -> list[str]:
+    """Words of positions that do not say how the input axis lies."""
+    words = {step.position for step in steps if step.position is not None}
+    return sorted(word for word in words if input_axis_up(word, signal) is None)
+
+
+def commanded_rate(steps: Sequence[Step], start_ns: IntArray, end_ns: IntArray) -> FloatArray:
+    """Rate that was commanded while each block lay wholly within one step, deg/s; else NaN."""
+    rate = np.full(len(start_ns), np.nan)
+    for step in steps:
+        if step.rate_command_deg_per_s is not None:
+            rate[(start_ns >= step.start_ns) & (end_ns <= step.end_ns + 1)] = step.rate_command_deg_per_s
+    return rate

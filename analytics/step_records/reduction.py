@@ -1,0 +1,219 @@
+"""One run's steps reduced: for each step and signal the samples of the evaluated stretch become one row of numbers."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from analytics.step_records.series_statistics import SeriesStatistics, series_statistics
+from storage.catalog import Catalog
+from stream.batch import FloatArray, IntArray
+
+# A stretch of more samples is reduced from the store's means of 1 s, over the whole seconds within it: the pass over
+# months of raw samples is not made, and it works when raw samples were let go of.
+MOST_RAW = 20_000
+SECOND_NS = 1_000_000_000
+_ROWS_AT_ONCE = 5_000_000
+
+COLUMNS = pa.schema(
+    [
+        ("run", pa.string()),
+        ("unit", pa.string()),
+        ("signal", pa.string()),
+        ("t_from_ns", pa.int64()),
+        ("t_to_ns", pa.int64()),
+        ("unit_of_measure", pa.string()),
+        ("n", pa.int64()),
+        ("mean", pa.float64()),
+        ("sd", pa.float64()),
+        ("sd_freedom", pa.float64()),
+        ("standard_uncertainty", pa.float64()),
+        ("freedom", pa.float64()),
+        ("n_effective", pa.float64()),
+        ("white", pa.float64()),
+        ("flicker", pa.float64()),
+        ("walk", pa.float64()),
+        *(
+            (f"{name}_{average}s", pa.int64() if name == "n" else pa.float64())
+            for average in (1, 10, 100)
+            for name in ("n", "sd", "freedom")
+        ),
+        ("reason", pa.string()),
+    ]
+)
+
+
+class _Signal(NamedTuple):
+    """A signal of the run, and the stretches of it that are evaluated."""
+
+    unit: str
+    signal: str
+    unit_of_measure: str
+    dt_ns: int
+    irregular: bool
+    samples: int
+    kept_raw: int
+    step: float
+    windows: tuple[tuple[int, int], ...]
+
+    def is_raw(self, window: tuple[int, int]) -> bool:
+        expected = (window[1] - window[0]) / max(self.dt_ns, 1)
+        is_slow = self.dt_ns >= SECOND_NS // 2
+        return self.kept_raw == self.samples and (is_slow or (expected <= MOST_RAW and not self.irregular))
+
+
+def reduce_run(catalog: Catalog, run: str) -> pa.Table:
+    """Reduce every completed step of a run.
+
+    A step's own signals are those of its unit; signals of units without steps (chamber, table, supply) are reduced over
+    the stretches of all steps of the run.
+
+    Returns
+    -------
+    Table
+        `COLUMNS`, one row for each signal and stretch; `reason` where a stretch holds no sample.
+    """
+    signals = list(_signals(catalog, run))
+    rows: list[dict[str, Any]] = []
+    for is_raw in (True, False):
+        wanted = [
+            each._replace(windows=chosen)
+            for each in signals
+            if (chosen := tuple(window for window in each.windows if each.is_raw(window) == is_raw))
+        ]
+        fetch = _raw if is_raw else _seconds
+        for group in _groups(wanted, is_raw=is_raw):
+            found = fetch(catalog, run, group)
+            for each in group:
+                rows.extend(_reduced(run, each, found.get((each.unit, each.signal)), is_raw=is_raw))
+    rows.sort(key=lambda row: (row["unit"], row["signal"], row["t_from_ns"], row["t_to_ns"]))
+    return pa.Table.from_pylist(rows, schema=COLUMNS)
+
+
+def _signals(catalog: Catalog, run: str) -> Iterator[_Signal]:
+    windows: dict[str, list[tuple[int, int]]] = {}
+    for unit, start, end in catalog.rows(
+        "select unit, t_start_ns + round(coalesce(settle, 0) * 1e9)::bigint, t_end_ns from steps "
+        "where run = $run and outcome = 'completed' order by unit, t_start_ns",
+        {"run": run},
+    ):
+        if end > start:
+            windows.setdefault(unit, []).append((start, end))
+    everywhere = sorted({window for each in windows.values() for window in each})
+    for unit, signal, unit_of_measure, interval_s, irregular, samples, kept_raw, is_counts, scale in catalog.rows(
+        "select unit, signal, unit_of_measure, sample_interval_s, irregular, samples, kept_raw, is_counts, scale "
+        "from signals where run = $run order by unit, signal",
+        {"run": run},
+    ):
+        yield _Signal(
+            unit,
+            signal,
+            unit_of_measure,
+            round((interval_s or 0.0) * 1e9),
+            bool(irregular),
+            samples,
+            kept_raw,
+            abs(scale) if is_counts and scale else 0.0,
+            tuple(windows.get(unit, everywhere)),
+        )
+
+
+def _groups(signals: list[_Signal], *, is_raw: bool) -> Iterator[list[_Signal]]:
+    """Groups that fit into memory, whole units where they do."""
+    group: list[_Signal] = []
+    rows = 0.0
+    for each in signals:
+        spanned_s = sum(end - start for start, end in each.windows) / 1e9
+        size = spanned_s * 1e9 / max(each.dt_ns, 1) if is_raw else spanned_s
+        if group and rows + size > _ROWS_AT_ONCE:
+            yield group
+            group, rows = [], 0.0
+        group.append(each)
+        rows += size
+    if group:
+        yield group
+
+
+_Blocks = tuple[IntArray, IntArray, FloatArray, FloatArray]
+
+
+def _raw(catalog: Catalog, run: str, group: list[_Signal]) -> dict[tuple[str, str], _Blocks]:
+    sql = """
+        select unit, signal, t_ns, 1::bigint as n, value as mean, 0.0::double as m2 from samples
+        where run = $run and unit in (select unnest($units)) and signal in (select unnest($signals))
+          and t_ns between $first and $last order by unit, signal, t_ns, seq"""
+    return _fetched(catalog, sql, run, group, 0)
+
+
+def _seconds(catalog: Catalog, run: str, group: list[_Signal]) -> dict[tuple[str, str], _Blocks]:
+    sql = """
+        select unit, signal, t_ns, n, mean, m2 from rollup_1s
+        where run = $run and unit in (select unnest($units)) and signal in (select unnest($signals))
+          and t_ns between $first and $last order by unit, signal, t_ns"""
+    return _fetched(catalog, sql, run, group, SECOND_NS)
+
+
+def _fetched(
+    catalog: Catalog, sql: str, run: str, group: list[_Signal], margin_ns: int
+) -> dict[tuple[str, str], _Blocks]:
+    parameters = {
+        "run": run,
+        "units": sorted({each.unit for each in group}),
+        "signals": sorted({each.signal for each in group}),
+        "first": min(each.windows[0][0] for each in group) - margin_ns,
+        "last": max(end for each in group for _, end in each.windows),
+    }
+    table = catalog.reader(sql, parameters).read_all().combine_chunks()
+    if table.num_rows == 0:
+        return {}
+    names = [table[name].combine_chunks().dictionary_encode() for name in ("unit", "signal")]
+    codes = [np.asarray(each.indices) for each in names]
+    edges = np.flatnonzero(np.r_[True, (np.diff(codes[0]) != 0) | (np.diff(codes[1]) != 0)])
+    columns = [table[name].to_numpy() for name in ("t_ns", "n", "mean", "m2")]
+    found = {}
+    for start, end in zip(edges, [*edges[1:], table.num_rows], strict=True):
+        key = (names[0][int(start)].as_py(), names[1][int(start)].as_py())
+        found[key] = (columns[0][start:end], columns[1][start:end], columns[2][start:end], columns[3][start:end])
+    return found
+
+
+def _reduced(run: str, signal: _Signal, blocks: _Blocks | None, *, is_raw: bool) -> Iterator[dict[str, Any]]:
+    base_ns = max(signal.dt_ns, 1) if is_raw else SECOND_NS
+    per_block = 1.0 if is_raw else SECOND_NS / max(signal.dt_ns, 1)
+    for window in signal.windows:
+        row: dict[str, Any] = {
+            "run": run,
+            "unit": signal.unit,
+            "signal": signal.signal,
+            "t_from_ns": window[0],
+            "t_to_ns": window[1],
+            "unit_of_measure": signal.unit_of_measure,
+            "n": 0,
+        }
+        within = slice(0, 0)
+        if blocks is not None:
+            first = int(np.searchsorted(blocks[0], window[0]))
+            last = int(np.searchsorted(blocks[0], window[1] if is_raw else window[1] - SECOND_NS, side="right"))
+            within = slice(first, max(first, last))
+        if blocks is None or within.start == within.stop:
+            yield row | {"reason": "no sample in the evaluated part of the step"}
+            continue
+        found = series_statistics(
+            blocks[0][within],
+            blocks[1][within],
+            blocks[2][within],
+            blocks[3][within],
+            base_ns=base_ns,
+            samples_per_block=per_block,
+            window_ns=window,
+            step=signal.step,
+        )
+        yield row | _numbers(found)
+
+
+def _numbers(found: SeriesStatistics) -> dict[str, Any]:
+    row = found._asdict()
+    for average, each in zip((1, 10, 100), row.pop("averages"), strict=True):
+        row |= {f"{name}_{average}s": value for name, value in each._asdict().items()}
+    return {name: None if isinstance(value, float) and np.isnan(value) else value for name, value in row.items()}

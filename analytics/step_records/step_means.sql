@@ -1,0 +1,68 @@
+-- The records of one or more runs, from what was reduced of them (table reduced): words of the step, who was tested
+-- where, and what acted on the unit meanwhile. One row for each signal of each completed step of each unit.
+with step as (
+  select s.*,
+    s.t_start_ns + round(coalesce(s.settle, 0) * 1e9)::bigint as t_from_ns,
+    s.t_end_ns as t_to_ns
+  from steps s
+  where s.outcome = 'completed' and s.run in (select run from reduced_runs)
+), stepped as (
+  select distinct run, unit from step
+), power as (                           -- the power-on in force, and when it was
+  select run, unit, t_ns, document->>'$.epoch' as epoch
+  from events where kind = 'PowerOn' and run in (select run from reduced_runs)
+), about as (
+  select run, document->'$.details' as details
+  from events where kind = 'RunStarted' and run in (select run from reduced_runs)
+  qualify row_number() over (partition by run order by t_ns, uid) = 1
+), beside as (                          -- signals of instruments, which have no steps of their own
+  select r.* from reduced r anti join stepped using (run, unit)
+), around as (
+  select s.run, s.unit, s."index",
+    min(b.mean) filter (b.signal = 'chamber_temperature' and b.unit_of_measure = 'degC') as chamber_temperature,
+    any_value(b.mean order by b.unit) filter (b.signal = 'table_rate' and b.unit_of_measure = 'deg/s') as table_rate
+  from step s join beside b on b.run = s.run and b.t_from_ns = s.t_from_ns and b.t_to_ns = s.t_to_ns
+  group by all
+), own as (
+  select run, unit, t_from_ns, t_to_ns,
+    min(mean) filter (signal = 'temperature' and unit_of_measure = 'degC') as temperature,
+    min(mean) filter (signal = 'chamber_temperature' and unit_of_measure = 'degC') as chamber_temperature,
+    min(mean) filter (signal = 'table_rate' and unit_of_measure = 'deg/s') as table_rate
+  from reduced group by all
+)
+select
+  s.run, s.unit, r.signal, s."index",
+  u.site, u.station, coalesce(m.lot, u.lot) as lot, m.product, m.fixture, m.slot, m.firmware,
+  coalesce(m.operator, u.operator) as operator,
+  u.date_known, u.simulated,
+  coalesce(a.details->>'$.time_zone', 'UTC') as time_zone,
+  (a.details->>'$.latitude_deg')::double as latitude_deg,
+  coalesce(s."procedure", u."procedure") as "procedure",
+  s.step, s.repeat, s.position, s.axis, s.phase,
+  s.rate_command, s.temperature_command, s.frequency, s.amplitude, s.settle, coalesce(s.room, false) as room,
+  p.epoch, (r.t_from_ns - p.t_ns) / 1e9 as time_since_power_on_s,
+  s.t_start_ns, r.t_from_ns, r.t_to_ns, (r.t_to_ns - r.t_from_ns) / 1e9 as duration_s,
+  coalesce(o.temperature, o.chamber_temperature, x.chamber_temperature, s.temperature_command) as temperature,
+  case
+    when o.temperature is not null then 'unit'
+    when coalesce(o.chamber_temperature, x.chamber_temperature) is not null then 'chamber'
+    when s.temperature_command is not null then 'command'
+  end as temperature_source,
+  coalesce(o.table_rate, x.table_rate, s.rate_command) as input_rate,
+  case
+    when coalesce(o.table_rate, x.table_rate) is not null then 'table'
+    when s.rate_command is not null then 'command'
+  end as input_rate_source,
+  r.unit_of_measure,
+  r.n, r.mean, r.sd, r.sd_freedom, r.standard_uncertainty, r.freedom, r.n_effective, r.white, r.flicker, r.walk,
+  r.n_1s, r.sd_1s, r.freedom_1s, r.n_10s, r.sd_10s, r.freedom_10s, r.n_100s, r.sd_100s, r.freedom_100s,
+  r.reason
+from step s
+join reduced r on r.run = s.run and r.unit = s.unit and r.t_from_ns = s.t_from_ns and r.t_to_ns = s.t_to_ns
+left join own o on o.run = s.run and o.unit = s.unit and o.t_from_ns = s.t_from_ns and o.t_to_ns = s.t_to_ns
+left join around x on x.run = s.run and x.unit = s.unit and x."index" = s."index"
+left join runs u on u.run = s.run
+left join units m on m.run = s.run and m.unit = s.unit
+left join about a on a.run = s.run
+asof left join power p on p.run = s.run and p.unit = s.unit and p.t_ns <= s.t_from_ns
+order by s.run, s.unit, r.signal, s."index"

@@ -1,0 +1,129 @@
+"""The table `step_means`: reduced once for each run, kept in the store, brought up to date where a run has changed."""
+
+import hashlib
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from importlib.resources import files
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from analytics.step_records.reduction import COLUMNS, reduce_run
+from storage.catalog import Catalog
+
+FOLDER = "metrics"
+_FILE = "steps.parquet"
+# Rises when a record would come out otherwise than it did.
+_VERSION = "1"
+_PRINT = "fingerprint"
+
+Told = Callable[[int, int], None]
+
+
+def step_means(catalog: Catalog, told: Told | None = None) -> pa.Table:
+    """Records of all completed steps of a store, from what was kept where nothing has changed.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        Of the store.
+    told : callable, optional
+        Hears how many of how many runs have been reduced.
+
+    Returns
+    -------
+    Table
+        The columns of ``step_means.sql`` and `fingerprint`, which says what a run's records were made from.
+    """
+    prints = run_fingerprints(catalog)
+    kept = _kept(catalog)
+    fresh = {run for run, mark in (kept_prints(kept) if kept is not None else {}).items() if prints.get(run) == mark}
+    stale = [run for run in prints if run not in fresh]
+    if kept is not None and not stale and len(fresh) == len(kept_prints(kept)):
+        return kept
+    tables = []
+    if kept is not None and fresh:
+        of_fresh = pa.compute.is_in(kept["run"], value_set=pa.array(sorted(fresh), pa.string()))
+        tables.append(kept.filter(of_fresh))
+    if stale:
+        tables.append(_made(catalog, stale, prints, told))
+    table = pa.concat_tables(tables, promote_options="default") if tables else _empty(catalog)
+    table = table.sort_by([(name, "ascending") for name in ("run", "unit", "signal", "index")]).combine_chunks()
+    _keep(catalog, table)
+    return table
+
+
+def run_fingerprints(catalog: Catalog) -> dict[str, str]:
+    """What the records of each run with a completed step depend on, as a hash: its samples and its documents."""
+    found = catalog.rows(
+        """
+        with sampled as (
+          select run, string_agg(
+              concat_ws('|', channel, samples, kept_raw, t_first_ns, t_last_ns), ';' order by channel) as samples
+          from lake_channels group by run
+        ), told as (
+          select run, bit_xor(hash(uid)) as documents, count(*) as n,
+            count(*) filter (kind = 'StepEnded') as steps
+          from lake_documents where kind not in ('EstimatePublished', 'EarlyDecision') group by run
+        )
+        select run, samples, documents::varchar, n from told join sampled using (run) where steps > 0 order by run
+        """
+    )
+    return {
+        run: hashlib.sha256(f"{_VERSION}/{samples}/{documents}/{n}".encode()).hexdigest()[:32]
+        for run, samples, documents, n in found
+    }
+
+
+def kept_prints(table: pa.Table) -> dict[str, str]:
+    """Fingerprints of the runs in a table of records."""
+    pairs = table.select(["run", _PRINT]).group_by(["run", _PRINT]).aggregate([])
+    return dict(zip(pairs["run"].to_pylist(), pairs[_PRINT].to_pylist(), strict=True))
+
+
+def _made(catalog: Catalog, runs: list[str], prints: dict[str, str], told: Told | None) -> pa.Table:
+    reduced = []
+    for done, run in enumerate(runs):
+        reduced.append(reduce_run(catalog, run))
+        if told is not None:
+            told(done + 1, len(runs))
+    catalog.put("reduced", pa.concat_tables(reduced))
+    catalog.put("reduced_runs", pa.table({"run": pa.array(runs, pa.string())}))
+    table = catalog.reader(_sql()).read_all()
+    marks = pa.array([prints[run] for run in table["run"].to_pylist()], pa.string())
+    return table.append_column(_PRINT, marks)
+
+
+def _empty(catalog: Catalog) -> pa.Table:
+    catalog.put("reduced", COLUMNS.empty_table())
+    catalog.put("reduced_runs", pa.table({"run": pa.array([], pa.string())}))
+    table = catalog.reader(_sql()).read_all()
+    return table.append_column(_PRINT, pa.array([], pa.string()))
+
+
+def _sql() -> str:
+    return files("analytics.step_records").joinpath("step_means.sql").read_text()
+
+
+def _kept(catalog: Catalog) -> pa.Table | None:
+    path = catalog.store.folder / FOLDER / _FILE
+    try:
+        return pq.read_table(path)
+    except FileNotFoundError:
+        return None
+    except (OSError, pa.ArrowException):  # it is derived: what cannot be read is made anew
+        return None
+
+
+def _keep(catalog: Catalog, table: pa.Table) -> None:
+    folder = catalog.store.folder / FOLDER
+    # what cannot be kept is reduced anew the next time; it is right all the same
+    with suppress(OSError):
+        folder.mkdir(exist_ok=True)
+        fresh = folder / f"{_FILE}.{os.getpid()}.part"
+        try:
+            pq.write_table(table, fresh, compression="zstd")
+            fresh.replace(folder / _FILE)
+        finally:
+            fresh.unlink(missing_ok=True)

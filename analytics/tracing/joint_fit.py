@@ -1,0 +1,144 @@
+"""A hypothesis fitted to the records of one or several units: common coefficients, and the noise of each unit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from analytics.tracing.least_squares import Solution, project, solve
+from analytics.tracing.noise_fit import fit_noise
+from analytics.tracing.record import Record
+from analytics.tracing.result import NoiseCoefficients
+from stream.batch import FloatArray
+
+_ALTERNATIONS = 3
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """What the records are thought to be made of.
+
+    Parameters
+    ----------
+    own : tuple of array
+        For each record: columns whose coefficients are its own; the declared model, lines and jumps.
+    common : tuple of array
+        For each record: columns whose coefficients all units share.
+    """
+
+    own: tuple[FloatArray, ...]
+    common: tuple[FloatArray, ...]
+
+    def with_common(self, columns: Sequence[FloatArray]) -> "Hypothesis":
+        """One more effect that all units share."""
+        joined = [np.column_stack([before, more]) for before, more in zip(self.common, columns, strict=True)]
+        return Hypothesis(self.own, tuple(joined))
+
+    def with_own(self, columns: Sequence[FloatArray]) -> "Hypothesis":
+        """More columns of each record alone."""
+        joined = [np.column_stack([before, more]) for before, more in zip(self.own, columns, strict=True)]
+        return Hypothesis(tuple(joined), self.common)
+
+    @property
+    def designs(self) -> tuple[FloatArray, ...]:
+        """All columns of each record."""
+        return tuple(np.column_stack(pair) for pair in zip(self.own, self.common, strict=True))
+
+
+def nothing_more(records: Sequence[Record]) -> Hypothesis:
+    """Return the declared model alone."""
+    return Hypothesis(
+        tuple(record.design for record in records), tuple(np.empty((len(record), 0)) for record in records)
+    )
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """A hypothesis fitted.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+        Which.
+    noises : tuple of NoiseCoefficients
+        Of each record.
+    log_likelihood : float
+        Of all records, with the priors of the noise.
+    whitened : tuple of array
+        For each record: value, own and common columns, whitened by its noise.
+    common : Solution
+        Coefficients that all units share.
+    own : tuple of Solution
+        Coefficients of each unit, given the common ones.
+    """
+
+    hypothesis: Hypothesis
+    noises: tuple[NoiseCoefficients, ...]
+    log_likelihood: float
+    whitened: tuple[FloatArray, ...]
+    common: Solution
+    own: tuple[Solution, ...]
+
+    @property
+    def residuals(self) -> tuple[FloatArray, ...]:
+        """Whitened residual of each record."""
+        return tuple(
+            whitened[:, 0] - whitened[:, 1:] @ np.concatenate([own.coefficients, self.common.coefficients])
+            for whitened, own in zip(self.whitened, self.own, strict=True)
+        )
+
+
+def fit_jointly(
+    records: Sequence[Record], hypothesis: Hypothesis, start: Sequence[NoiseCoefficients | None] | None = None
+) -> JointFit:
+    """Fit a hypothesis: the common coefficients to all records, the rest to each."""
+    begin: Sequence[NoiseCoefficients | None] = [None] * len(records) if start is None else start
+    if len(records) == 1:
+        one = fit_noise(records[0], hypothesis.designs[0], begin[0])
+        return _joined(hypothesis, [one.noise], one.log_likelihood, [one.whitened])
+    noises = [record.prior.center if noise is None else noise for record, noise in zip(records, begin, strict=True)]
+    fits = (
+        [fit_noise(record, own, noise) for record, own, noise in zip(records, hypothesis.own, noises, strict=True)]
+        if not hypothesis.common[0].shape[1]
+        else []
+    )
+    for _ in range(_ALTERNATIONS if not fits else 0):
+        theta = _common(_whitened(records, hypothesis, noises), hypothesis).coefficients
+        fits = [
+            fit_noise(record.less(columns @ theta), own, noise)
+            for record, columns, own, noise in zip(records, hypothesis.common, hypothesis.own, noises, strict=True)
+        ]
+        noises = [each.noise for each in fits]
+    noises = [each.noise for each in fits]
+    return _joined(
+        hypothesis, noises, sum(each.log_likelihood for each in fits), _whitened(records, hypothesis, noises)
+    )
+
+
+def _whitened(
+    records: Sequence[Record], hypothesis: Hypothesis, noises: Sequence[NoiseCoefficients]
+) -> list[FloatArray]:
+    return [
+        record.whitener(noise)(np.column_stack([record.value, design]))
+        for record, design, noise in zip(records, hypothesis.designs, noises, strict=True)
+    ]
+
+
+def _common(whitened: Sequence[FloatArray], hypothesis: Hypothesis) -> Solution:
+    parts = [project(each.T @ each, own.shape[1]) for each, own in zip(whitened, hypothesis.own, strict=True)]
+    return solve(np.sum([each.normal for each in parts], axis=0), np.sum([each.right for each in parts], axis=0))
+
+
+def _joined(
+    hypothesis: Hypothesis,
+    noises: Sequence[NoiseCoefficients],
+    log_likelihood: float,
+    whitened: Sequence[FloatArray],
+) -> JointFit:
+    common = _common(whitened, hypothesis)
+    own = []
+    for each, columns in zip(whitened, hypothesis.own, strict=True):
+        width = 1 + columns.shape[1]
+        residual = each[:, 0] - each[:, width:] @ common.coefficients
+        own.append(solve(each[:, 1:width].T @ each[:, 1:width], each[:, 1:width].T @ residual))
+    return JointFit(hypothesis, tuple(noises), log_likelihood, tuple(whitened), common, tuple(own))

@@ -1,0 +1,75 @@
+"""Least squares in the whitened space, where every block weighs the same."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from stream.batch import FloatArray
+
+LEAST_EIGENVALUE = 1e-9  # of the scaled normal matrix; below it a combination of columns counts as nothing
+
+
+class Solution(NamedTuple):
+    """Coefficients and their covariance."""
+
+    coefficients: FloatArray
+    covariance: FloatArray
+
+
+def solve(normal: FloatArray, right: FloatArray) -> Solution:
+    """Solve normal equations; combinations of columns that the data say nothing of get a coefficient of zero.
+
+    Examples
+    --------
+    >>> solve(np.array([[4.0]]), np.array([2.0]))
+    Solution(coefficients=array([0.5]), covariance=array([[0.25]]))
+    """
+    if not right.shape[0]:
+        return Solution(np.zeros(right.shape), np.zeros(normal.shape))
+    scale = np.sqrt(np.diag(normal))
+    scale = np.where(scale > 0, scale, 1.0)
+    eigenvalues, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
+    kept = eigenvalues > LEAST_EIGENVALUE
+    covariance = (vectors[:, kept] / eigenvalues[kept]) @ vectors[:, kept].T / np.outer(scale, scale)
+    return Solution(covariance @ right, covariance)
+
+
+def fit(columns: FloatArray, value: FloatArray) -> Solution:
+    """Least squares of whitened columns on whitened values."""
+    return solve(columns.T @ columns, columns.T @ value)
+
+
+class Projected(NamedTuple):
+    """Normal equations of some columns, with others taken out of them.
+
+    Parameters
+    ----------
+    normal : array of shape (k, k)
+        Of the columns.
+    right : array of shape (k,)
+        Their products with the values.
+    before : array of shape (k,)
+        Squared norms of the columns before the others were taken out.
+    """
+
+    normal: FloatArray
+    right: FloatArray
+    before: FloatArray
+
+
+def project(gram: FloatArray, taken_out: int) -> Projected:
+    """Take the first columns out of the others.
+
+    Parameters
+    ----------
+    gram : array of shape (1 + p + k, 1 + p + k)
+        Products of the whitened value, the p columns that are taken out, and k others.
+    taken_out : int
+        p.
+    """
+    out, rest = slice(1, 1 + taken_out), slice(1 + taken_out, None)
+    inverse = solve(gram[out, out], gram[out, 0]).covariance
+    onto = gram[rest, out] @ inverse
+    normal = gram[rest, rest] - onto @ gram[out, rest]
+    right = gram[rest, 0] - onto @ gram[out, 0]
+    return Projected(normal, right, np.diag(gram)[rest].copy())

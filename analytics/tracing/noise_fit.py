@@ -1,0 +1,125 @@
+"""Fit of the noise coefficients together with a regression: penalised maximum likelihood by Gauss-Newton steps."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from analytics.tracing.least_squares import Solution, fit
+from analytics.tracing.record import Record, as_array, from_array
+from analytics.tracing.result import NoiseCoefficients
+from stream.batch import FloatArray
+
+_DIFFERENCE = 1e-3  # of a logarithm
+_LONGEST_STEP = 1.5
+_ENOUGH = 0.02  # nats that a further step would win
+_MOST_STEPS = 8
+
+
+@dataclass(frozen=True)
+class NoiseFit:
+    """Noise and regression fitted together.
+
+    Parameters
+    ----------
+    noise : NoiseCoefficients
+        As fitted.
+    log_likelihood : float
+        Its logarithm, with the prior of the noise; the regression at its best.
+    solution : Solution
+        Coefficients of the columns.
+    whitened : array of shape (n, 1 + columns)
+        Value and columns, whitened by the fitted noise.
+    """
+
+    noise: NoiseCoefficients
+    log_likelihood: float
+    solution: Solution
+    whitened: FloatArray
+
+    @property
+    def residual(self) -> FloatArray:
+        """Whitened residual."""
+        return np.asarray(self.whitened[:, 0] - self.whitened[:, 1:] @ self.solution.coefficients)
+
+
+@dataclass(frozen=True)
+class _At:
+    """One evaluation of the likelihood."""
+
+    fit: NoiseFit
+    innovation: FloatArray
+
+
+def fit_noise(record: Record, columns: FloatArray, start: NoiseCoefficients | None = None) -> NoiseFit:
+    """Fit the noise and the coefficients of columns to a record.
+
+    Parameters
+    ----------
+    record : Record
+        The blocks and what is known of their noise.
+    columns : array of shape (n, k)
+        All columns of the regression.
+    start : NoiseCoefficients, optional
+        Where to start; by default where the prior has its centre.
+    """
+    data = np.column_stack([record.value, columns])
+    active = np.flatnonzero(record.prior.values > 0)
+    begin = record.prior.center if start is None else start
+    current = _evaluate(record, data, begin)
+    for _ in range(_MOST_STEPS):
+        score, information = _derivatives(record, data, current, active)
+        step = np.linalg.solve(information, score)
+        if 0.5 * float(score @ step) < _ENOUGH:
+            break
+        step *= min(1.0, _LONGEST_STEP / float(np.abs(step).max()))
+        better = _climb(record, data, current, active, step)
+        if better is None:
+            break
+        current = better
+    return current.fit
+
+
+def evaluate(record: Record, columns: FloatArray, noise: NoiseCoefficients) -> NoiseFit:
+    """Regression at a given noise."""
+    return _evaluate(record, np.column_stack([record.value, columns]), noise).fit
+
+
+def _evaluate(record: Record, data: FloatArray, noise: NoiseCoefficients) -> _At:
+    whitener = record.whitener(noise)
+    whitened = whitener(data)
+    solution = fit(whitened[:, 1:], whitened[:, 0])
+    residual = whitened[:, 0] - whitened[:, 1:] @ solution.coefficients
+    log_likelihood = -0.5 * (whitener.log_determinant + float(residual @ residual)) + record.prior.log_density(noise)
+    return _At(NoiseFit(noise, log_likelihood, solution, whitened), whitener.innovation)
+
+
+def _derivatives(record: Record, data: FloatArray, at: _At, active: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Gradient of the log likelihood and its expected curvature, in logarithms of the active coefficients."""
+    values = as_array(at.fit.noise)
+    with_coefficients = np.concatenate([[1.0], -at.fit.solution.coefficients])
+    scale = np.sqrt(at.innovation)
+    residual = at.fit.residual * scale
+    score = np.empty(active.size)
+    change = np.empty((2, len(record), active.size))
+    for number, which in enumerate(active):
+        nudged = values.copy()
+        nudged[which] *= np.exp(_DIFFERENCE)
+        near = _evaluate(record, data, from_array(nudged))
+        score[number] = (near.fit.log_likelihood - at.fit.log_likelihood) / _DIFFERENCE
+        change[0, :, number] = np.log(near.innovation / at.innovation) / np.sqrt(2)
+        change[1, :, number] = (near.fit.whitened @ with_coefficients * np.sqrt(near.innovation) - residual) / scale
+    flat = change.reshape(-1, active.size) / _DIFFERENCE
+    return score, flat.T @ flat + np.diag(record.prior.spread[active] ** -2.0)
+
+
+def _climb(record: Record, data: FloatArray, at: _At, active: FloatArray, step: FloatArray) -> _At | None:
+    """The first point along a step, halved up to four times, that is better."""
+    values = as_array(at.fit.noise)
+    for _ in range(5):
+        moved = values.copy()
+        moved[active] *= np.exp(step)
+        trial = _evaluate(record, data, from_array(moved))
+        if trial.fit.log_likelihood > at.fit.log_likelihood:
+            return trial
+        step = step / 2
+    return None

@@ -1,0 +1,131 @@
+"""White variance of each block as its neighbours tell it, by run and rate; blocks that are outliers; a guess of the noise."""
+
+import numpy as np
+
+from analytics.tracing.least_squares import fit
+from analytics.tracing.noise_model import NoiseModel
+from analytics.tracing.record import DECLARED_SPREAD, ESTIMATED_SPREAD, NoisePrior, Record
+from analytics.tracing.result import NoiseCoefficients
+from analytics.tracing.stack import Stack
+from stream.batch import BoolArray, FloatArray, IntArray
+
+RATE_CLASSES = (0.0005, 0.1, 0.4)
+"""Edges between classes of rate, as parts of the largest rate: at rest, slow, middle, fast."""
+FEWEST_PAIRS = 40
+LIKELY_CHANCE = 0.25  # logarithm of a ratio of variances that 40 pairs can show by chance; such ratios are halved
+LEAST_RATIO, LARGEST_RATIO = 0.3, 50.0
+OUTLIER = 4.5
+OUTLIER_RATIO = 1e3
+MOST_OUTLIERS = 0.02
+MAD_TO_SIGMA = 1.4826
+
+
+def record_of(stack: Stack, declared: NoiseCoefficients | None) -> Record:
+    """Return the blocks with the white variance of each; without a declared noise it is guessed from the blocks."""
+    residual = _ordinary_residual(stack)
+    steps, noise_model = stack.steps, stack.noise_model
+    if declared is None:
+        prior = NoisePrior(_guessed(stack, residual, steps, noise_model), ESTIMATED_SPREAD)
+    else:
+        prior = NoisePrior(declared, DECLARED_SPREAD)
+    expected = noise_model.space(prior.center).white
+    white = _relative_white(stack, residual, steps, expected)
+    record = Record(stack, stack.value, stack.design, steps, noise_model, prior, white)
+    white[_outliers(record)] *= OUTLIER_RATIO
+    return record
+
+
+def _ordinary_residual(stack: Stack) -> FloatArray:
+    value = stack.value
+    return np.asarray(value - stack.design @ fit(stack.design, value).coefficients)
+
+
+def _pair_variance(differences: FloatArray) -> float:
+    """White variance by the median of differences of neighbours, which neither drift nor outliers move."""
+    return float((MAD_TO_SIGMA * np.median(np.abs(differences - np.median(differences)))) ** 2 / 2)
+
+
+def _neighbours(stack: Stack, steps: IntArray) -> BoolArray:
+    """Mark the blocks whose predecessor is as near as blocks of the run come."""
+    marks = np.zeros(len(stack), dtype=bool)
+    number = stack.run_number
+    for run in range(len(stack.runs)):
+        of_run = (number == run) & (steps > 0)
+        if of_run.any():
+            marks |= of_run & (steps == steps[of_run].min())
+    return marks
+
+
+def _rate_class(stack: Stack) -> IntArray:
+    for name in ("input_rate", "table_rate"):
+        if all(name in run.channels for run in stack.runs):
+            rate = np.abs(np.nan_to_num(stack.column(lambda run, name=name: run.mean(name))))  # type: ignore[misc]
+            return np.digitize(rate, np.array(RATE_CLASSES) * max(float(rate.max()), 1e-300))
+    return np.zeros(len(stack), dtype=np.int64)
+
+
+def _relative_white(stack: Stack, residual: FloatArray, steps: IntArray, expected: float) -> FloatArray:
+    """White variance of each block over the expected one, by run and rate class."""
+    difference = np.diff(residual, prepend=0.0)
+    rate_class, number = _rate_class(stack), stack.run_number
+    same = _neighbours(stack, steps) & (np.diff(rate_class, prepend=-1) == 0)
+    ratio = np.ones(len(stack))
+    for run in range(len(stack.runs)):
+        of_run = number == run
+        if np.count_nonzero(of_run & same) >= FEWEST_PAIRS:
+            ratio[of_run] = _pair_variance(difference[of_run & same]) / expected
+        for each in np.unique(rate_class[of_run]):
+            of_class = of_run & (rate_class == each)
+            if np.count_nonzero(of_class & same) >= FEWEST_PAIRS:
+                ratio[of_class] = _pair_variance(difference[of_class & same]) / expected
+    logarithm = np.log(np.clip(ratio, LEAST_RATIO, LARGEST_RATIO))
+    return np.exp(np.where(np.abs(logarithm) < LIKELY_CHANCE, logarithm / 2, logarithm))
+
+
+def _outliers(record: Record) -> BoolArray:
+    """Blocks far from what those before them let expect; at most 2 % of all."""
+    whitened = record.whitener(record.prior.center)(np.column_stack([record.value, record.design]))
+    residual = whitened[:, 0] - whitened[:, 1:] @ fit(whitened[:, 1:], whitened[:, 0]).coefficients
+    far = np.zeros(len(record), dtype=bool)
+    number = record.stack.run_number
+    for run in range(len(record.stack.runs)):
+        of_run = number == run
+        sigma = MAD_TO_SIGMA * np.median(np.abs(residual[of_run]))
+        far[of_run] = np.abs(residual[of_run]) > OUTLIER * max(float(sigma), 1e-300)
+    far &= record.steps > 0
+    if np.count_nonzero(far) > MOST_OUTLIERS * len(record):
+        far[:] = False
+    return far
+
+
+def _guessed(stack: Stack, residual: FloatArray, steps: IntArray, noise_model: NoiseModel) -> NoiseCoefficients:
+    """Noise coefficients that the residual of the declared model suggests; good to a factor of a few."""
+    near = _neighbours(stack, steps)
+    differences = np.diff(residual, prepend=0.0)[near]
+    white = _pair_variance(differences) if differences.size else float(np.var(residual))
+    white = max(white, 1e-12 * float(np.mean(residual**2)), 1e-300)
+    number = stack.run_number
+    means = np.array([residual[number == run].mean() for run in range(len(stack.runs))])
+    long = max(2, round(len(stack) / len(stack.runs) / 8))
+    slow = _average_variance(residual, number, long) - white / long
+    floor = 0.05 * white / long
+    slow = max(slow, floor)
+    hours = long * noise_model.block_h
+    turn_on = float(np.var(means)) if means.size > 1 else slow
+    return NoiseCoefficients(
+        N=float(np.sqrt(white * noise_model.block_h)),
+        B=float(np.sqrt(slow / 2 / 0.44)),
+        K=float(np.sqrt(slow / 2 * 3 / hours)),
+        turn_on=float(np.sqrt(max(turn_on, floor))),
+    )
+
+
+def _average_variance(residual: FloatArray, number: IntArray, length: int) -> float:
+    """Allan variance of averages of so many blocks, all runs together."""
+    squares = []
+    for run in np.unique(number):
+        own = residual[number == run]
+        averages = own[: own.size // length * length].reshape(-1, length).mean(axis=1)
+        squares.append(np.diff(averages) ** 2 / 2)
+    joined = np.concatenate(squares)
+    return float(np.median(joined) / 0.455) if joined.size else 0.0
