@@ -1,1 +1,20 @@
 """How samples are kept: the event log (MCAP), the lake (Parquet) and SQL over it."""
+
+from os import PathLike
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from storage.opened import OpenedStore
+
+
+def open_store(folder: "str | PathLike[str]") -> "OpenedStore":
+    """Open a store to ask it in SQL from Python; see `storage.opened.OpenedStore`.
+
+    Raises
+    ------
+    StoreError
+        If the folder is no store.
+    """
+    from storage.opened import OpenedStore
+
+    return OpenedStore(folder)

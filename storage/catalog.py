@@ -1,10 +1,11 @@
 """SQL over a store: DuckDB views on the lake, for reading only."""
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from importlib.resources import files
+from pathlib import Path
 from typing import Any, Protocol
 
 import duckdb
@@ -12,6 +13,7 @@ import pyarrow as pa
 
 from storage.lake_manifest import Part, read_manifest
 from storage.lake_tables import TABLES
+from storage.sql_macros import conversion_macros
 from storage.store import Store
 from stream.errors import QueryError, StoreError
 
@@ -38,6 +40,8 @@ class Layer(Protocol):
     """Names of its tables, views and macros."""
     folder: str
     """Folder in the store in which it keeps what it has computed."""
+    examples: Mapping[str, str]
+    """Questions and the statements that answer them."""
 
     def fill(self, catalog: "Catalog") -> None:
         """Define the tables in the catalogue, through `Catalog.put` and `Catalog.define`."""
@@ -59,6 +63,9 @@ class Catalog:
     ----------
     store : Store
         Which store.
+    file : Path, optional
+        A DuckDB database that is made with the same views; it can be opened by any DuckDB for as long as the store's
+        Parquet files are where they are. By default the views are in memory.
 
     Attributes
     ----------
@@ -71,9 +78,9 @@ class Catalog:
         If the lake is damaged.
     """
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, file: Path | None = None) -> None:
         self.store = store
-        self._connection = duckdb.connect()
+        self._connection = duckdb.connect(":memory:" if file is None else str(file))
         self._connection.execute("set timezone = 'UTC'")
         self.parts = read_manifest(store).parts
         self._unfilled = list(layers())
@@ -84,11 +91,15 @@ class Catalog:
         for script in sorted(files("storage").joinpath("schema").iterdir(), key=lambda each: each.name):
             if script.name.endswith(".sql"):
                 self._run(script.read_text())
+        self.define(conversion_macros(unit for (unit,) in self._selected("select unit_of_measure from lake_channels")))
         folders = [store.lake, *(store.folder / layer.folder for layer in layers())]
         allowed = ", ".join("'" + str(each.resolve()).replace("'", "''") + "'" for each in folders)
         self._connection.execute(f"set allowed_directories = [{allowed}]")
         self._connection.execute("set enable_external_access = false")
         self._connection.execute("set lock_configuration = true")
+
+    def _selected(self, sql: str) -> list[tuple[Any, ...]]:
+        return self._connection.execute(sql).fetchall()
 
     def _attach(self, source: str, table: str, parts: Iterable[Part]) -> None:
         """A view of a table over the parts that have it; DuckDB opens the first file now, the others when asked."""
@@ -132,6 +143,10 @@ class Catalog:
             self.define(f'create or replace table "{name}" as select * from put_rows')  # noqa: S608  a layer's own name
         finally:
             self._connection.unregister("put_rows")
+
+    def fill(self) -> None:
+        """Make the tables of all layers now, not when they are first named."""
+        self._fill(" ".join(table for layer in layers() for table in layer.tables))
 
     def _fill(self, sql: str) -> None:
         words = set(re.findall(r"\w+", sql.lower()))

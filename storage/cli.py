@@ -23,30 +23,60 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
+    from storage.catalog import Catalog
+
 _SHOWN_ROWS = 200
 
 
 @click.command("sql")
-@click.argument("statement")
+@click.argument("statement", required=False)
 @store_option
+@click.option("--tables", is_flag=True, help="List the tables, or the columns of STATEMENT where it is a table's name.")
+@click.option(
+    "--catalogue",
+    "catalogue_path",
+    type=click.Path(path_type=Path),
+    help="Write a DuckDB database with all tables, for any DuckDB client.",
+)
 @click.option("--csv", "as_csv", is_flag=True, help="Print the result as CSV.")
 @click.option("--parquet", "parquet_path", type=click.Path(path_type=Path), help="Write the result to this file.")
 @reporting
-def sql(statement: str, folder: Path, parquet_path: Path | None, *, as_csv: bool, as_json: bool) -> None:
-    """Ask the store in SQL: views samples, signals, runs, steps, estimates, events.
+def sql(
+    statement: str | None,
+    folder: Path,
+    parquet_path: Path | None,
+    catalogue_path: Path | None,
+    *,
+    tables: bool,
+    as_csv: bool,
+    as_json: bool,
+) -> None:
+    """Ask the store in SQL: samples, runs, steps, unit_metrics, and others; --tables lists them.
 
     \b
-    gyrofleet sql "describe samples"
+    gyrofleet sql --tables
+    gyrofleet sql --tables samples
     gyrofleet sql "select unit, signal, run, samples from signals"
     gyrofleet sql "select unit, avg(value), stddev(value) from samples group by unit"
     """  # noqa: D301  click's mark for lines that are not to be joined
     from storage.catalog import Catalog
+    from storage.sql_tables import export_catalogue
     from storage.store import Store
     from stream.errors import BadInput
 
     if as_csv + as_json + (parquet_path is not None) > 1:
         raise BadInput("give one of --json, --csv and --parquet FILE")
+    if tables + (catalogue_path is not None) + (statement is not None and not tables) != 1:
+        raise BadInput("give one of STATEMENT, --tables [NAME] and --catalogue FILE")
+    if catalogue_path is not None:
+        export_catalogue(Store.open(folder), catalogue_path)
+        notes().print(f"written to {catalogue_path}: duckdb {catalogue_path}")
+        return
     with Catalog(Store.open(folder)) as catalog:
+        if tables:
+            _tell_tables(catalog, statement, as_json=as_json)
+            return
+        assert statement is not None
         reader = catalog.reader(statement)
         if parquet_path is not None:
             _write_parquet(reader.schema, catalog.guarded(reader), parquet_path)
@@ -59,6 +89,26 @@ def sql(statement: str, folder: Path, parquet_path: Path | None, *, as_csv: bool
             print_json([row for rows in _plain(catalog.guarded(reader)) for row in rows])
         else:
             _print_table(reader.schema.names, _plain(catalog.guarded(reader)))
+
+
+def _tell_tables(catalog: "Catalog", name: str | None, *, as_json: bool) -> None:
+    from storage.sql_tables import columns_of, examples, told_tables
+
+    console = results()
+    rows = told_tables(catalog) if name is None else columns_of(catalog, name)
+    if as_json:
+        print_json(rows)
+        return
+    table = Table(header_style="bold")
+    for title in rows[0]:
+        table.add_column(title, overflow="fold")
+    for row in rows:
+        table.add_row(*(_cell(value) for value in row.values()))
+    console.print(table)
+    if name is None:
+        console.print("functions: adev('UNIT', 'SIGNAL') as a table; deg_per_h(value, unit), deg_c(value, unit)\n")
+        for question, statement in examples().items():
+            console.print(f"{question}\n  {statement}", soft_wrap=True, markup=False)
 
 
 def _plain(batches: "Iterator[pa.RecordBatch]") -> "Iterator[list[dict[str, Any]]]":

@@ -1,6 +1,7 @@
 """The tables that metrics add to a store's catalogue."""
 
 from importlib.resources import files
+from typing import ClassVar
 
 from analytics.metrics.evaluation import unit_metrics
 from analytics.step_records.step_table import FOLDER
@@ -12,6 +13,15 @@ class MetricsLayer:
 
     tables = ("step_means", "rate_steps", "static_steps", "unit_metrics", "bias_by_day", "temperature_curve")
     folder = FOLDER
+    examples: ClassVar[dict[str, str]] = {
+        "Every metric of a unit": "select metric, value, lo, hi, unit_of_measure, reason from unit_metrics "
+        "where unit = 'FOG-0231'",
+        "Bias by day": "select unit, day, bias from bias_by_day order by unit, day",
+        "Bias against temperature": "select unit, temperature, bias, standard_uncertainty from temperature_curve "
+        "order by unit, temperature",
+        "The fleet's 100 s bias stability": "select unit, value from unit_metrics "
+        "where metric = 'bias_stability_averaged' and parameters->>'$.average_s' = '100' order by value desc",
+    }
 
     def fill(self, catalog: Catalog) -> None:
         """Bring the metrics up to date, and define the tables."""

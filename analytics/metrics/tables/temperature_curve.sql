@@ -4,3 +4,4 @@ select unit, signal, run, "index" as step, "procedure", temperature, temperature
   mean_deg_per_h as bias, u_deg_per_h as standard_uncertainty
 from static_steps
 where temperature is not null;
+comment on view temperature_curve is 'bias in deg/h against temperature: one row for each static step';

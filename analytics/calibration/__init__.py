@@ -1,0 +1,1 @@
+"""Calibrations that SQL cannot say."""

@@ -1,0 +1,4 @@
+comment on table step_means is 'one row for each signal of each completed step: mean, deviations of averages, uncertainty, in its unit_of_measure';
+comment on view rate_steps is 'step_means of gyro outputs with deg_per_h, the factor into deg/h, and where it comes from';
+comment on view static_steps is 'steps in which a unit stands still, in deg/h, with the Earth rate in them';
+comment on table unit_metrics is 'every characteristic of every unit: value, limits, uncertainty, steps used, or the reason why there is none';

@@ -1,0 +1,7 @@
+-- The Allan deviation of a signal as it was last estimated in each run: from adev('FOG-0231', 'rate').
+create macro adev(wanted_unit, wanted_signal) as table
+select run, tau_s, value, lo, hi, unit_of_measure, edf, n, "time"
+from estimates
+where unit = wanted_unit and signal = wanted_signal and estimator = 'allan_deviation' and reason is null
+qualify t_ns = max(t_ns) over (partition by run)
+order by run, tau_s;

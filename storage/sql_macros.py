@@ -1,0 +1,44 @@
+"""Macros of the catalogue that depend on what is in the store: units of measure turned into those of the reports."""
+
+from collections.abc import Iterable
+from contextlib import suppress
+
+from stream.errors import UnknownUnit
+from stream.quantities import conversion, is_angular_rate
+
+_ALWAYS = ("deg/s", "deg/h", "rad/s", "degC", "K", "degF")
+
+
+def conversion_macros(units: Iterable[str]) -> str:
+    """Statements that define ``deg_per_h(value, unit_of_measure)`` and ``deg_c(value, unit_of_measure)``.
+
+    Both give null for a unit that measures something else.
+
+    Parameters
+    ----------
+    units : iterable of str
+        Units of measure that occur in the store.
+
+    Examples
+    --------
+    >>> "when 'rpm' then value * 21600.0 + 0.0" in conversion_macros(["rpm"])
+    True
+    """
+    known = sorted({*units, *_ALWAYS})
+    rates = [(unit, *conversion(unit, "deg/h")) for unit in known if is_angular_rate(unit)]
+    temperatures = []
+    for unit in known:
+        with suppress(UnknownUnit):
+            temperatures.append((unit, *conversion(unit, "degC")))
+    return (
+        f"create or replace macro deg_per_h(value, unit_of_measure) as {_cases(rates)};"
+        f"create or replace macro deg_c(value, unit_of_measure) as {_cases(temperatures)};"
+    )
+
+
+def _cases(factors: list[tuple[str, float, float]]) -> str:
+    cases = []
+    for unit, factor, offset in factors:
+        quoted = unit.replace("'", "''")
+        cases.append(f"when '{quoted}' then value * {factor!r} + {offset!r}")
+    return f"case unit_of_measure {' '.join(cases)} end"

@@ -1,0 +1,75 @@
+"""What can be asked in SQL: a catalogue's tables, their columns, examples, and a database file with all of them."""
+
+from pathlib import Path
+
+import duckdb
+
+from storage.catalog import VIEWS, Catalog, layers
+from storage.store import Store
+from stream.errors import BadInput, NotFound
+
+EXAMPLES = {
+    "How many samples of what?": "select unit, signal, run, samples, sample_interval_s from signals",
+    "What ran, and how did it end?": "select run, started, duration_s, outcome, units from runs",
+    "Mean output in deg/h": (
+        "select unit, avg(deg_per_h(value, unit_of_measure)) as deg_per_h from samples "
+        "where signal = 'rate' group by unit"
+    ),
+    "Allan deviation of a unit": "select run, tau_s, value, lo, hi from adev('FOG-0231', 'rate')",
+}
+
+
+def examples() -> dict[str, str]:
+    """Questions and the statements that answer them, of the store's own tables and of all layers."""
+    return EXAMPLES | {question: sql for layer in layers() for question, sql in layer.examples.items()}
+
+
+def told_tables(catalog: Catalog) -> list[dict[str, object]]:
+    """Name and comment of every table that is meant to be asked."""
+    catalog.fill()
+    told = "select view_name, comment from duckdb_views() union all select table_name, comment from duckdb_tables()"
+    comments: dict[str, str | None] = {name: comment for name, comment in catalog.rows(told)}  # noqa: C416
+    names = [*VIEWS, *(table for layer in layers() for table in layer.tables)]
+    return [{"table": name, "what": comments.get(name) or ""} for name in names]
+
+
+def columns_of(catalog: Catalog, name: str) -> list[dict[str, object]]:
+    """Columns of a table: name, type and comment.
+
+    Raises
+    ------
+    NotFound
+        If there is no such table.
+    """
+    catalog.fill()
+    rows = catalog.rows(
+        "select column_name, data_type, comment from duckdb_columns() where table_name = $name order by column_index",
+        {"name": name},
+    )
+    if not rows:
+        known = ", ".join([*VIEWS, *(table for layer in layers() for table in layer.tables)])
+        raise NotFound(f"there is no table {name!r}; tables are {known}")
+    return [{"column": column, "type": kind, "what": comment or ""} for column, kind, comment in rows]
+
+
+def export_catalogue(store: Store, path: Path) -> None:
+    """Write a DuckDB database: views over the store's Parquet files where they lie, metrics as tables.
+
+    It shows the store as it is now; made again it replaces the file.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be written.
+    """
+    fresh = path.with_name(path.name + ".part")
+    fresh.unlink(missing_ok=True)
+    try:
+        with Catalog(store, fresh) as catalog:
+            catalog.fill()
+        fresh.replace(path)
+    except (OSError, duckdb.IOException) as error:
+        raise BadInput(f"cannot write {path}: {error}; give --catalogue a file in a folder you can write") from error
+    finally:
+        for each in (fresh, fresh.with_name(fresh.name + ".wal")):
+            each.unlink(missing_ok=True)

@@ -1,0 +1,118 @@
+"""Misalignment separation against the published tables of HIT 2012 (Li, Ren, Zhao), read to 0.1 arcsec."""
+
+import math
+
+import numpy as np
+import pytest
+
+from analytics.calibration.separation import (
+    ARCSEC_PER_RAD,
+    AccelerometerReading,
+    GyroReading,
+    Separation,
+    accelerometer_separation,
+    gyro_separation,
+)
+from stream.errors import BadInput
+
+GYRO_SCALE = -2.9222  # V/(deg/s)
+ACCELEROMETER_SCALE = 1.299  # V/g
+POSITIONS = ((0.0, 0.0), (0.0, 180.0), (180.0, 180.0), (90.0, 180.0), (0.0, 90.0))
+# table 1: rate -> voltages forwards, backwards, and y0, x0, y1, y2, z2, gamma in arcsec
+TABLE_1 = {
+    20.0: (
+        (-0.0614, -0.0576, 0.0350, -0.0290, -0.0600),
+        (0.0654, 0.0606, -0.0306, 0.0287, 0.0638),
+        (-7.6, 2.3, -54.0, -162.2, 55.4, 171.4),
+    ),
+    30.0: (
+        (-0.0929, -0.0869, 0.0517, -0.0433, -0.0908),
+        (0.0969, 0.0903, -0.0468, 0.0435, 0.0947),
+        (-7.4, 2.4, -53.7, -162.2, 55.8, 171.5),
+    ),
+    40.0: (
+        (-0.1246, -0.1164, 0.0679, -0.0580, -0.1217),
+        (0.1284, 0.1197, -0.0632, 0.0583, 0.1256),
+        (-7.5, 2.4, -53.8, -162.0, 56.3, 171.5),
+    ),
+}
+# table 2: outputs at 0, 180, 90, 270 deg in V, and y2, z2, gamma in arcsec
+TABLE_2 = (
+    ((-0.001845, -0.001911, -0.001912, -0.002175), (-5.2, 20.9, 21.5)),
+    ((-0.001846, -0.001914, -0.001921, -0.002177), (-5.4, 20.3, 21.0)),
+    ((-0.001845, -0.001912, -0.001921, -0.002176), (-5.3, 20.2, 20.9)),
+)
+
+
+def gyro_readings(rate: float) -> list[GyroReading]:
+    forwards, backwards, _ = TABLE_1[rate]
+    return [
+        GyroReading(alpha, beta, sign * rate, volts)
+        for sign, outputs in ((1, forwards), (-1, backwards))
+        for (alpha, beta), volts in zip(POSITIONS, outputs, strict=True)
+    ]
+
+
+def told(found: Separation, *names: str) -> list[float]:
+    return [*(found.angles[name].value for name in names), found.gamma.value]
+
+
+@pytest.mark.parametrize("rate", TABLE_1)
+def test_gyro_table_is_reproduced(rate: float) -> None:
+    found = gyro_separation(gyro_readings(rate), GYRO_SCALE)
+    np.testing.assert_allclose(told(found, "y0", "x0", "y1", "y2", "z2"), TABLE_1[rate][2], atol=0.1)
+
+
+@pytest.mark.parametrize(("outputs", "printed"), TABLE_2)
+def test_accelerometer_table_is_reproduced(outputs: tuple[float, ...], printed: tuple[float, ...]) -> None:
+    readings = [AccelerometerReading(*each) for each in zip((0.0, 180.0, 90.0, 270.0), outputs, strict=True)]
+    found = accelerometer_separation(readings, ACCELEROMETER_SCALE)
+    np.testing.assert_allclose(told(found, "y2", "z2"), printed, atol=0.1)
+
+
+def test_mean_gamma_of_the_accelerometer_is_21_1() -> None:
+    gammas = [
+        accelerometer_separation(
+            [AccelerometerReading(*each) for each in zip((0.0, 180.0, 90.0, 270.0), outputs, strict=True)],
+            ACCELEROMETER_SCALE,
+        ).gamma.value
+        for outputs, _ in TABLE_2
+    ]
+    assert np.mean(gammas) == pytest.approx(21.1, abs=0.1)
+
+
+def test_one_least_squares_over_all_speeds_is_the_closed_form_weighted_by_rate() -> None:
+    every = [reading for rate in TABLE_1 for reading in gyro_readings(rate)]
+    found = gyro_separation(every, GYRO_SCALE)
+    closed = 0.0
+    for rate, (forwards, backwards, _) in TABLE_1.items():
+        d = [a - b for a, b in zip(forwards, backwards, strict=True)]
+        closed += rate**2 * (d[2] - d[1]) / (4 * GYRO_SCALE * rate)
+    closed *= ARCSEC_PER_RAD / sum(rate**2 for rate in TABLE_1)
+    assert found.angles["y2"].value == pytest.approx(closed, rel=1e-9)
+    assert found.freedom == 24
+    # the paper's model leaves more than the display's step of 0.1 mV
+    assert found.rms == pytest.approx(0.81e-3, abs=0.01e-3)
+
+
+def test_limits_hold_the_truth_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(4)
+    truth = {"y0": -7.5, "x0": 2.4, "y1": -54.0, "y2": -162.0, "z2": 56.0}
+    y0, x0, y1, y2, z2 = (value / ARCSEC_PER_RAD for value in truth.values())
+    held = 0
+    for _ in range(500):
+        readings = []
+        for rate in (-40.0, -30.0, -20.0, 20.0, 30.0, 40.0):
+            for alpha, beta in POSITIONS:
+                a, b = math.radians(alpha), math.radians(beta)
+                angle = -y0 * math.cos(b) + x0 * math.sin(b) - y1 + z2 * math.sin(a) - y2 * math.cos(a)
+                readings.append(GyroReading(alpha, beta, rate, GYRO_SCALE * rate * angle + rng.normal(0, 1e-4)))
+        gamma = gyro_separation(readings, GYRO_SCALE).gamma
+        held += gamma.lo <= math.hypot(-162.0, 56.0) <= gamma.hi
+    # 500 x 0.95: four standard deviations of the binomial
+    assert abs(held - 475) < 4 * math.sqrt(500 * 0.95 * 0.05)
+
+
+def test_positions_that_tell_too_little_are_refused() -> None:
+    with pytest.raises(BadInput, match="tell 3 of 6 unknowns"):
+        gyro_separation([each for each in gyro_readings(20.0) if each.alpha_deg == 0.0 and each.beta_deg != 90], 1.0)
