@@ -7,8 +7,8 @@ from stream.errors import BadInput
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-def moment_ns(text: str) -> int:
-    """Nanoseconds UTC of the moment that `--start` was given.
+def moment_ns(text: str, option: str = "--start") -> int:
+    """Nanoseconds UTC of the moment that an option was given.
 
     Raises
     ------
@@ -23,8 +23,8 @@ def moment_ns(text: str) -> int:
     try:
         moment = datetime.fromisoformat(text)
     except ValueError as error:
-        raise BadInput(f"--start {text!r} is not a moment; write it as 2026-11-21T18:00:00+08:00") from error
+        raise BadInput(f"{option} {text!r} is not a moment; write it as 2026-11-21T18:00:00+08:00") from error
     if moment.tzinfo is None:
-        raise BadInput(f"--start {text!r} has no time zone; add one, as in {text}+08:00 or {text}Z")
+        raise BadInput(f"{option} {text!r} has no time zone; add one, as in {text}+08:00 or {text}Z")
     since = moment - _EPOCH
     return (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000

@@ -1,7 +1,7 @@
 """SQL over a store: DuckDB views on the lake, for reading only."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from importlib.resources import files
@@ -18,6 +18,8 @@ from storage.store import Store
 from stream.errors import QueryError, StoreError
 
 VIEWS = ("samples", "signals", "runs", "units", "steps", "estimates", "events", "rollup_1s", "rollup_10s", "clocks")
+
+Told = Callable[[int, int], None]
 
 _READING = {duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN}
 _SQL_TYPES = {
@@ -66,6 +68,8 @@ class Catalog:
     file : Path, optional
         A DuckDB database that is made with the same views; it can be opened by any DuckDB for as long as the store's
         Parquet files are where they are. By default the views are in memory.
+    told : callable, optional
+        Hears from a layer that is being filled how many of how many parts of its work are done.
 
     Attributes
     ----------
@@ -78,8 +82,9 @@ class Catalog:
         If the lake is damaged.
     """
 
-    def __init__(self, store: Store, file: Path | None = None) -> None:
+    def __init__(self, store: Store, file: Path | None = None, *, told: Told | None = None) -> None:
         self.store = store
+        self.told = told
         self._connection = duckdb.connect(":memory:" if file is None else str(file))
         self._connection.execute("set timezone = 'UTC'")
         self.parts = read_manifest(store).parts

@@ -24,12 +24,14 @@ def conversion_macros(units: Iterable[str]) -> str:
     >>> "when 'rpm' then value * 21600.0 + 0.0" in conversion_macros(["rpm"])
     True
     """
-    known = sorted({*units, *_ALWAYS})
-    rates = [(unit, *conversion(unit, "deg/h")) for unit in known if is_angular_rate(unit)]
-    temperatures = []
-    for unit in known:
+    rates: list[tuple[str, float, float]] = []
+    temperatures: list[tuple[str, float, float]] = []
+    for unit in sorted({*units, *_ALWAYS}):
         with suppress(UnknownUnit):
-            temperatures.append((unit, *conversion(unit, "degC")))
+            if is_angular_rate(unit):
+                rates.append((unit, *conversion(unit, "deg/h")))
+            else:
+                temperatures.append((unit, *conversion(unit, "degC")))
     return (
         f"create or replace macro deg_per_h(value, unit_of_measure) as {_cases(rates)};"
         f"create or replace macro deg_c(value, unit_of_measure) as {_cases(temperatures)};"

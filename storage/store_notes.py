@@ -1,12 +1,13 @@
 """What a store has to say of itself, brought into its own log."""
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from storage.store import Store, WriterLock, writer_endpoint
 from stream.bus import Bus
 from stream.delivery import DurablePublisher
-from stream.events import StoreNoted
+from stream.events import AnyDocument, StoreNoted
 from stream.identity import Place, event_key
 
 LAKE = Place("store", "lake")
@@ -35,7 +36,9 @@ def is_foreign(document: StoreNoted, store: str) -> bool:
     return named != store
 
 
-def note(store: Store, documents: list[StoreNoted], *, role: str, place: Place = LAKE) -> None:
+def note(
+    store: Store, documents: Sequence[AnyDocument], *, role: str, place: Place = LAKE, builds_lake: bool = False
+) -> None:
     """Bring documents into the log of a store; they are durable when this returns.
 
     A recorder that writes the store gets them over its bus. Where none is at work they are written here.
@@ -44,12 +47,14 @@ def note(store: Store, documents: list[StoreNoted], *, role: str, place: Place =
     ----------
     store : Store
         Whose log.
-    documents : list of StoreNoted
+    documents : sequence of Document
         What there is to say.
     role : str
         Who writes, for the message that another writer gets.
     place : Place
         Where the documents are from.
+    builds_lake : bool
+        Whether they are also brought to the lake where no recorder is at work; a recorder does so in its own time.
 
     Raises
     ------
@@ -72,12 +77,12 @@ def note(store: Store, documents: list[StoreNoted], *, role: str, place: Place =
     with (
         WriterLock(store, role),
         LocalBus() as bus,
-        Recorder(store, bus, EventLog(store), sync_interval_s=0.01, builds_lake=False),
+        Recorder(store, bus, EventLog(store), sync_interval_s=0.01, builds_lake=builds_lake),
     ):
         _send(bus, documents, place, store)
 
 
-def _send(bus: Bus, documents: list[StoreNoted], place: Place, store: Store) -> None:
+def _send(bus: Bus, documents: Sequence[AnyDocument], place: Place, store: Store) -> None:
     with DurablePublisher(bus, timeout_s=20.0, only_store=store.identity) as publisher:
         for document in documents:
             publisher.send_event(event_key(place), document)

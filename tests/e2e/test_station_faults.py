@@ -1,5 +1,6 @@
 """What fails at a station in the middle of a procedure, and files that are wrong from its start."""
 
+import json
 import os
 import signal
 import subprocess
@@ -7,6 +8,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from storage.disk import Disk, Space
+from storage.event_log import EventLog
+from storage.recorder import Recorder
+from storage.store import Store
+from stream.zenoh_bus import ZenohBus
 
 Bench = Any
 Kept = Any
@@ -30,8 +37,8 @@ def test_a_chamber_that_never_settles_is_given_up_and_gone_on_with(
     assert "step 3 (soak): temperature settles is not done after 1,8" in told["remark"]
     assert "the station was made safe" in told["remark"]
     assert fast.is_safe()
-    (kept,) = kept.rows("select count(*) as n from steps where outcome = 'completed'")
-    assert kept["n"] == 2
+    (done,) = kept.rows("select count(*) as n from steps where outcome = 'completed'")
+    assert done["n"] == 2
     # made safe, the chamber goes to room temperature: the record may not begin while it comes back
     process = spawn(*command)
     state(lambda run: run["step"] == 3 and run["open_steps"])
@@ -97,6 +104,44 @@ def test_units_that_deliver_nothing_do_not_pass_silently(
         assert f"unit {unit}: signal rate has " in err
     found = kept.rows("select document->>'$.unit' as unit from events where kind = 'NoteAdded' order by unit")
     assert {row["unit"] for row in found} == {"SIM-0001", "SIM-0002"}
+
+
+class FullDisk(Disk):
+    """A disk that can be filled and emptied."""
+
+    free = 10 << 30
+
+    def space(self, folder: Path) -> Space:
+        return Space(self.free, 100 << 30)
+
+
+def test_a_recorder_that_pauses_is_told_while_the_procedure_goes_on(
+    store: Path, kept: Kept, spawn: Spawn, bench: Bench, endpoint: str
+) -> None:
+    disk = FullDisk()
+    recorded = Store.create(store)
+    with (
+        ZenohBus(listen=[endpoint]) as bus,
+        Recorder(recorded, bus, EventLog(recorded, disk=disk), sync_interval_s=0.05, disk=disk) as recorder,
+    ):
+        process = spawn(
+            *bench.run("static_bias", "--set", "bias_record_s=600", "--set", "warm_up_s=0", "--connect", endpoint)
+        )
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert f"to the recorder at {endpoint}" in process.stdout.readline()
+        disk.free = 1 << 20
+        told = next(line for line in process.stderr if "warning: the recorder pauses" in line)
+        assert "kept in reserve" in told
+        (progress,) = (store / "spool").glob("*/procedure.json")
+        assert json.loads(progress.read_bytes())["phase"] == "running", "it was to be told while it measures"
+        disk.free = 10 << 30
+        last, err = bench.ended(process)
+        assert err.count("recording goes on") == 1
+    assert (last["outcome"], last["short_records"]) == ("completed", 0)
+    assert recorder.paused is None
+    kept.completed(steps=1)
+    kept.sound()
 
 
 def test_what_is_wrong_in_files_is_said_with_its_place_and_nothing_is_started(
