@@ -10,9 +10,13 @@ import click
 
 from analytics.allan_cli import allan
 from analytics.cli import demo
+from analytics.limits_cli import limits
+from analytics.metrics_cli import metrics
 from analytics.spectrum_cli import spectrum
+from analytics.verdicts_cli import verdicts
 from ingest.can_cli import can
 from ingest.cli import import_files
+from ingest.enter_cli import check
 from ingest.procedure_cli import procedure
 from ingest.replay_cli import replay
 from ingest.run_cli import run
@@ -49,6 +53,10 @@ for command in (
     sql,
     allan,
     spectrum,
+    metrics,
+    check,
+    limits,
+    verdicts,
 ):
     main.add_command(command)
 

@@ -73,22 +73,16 @@ class AngleBlocks:
         )
 
 
-def without_aliases(angle: Channel, rate_deg_per_s: FloatArray, interval_s: float) -> tuple[Channel, int]:
-    """An angle whose table turns by half a turn or more between readings says nothing; whole turns average out.
+def without_aliases(angle: Channel, rate_deg_per_s: FloatArray, interval_s: float) -> Channel:
+    """An angle as far as its readings show it: half a turn between two of them and more says nothing.
 
-    Returns
-    -------
-    channel : Channel
-        Phasors k are 0 where k times the angle turns that fast; the mean is NaN where the angle itself does.
-    blocks : int
-        How many blocks that concerns.
+    Where k times the angle turns that fast, phasor k is 0, as of whole turns; where the angle does, its mean is NaN.
     """
     if angle.phasors is None:
-        return angle, 0
+        return angle
     turned = np.abs(np.nan_to_num(rate_deg_per_s)) * interval_s
     phasors = angle.phasors.copy()
     for k in range(1, HARMONICS + 1):
         phasors[k - 1, turned * k >= _HALF_TURN_DEG] = 0.0
-    is_fast = turned >= _HALF_TURN_DEG
-    mean = np.where(is_fast, np.nan, angle.mean)
-    return Channel(mean, angle.spread, angle.unit_of_measure, phasors), int(is_fast.sum())
+    mean = np.where(turned >= _HALF_TURN_DEG, np.nan, angle.mean)
+    return Channel(mean, angle.spread, angle.unit_of_measure, phasors)

@@ -113,18 +113,26 @@ def slope(slot: IntArray, block_s: float, mean: FloatArray) -> FloatArray:
     return np.where(count > 0, np.nansum(sides, axis=0) / np.maximum(count, 1), np.nan)
 
 
-def unresolved(slot: IntArray, readings_per_block: float, channel: Channel) -> FloatArray:
-    """How wrong a block's mean of a reference may be, because what happens between its readings is not seen.
+def ranges(slot: IntArray, block_s: float, t_s: FloatArray, lo: FloatArray, hi: FloatArray) -> FloatArray:
+    """By how much a channel changes from the last reading before each block to the first after it.
 
-    Readings d apart leave an edge between two of them uncertain by d/sqrt(12): of a block of T with n readings, range
-    over sqrt(12)*n of it. The range is that of the block and its neighbours' means, since an edge may lie between.
+    Readings come as seconds from `t_s` on, with the least and the greatest value of each.
+
+    Examples
+    --------
+    >>> t_s, value = np.array([0.0, 5.0, 10.0, 15.0, 20.0]), np.array([0.0, 0.0, 0.0, 7.0, 7.0])
+    >>> ranges(np.array([0, 1, 2]), 5.0, t_s, value, value).tolist()
+    [0.0, 0.0, 7.0]
     """
-    mean = channel.mean
-    lo, hi = mean - channel.spread * np.sqrt(3.0), mean + channel.spread * np.sqrt(3.0)
-    before = np.concatenate([[np.nan], np.where(np.diff(slot) == 1, mean[:-1], np.nan)])
-    after = np.concatenate([np.where(np.diff(slot) == 1, mean[1:], np.nan), [np.nan]])
-    wide = np.fmax.reduce([hi, before, after]) - np.fmin.reduce([lo, before, after])
-    return np.asarray(wide / (np.sqrt(12.0) * max(readings_per_block, 1.0)), dtype=np.float64)
+    if len(t_s) == 0:
+        return np.full(len(slot), np.nan)
+    first = np.maximum(np.searchsorted(t_s + 1.0, slot * block_s, side="right") - 1, 0)
+    beyond = np.searchsorted(t_s, (slot + 1) * block_s, side="left") + 1
+    edges = np.column_stack([first, np.minimum(np.maximum(beyond, first + 1), len(t_s))]).ravel()
+    # one more at the end, since reduceat wants every index below the length
+    least = np.minimum.reduceat(np.append(lo, np.inf), edges)[::2]
+    most = np.maximum.reduceat(np.append(hi, -np.inf), edges)[::2]
+    return np.asarray(most - least, dtype=np.float64)
 
 
 def readings_of(batches: Iterable[pa.RecordBatch], grid: Grid) -> Readings:

@@ -1,7 +1,7 @@
 """What looks wrong with the channels of a record: constant, copied, missing, or on another clock."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,8 @@ from storage.catalog import Catalog
 from stream.batch import FloatArray
 
 _COPY = 1.0 - 1e-9
+_BY_NATURE = frozenset({"day", "time_since_power_on", "input_rate", "table_rate", "position"})
+_DERIVED = frozenset({"table_acceleration", "position", "gravity_i", "day"})
 _FEWEST_FOR_COPY = 10
 _CLOCK_APART_S = 1.0
 
@@ -76,7 +78,7 @@ def _check_one(runs: Sequence[RunBlocks], name: str) -> list[Note]:
         total = sum(len(run) for run in having)
         text = f"channel {name} has no reading near {blocks:,} of {total:,} blocks, {in_runs(gone, len(having))}"
         notes.append(Note("channel_gap", text, name, tuple(gone)))
-    if name in _constant(having, [name]):
+    if name in _constant(having, [name]) and name not in _DERIVED:
         text = f"channel {name} never changes: what depends on it cannot be seen, nor told from the bias"
         notes.append(Note("constant", text, name, tuple(run.run for run in having), is_limit=True))
     units = sorted({run.channels[name].unit_of_measure for run in having})
@@ -103,6 +105,8 @@ def _check_copies(runs: Sequence[RunBlocks], names: Sequence[str]) -> list[Note]
     values = {name: np.concatenate([run.mean(name) for run in runs]) for name in everywhere}
     notes = []
     for one, other in itertools.combinations(everywhere, 2):
+        if _BY_NATURE.issuperset((one, other)):
+            continue
         if _is_copy(values[one], values[other]):
             text = (
                 f"channels {one} and {other} are copies of each other: an effect of one cannot be told from the other"
@@ -118,21 +122,43 @@ def _is_copy(one: FloatArray, other: FloatArray) -> bool:
     return abs(float(np.corrcoef(one[both], other[both])[0, 1])) > _COPY
 
 
-def check_clocks(catalog: Catalog, unit: str, signal: str, instruments: Sequence[str]) -> list[Note]:
+def clock_offsets(catalog: Catalog) -> dict[tuple[str, str], dict[str, float]]:
+    """Least delay of the messages of each unit in each run, seconds, by signal.
+
+    Of what was imported, replayed or simulated faster than real time nothing can be told; it is not there.
+    """
+    found: dict[tuple[str, str], dict[str, float]] = {}
+    sql = "select run, unit, signal, offset_least_ns / 1e9 from clocks where reason is null"
+    for run, unit, signal, seconds in catalog.rows(sql):
+        found.setdefault((str(run), str(unit)), {})[str(signal)] = float(seconds)
+    return found
+
+
+def check_clocks(
+    offsets: Mapping[tuple[str, str], Mapping[str, float]],
+    unit: str,
+    signal: str,
+    instruments: Sequence[tuple[str, str]],
+) -> list[Note]:
     """Notes on runs in which the clock of a unit and that of an instrument are more than a second apart.
 
-    As the delays of their messages at the recorder tell; of what was imported nothing tells.
+    Parameters
+    ----------
+    offsets : mapping
+        See `clock_offsets`.
+    unit, signal : str
+        Whose clock is compared.
+    instruments : sequence of (run, instrument)
+        With which.
     """
     apart: dict[str, dict[str, float]] = {}
-    for run, instrument, own_ns, other_ns in catalog.rows(
-        "select k.run, o.unit, k.offset_least_ns, min(o.offset_least_ns) from clocks k join clocks o on k.run = o.run "
-        "where k.unit = $unit and k.signal = $signal and k.reason is null and o.reason is null "
-        "and list_contains($instruments, o.unit) group by all",
-        {"unit": unit, "signal": signal, "instruments": list(instruments)},
-    ):
-        seconds = (own_ns - other_ns) / 1e9
+    for run, instrument in instruments:
+        own, other = offsets.get((run, unit), {}).get(signal), offsets.get((run, instrument))
+        if own is None or not other:
+            continue
+        seconds = own - min(other.values())
         if abs(seconds) > _CLOCK_APART_S:
-            apart.setdefault(str(instrument), {})[str(run)] = seconds
+            apart.setdefault(instrument, {})[run] = seconds
     return [
         Note(
             "clock_offset",

@@ -5,15 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from analytics.block_channels import slope, unresolved
+from analytics.block_channels import slope
 from analytics.block_checks import Note, in_runs
-from analytics.block_means import SECOND_NS
+from analytics.block_means import SECOND_NS, Blocks
 from analytics.run_blocks import Channel, RunBlocks
-from analytics.step_channels import Step, by_position, commanded_rate, unknown_positions
+from analytics.step_channels import Step, by_position, commanded_rate, input_axis_up, unknown_positions
 from stream.batch import BoolArray, FloatArray, IntArray
 from stream.quantities import conversion, is_angular_rate
 
 _DAY_NS = 86_400 * SECOND_NS
+_SETTLED = 1e-3
+_AT_REST_DEG_PER_S = 1e-3
 _BEYOND_NOISE = 3.0
 _BEYOND_USUAL = 10.0
 
@@ -39,39 +41,60 @@ def with_times(run: RunBlocks, power_on_ns: Sequence[int], first_day_ns: int | N
     return replace(run, channels=channels)
 
 
-def with_motion(run: RunBlocks, steps: Sequence[Step], turns: float | None) -> RunBlocks:
-    """The run with ``input_rate``, ``gravity_i`` and ``table_acceleration`` where they can be had from what is there.
+def with_motion(
+    run: RunBlocks, blocks: Blocks, steps: Sequence[Step], turns: float | None, numbers: Mapping[str, float]
+) -> RunBlocks:
+    """The run with ``position`` and what can be had of ``input_rate``, ``gravity_i`` and ``table_acceleration``.
 
     Parameters
     ----------
     run : RunBlocks
         With the channels that were recorded.
+    blocks : Blocks
+        When the samples of each block were taken.
     steps : sequence of Step
         Of the unit in the run.
     turns : float or None
         Component of the table's axis along the input axis where positions do not tell; None where it is not known.
+    numbers : mapping of str to float
+        Number by which the channel ``position`` stands for a word.
     """
     channels = dict(run.channels)
     none = np.zeros(len(run))
-    up = by_position(steps, middle_ns(run), run.signal)
+    centre_ns = run.t0_ns + np.round(blocks.centre_s * SECOND_NS).astype(np.int64)
+    position = by_position(steps, centre_ns, numbers.get)
+    if "position" not in channels and np.isfinite(position).any():
+        channels["position"] = Channel(position, none, "1")
+    up = by_position(steps, centre_ns, lambda word: input_axis_up(word, run.signal))
     if "gravity_i" not in channels and np.isfinite(up).any():
         channels["gravity_i"] = Channel(up, none, "g_0")
-    table = channels.get("table_rate")
+    table, commanded = channels.get("table_rate"), commanded_in(run, blocks, steps)
     along = up if np.isfinite(up).any() else np.full(len(run), np.nan if turns is None else turns)
     if "input_rate" not in channels and np.isfinite(along).any():
         if table is not None:
             spread = table.spread * np.abs(np.nan_to_num(along))
             channels["input_rate"] = Channel(table.mean * along, spread, table.unit_of_measure)
-        else:
-            block_ns = round(run.block_s * SECOND_NS)
-            start_ns = run.t0_ns + run.slot * block_ns
-            commanded = commanded_rate(steps, start_ns, start_ns + block_ns)
-            if np.isfinite(commanded).any():
-                channels["input_rate"] = Channel(commanded * along, none, "deg/s")
-    if "table_acceleration" not in channels and table is not None:
-        acceleration = slope(run.slot, run.block_s, table.mean)
-        channels["table_acceleration"] = Channel(acceleration, none, f"{table.unit_of_measure}^2")
+        elif np.isfinite(commanded).any():
+            channels["input_rate"] = Channel(commanded * along, none, "deg/s")
+    if "table_acceleration" not in channels and table is not None and table.unit_of_measure == "deg/s":
+        turning = np.where(is_steady(table, commanded), 0.0, slope(run.slot, run.block_s, table.mean))
+        channels["table_acceleration"] = Channel(turning, none, "deg/s^2")
     return replace(run, channels=channels)
+
+
+def commanded_in(run: RunBlocks, blocks: Blocks, steps: Sequence[Step]) -> FloatArray:
+    """Rate that was commanded while all samples of a block were taken, deg/s; NaN where there was none, or several."""
+    first_ns, last_ns = (
+        run.t0_ns + np.round(each * SECOND_NS).astype(np.int64) for each in (blocks.first_s, blocks.last_s)
+    )
+    return commanded_rate(steps, first_ns, last_ns)
+
+
+def is_steady(rate: Channel, commanded: FloatArray) -> BoolArray:
+    """Whether a block lies in a step of one rate, and that was measured: a step begins when its rate is settled."""
+    return np.asarray(
+        np.abs(rate.mean - commanded) <= _SETTLED * np.abs(commanded) + _AT_REST_DEG_PER_S, dtype=np.bool_
+    )
 
 
 def supposed_axis(steps: Mapping[str, Sequence[Step]], runs: Sequence[RunBlocks]) -> tuple[float | None, list[Note]]:
@@ -110,24 +133,39 @@ def source_of_input_rate(before: Sequence[RunBlocks], after: Sequence[RunBlocks]
     return notes
 
 
-def without_unresolved(run: RunBlocks, interval_s: float) -> tuple[RunBlocks, int]:
+def without_unresolved(
+    run: RunBlocks, changes: FloatArray, interval_s: float, commanded: FloatArray
+) -> tuple[RunBlocks, int]:
     """The run without the blocks in which the reference rate changes faster than its readings show, and how many.
 
-    A block goes where that makes its input rate uncertain by more than 3 standard deviations of the gyro's own white
-    noise and by more than 10 times what is usual in the run (a tenth of its blocks are better).
+    Parameters
+    ----------
+    run : RunBlocks
+        With ``input_rate``.
+    changes : array of shape (blocks,)
+        By how much the reference changes from the last reading before each block to the first after it, in its unit.
+    interval_s : float
+        Between readings, seconds.
+    commanded : array of shape (blocks,)
+        Rate that a step commanded throughout the block, deg/s, else NaN; a block that has it is kept.
+
+    Notes
+    -----
+    An edge somewhere between two readings leaves the mean of a block of T uncertain by edge*interval/(sqrt(12)*T). A
+    block goes where that is beyond 3 standard deviations of the white noise of its mean, by the run's median, and
+    beyond 10 times what is usual in the run (a tenth of its blocks are better).
     """
     channel = run.channels.get("input_rate")
     if channel is None or not is_angular_rate(run.unit_of_measure) or not is_angular_rate(channel.unit_of_measure):
         return run, 0
-    if interval_s <= 0.0:
-        return run, 0
     factor = conversion(channel.unit_of_measure, run.unit_of_measure)[0]
-    unsure = unresolved(run.slot, run.block_s / interval_s, channel) * factor
-    if not np.isfinite(unsure).any():
-        return run, 0
-    noise = np.sqrt(np.where(np.isfinite(run.white_variance), run.white_variance, 0.0))
-    usual = float(np.nanquantile(unsure, 0.1))
-    is_kept = ~(unsure > np.maximum(_BEYOND_NOISE * noise, _BEYOND_USUAL * usual))
+    unsure = np.nan_to_num(changes) * factor * interval_s / (np.sqrt(12.0) * run.block_s)
+    of_samples = run.white_variance * run.n
+    of_samples = of_samples[np.isfinite(of_samples)]
+    noise = np.sqrt((np.median(of_samples) if len(of_samples) else 0.0) / run.n)
+    usual = float(np.quantile(unsure, 0.1))
+    is_seen = unsure <= np.maximum(_BEYOND_NOISE * noise, _BEYOND_USUAL * usual)
+    is_kept = is_seen | is_steady(run.channels.get("table_rate", channel), commanded)
     return kept(run, is_kept), int((~is_kept).sum())
 
 

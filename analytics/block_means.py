@@ -25,8 +25,9 @@ class Blocks:
         Samples in each.
     mean, spread : array
         Mean and standard deviation of the samples in each.
-    centre_s : array
-        Mean moment of the samples, seconds from the beginning of slot 0.
+    centre_s, first_s, last_s : array
+        Mean, first and last moment of the samples, seconds from the beginning of slot 0; from rollups the last two are
+        whole seconds around them.
     white_variance : array
         Of each mean, by the scatter within the block; NaN where nothing tells.
     """
@@ -36,6 +37,8 @@ class Blocks:
     mean: FloatArray
     spread: FloatArray
     centre_s: FloatArray
+    first_s: FloatArray
+    last_s: FloatArray
     white_variance: FloatArray
 
 
@@ -50,14 +53,16 @@ class Grid:
 
 _PIECES = {
     True: """
-      select r.run, r.t_ns + 500000000 as t_ns, r.t_ns as start_ns, r.n, r.mean, r.m2, g.t0_ns
+      select r.run, r.t_ns + 500000000 as t_ns, r.t_ns as start_ns, r.t_ns + 1000000000 as end_ns, r.n, r.mean, r.m2,
+        g.t0_ns
       from rollup_1s r join (select unnest($runs) as run, unnest($t0) as t0_ns, unnest($first) as first_ns,
         unnest($last) as last_ns) g on r.run = g.run
       where r.unit = $unit and r.signal = $signal and list_contains($runs, r.run)
         and r.t_ns + 1000000000 > g.first_ns and r.t_ns <= g.last_ns and $piece_ns > 0""",
     False: """
       select s.run, avg(s.t_ns - g.t0_ns)::bigint + any_value(g.t0_ns) as t_ns, min(s.t_ns) as start_ns,
-        count(*) as n, avg(s.value) as mean, var_pop(s.value) * count(*) as m2, any_value(g.t0_ns) as t0_ns
+        max(s.t_ns) as end_ns, count(*) as n, avg(s.value) as mean, var_pop(s.value) * count(*) as m2,
+        any_value(g.t0_ns) as t0_ns
       from samples s join (select unnest($runs) as run, unnest($t0) as t0_ns, unnest($first) as first_ns,
         unnest($last) as last_ns) g on s.run = g.run
       where s.unit = $unit and s.signal = $signal and list_contains($runs, s.run)
@@ -77,20 +82,24 @@ with piece as (
   select run, slot, sum(n)::bigint as n, sum(n * mean) / sum(n) as mean,
     sqrt(sum(m2) / sum(n) + var_pop(mean)) as spread,
     sum(n * ((t_ns - t0_ns) / 1e9)) / sum(n) as centre_s,
+    min(start_ns - t0_ns) / 1e9 as first_s, max(end_ns - t0_ns) / 1e9 as last_s,
     avg(step * step / pair) as sample_variance, count(step) as pairs
   from stepped group by run, slot
 ), typical as (
   select run, median(step * step / pair) as middle, avg(step * step / pair) as average from stepped group by run
 )
-select run, slot, n, mean, spread, centre_s, sample_variance, pairs, middle, average
+select run, slot, n, mean, spread, centre_s, first_s, last_s, sample_variance, pairs, middle, average
 from block join typical using (run) order by run, slot
 """
 
 
 def block_means(
-    catalog: Catalog, unit: str, signal: str, grids: Mapping[str, Grid], block_s: float
+    catalog: Catalog, unit: str, signal: str, grids: Mapping[str, Grid], block_s: float, *, rolled_up: bool = True
 ) -> dict[str, Blocks]:
     """Block means of a signal in several runs, by run; a run without any is not in the result.
+
+    From the rollups where blocks are whole seconds, unless `rolled_up` is false: their times are half a second coarse,
+    which only a signal of several samples a second does not feel.
 
     Notes
     -----
@@ -104,7 +113,7 @@ def block_means(
         return {}
     block_ns = round(block_s * SECOND_NS)
     runs = list(grids)
-    whole = block_ns % SECOND_NS == 0 and all(grid.t0_ns % SECOND_NS == 0 for grid in grids.values())
+    whole = rolled_up and block_ns % SECOND_NS == 0 and all(grid.t0_ns % SECOND_NS == 0 for grid in grids.values())
     table = catalog.reader(
         _BLOCKS.format(pieces=_PIECES[whole]),
         {
@@ -140,5 +149,7 @@ def _blocks(columns: Mapping[str, FloatArray]) -> Blocks:
         mean=columns["mean"].astype(np.float64),
         spread=columns["spread"].astype(np.float64),
         centre_s=columns["centre_s"].astype(np.float64),
+        first_s=columns["first_s"].astype(np.float64),
+        last_s=columns["last_s"].astype(np.float64),
         white_variance=variance / n,
     )

@@ -1,25 +1,32 @@
 """From the store to blocks: runs of a unit as block means of its signal, with the channels of unit and station."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from types import MappingProxyType
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from analytics.block_angles import AngleBlocks, without_aliases
-from analytics.block_channels import joined_blocks, joined_readings, readings_of, standard_unit
-from analytics.block_checks import Note, check_channels, check_clocks
-from analytics.block_derived import derive
-from analytics.block_means import SECOND_NS, Blocks, Grid, block_means
+from analytics.block_checks import Note, check_channels, check_clocks, clock_offsets, in_runs
+from analytics.block_derived import (
+    commanded_in,
+    source_of_input_rate,
+    split_at_power_ons,
+    supposed_axis,
+    with_motion,
+    with_times,
+    without_unresolved,
+)
+from analytics.block_join import ChannelJoiner
+from analytics.block_means import Blocks, block_means
+from analytics.block_records import Record, is_rolled_up, reach, records_of
 from analytics.block_sources import Source, sources_of
-from analytics.run_blocks import Channel, RunBlocks
+from analytics.run_blocks import RunBlocks
+from analytics.step_channels import Step, position_numbers, read_steps
 from storage.catalog import Catalog
-from stream.batch import FloatArray
 from stream.errors import BadInput, NotFound
-from stream.quantities import conversion, report_unit
+from stream.quantities import report_unit
 
 BLOCK_S = 30.0
-_DENSE = 4  # readings a block from which on block means are taken
+_FEWEST_BLOCKS = 2
 
 
 @dataclass(frozen=True)
@@ -44,20 +51,20 @@ class Reduction:
 
 
 class BlockReducer:
-    """Reduces units of a store one after the other; readings of the station are kept for the next unit of a run.
+    """Reduces units of a store one after the other; of the station's channels it does so once for all units of a run.
 
     Parameters
     ----------
     catalog : Catalog
         The store.
     signal : str
-        Which signal.
+        Which signal; an angular rate comes out in deg/h, another in its own unit.
     block_s : float
-        Length of a block, seconds.
+        Length of a block, seconds. Whole seconds are read from rollups, others from the samples.
     runs : collection of str, optional
         Which runs; all that have the signal where none are named.
     since_ns, until_ns : int, optional
-        Samples from one moment to another only.
+        Only samples from one moment to another.
     tolerance_s : float, optional
         How far from a reading a channel is still believed; by default a block, or the channel's own interval where that
         is longer.
@@ -67,11 +74,11 @@ class BlockReducer:
     BadInput
         If the length of a block or the tolerance is no positive number.
 
-    Examples
-    --------
-    >>> BlockReducer(None, "rate", block_s=0.0)
-    Traceback (most recent call last):
-    stream.errors.BadInput: blocks of 0 s: give a positive number of seconds
+    Notes
+    -----
+    What each block's mean stands for and how sure it is: see `block_means`. A channel with four readings or more a
+    block is its mean over the block's readings; one with fewer is interpolated at the middle of the signal's samples,
+    between readings at most two tolerances apart, else it is the nearest within the tolerance, else NaN.
     """
 
     def __init__(
@@ -80,7 +87,7 @@ class BlockReducer:
         signal: str,
         *,
         block_s: float = BLOCK_S,
-        runs: Iterable[str] | None = None,
+        runs: Collection[str] | None = None,
         since_ns: int | None = None,
         until_ns: int | None = None,
         tolerance_s: float | None = None,
@@ -92,11 +99,10 @@ class BlockReducer:
         self._catalog = catalog
         self._signal = signal
         self._block_s = block_s
-        self._block_ns = max(1, round(block_s * SECOND_NS))
-        self._wanted = None if runs is None else set(runs)
+        self._wanted = runs
         self._since_ns, self._until_ns = since_ns, until_ns
-        self._tolerance_s = tolerance_s
-        self._station: dict[tuple[str, str], dict[str, Blocks]] = {}
+        self._joiner = ChannelJoiner(catalog, block_s, tolerance_s)
+        self._clock_offsets: dict[tuple[str, str], dict[str, float]] | None = None
 
     def reduce(self, unit: str) -> Reduction:
         """The runs of a unit as blocks, and what is to be said of them.
@@ -104,20 +110,150 @@ class BlockReducer:
         Raises
         ------
         NotFound
-            If the store has nothing of the signal in that time, or the runs.
+            If the store has nothing of the signal in that time, or not the runs.
+        BadInput
+            If the runs have the signal in units of measure that cannot be brought together.
         """
-        spans, dates, first_day_ns = self._spans(unit)
-        grids = self._grids(spans)
-        found = block_means(self._catalog, unit, self._signal, grids, self._block_s)
-        order = sorted(found, key=lambda run: spans[run][0])
+        records = records_of(self._catalog, unit, self._signal, self._wanted)
+        found = self._means(unit, records)
+        order = [run for run in records if run in found]
         if not order:
-            raise NotFound(f"unit {unit}, signal {self._signal}: no sample lies in the time that was asked for")
+            raise NotFound(
+                f"unit {unit}, signal {self._signal}: no sample lies in the time that was asked for; the record "
+                f"reaches {reach(records)}"
+            )
         sources, notes = sources_of(self._catalog, unit, self._signal, order)
-        notes += check_clocks(self._catalog, unit, self._signal, _instruments(sources, unit))
-        runs, intervals = [], []
-        for run in order:
-            blocks = self._with_value(unit, run, found[run], grids[run], spans[run], is_date_known=dates[run])
-            intervals.append({each.name: each.interval_s for each in sources[run]})
-            runs.append(replace(blocks, channels=self._channels(found[run], sources[run], grids, blocks)))
-        notes += self._not_finite(runs, spans)
-        return self._finished(unit, runs, intervals, first_day_ns, notes)
+        if self._clock_offsets is None:
+            self._clock_offsets = clock_offsets(self._catalog)
+        instruments = sorted({(run, each.unit) for run in order for each in sources[run] if each.unit != unit})
+        notes += check_clocks(self._clock_offsets, unit, self._signal, instruments)
+        runs = [self._run(unit, run, records[run], found[run], sources[run]) for run in order]
+        if self._since_ns is None and self._until_ns is None:
+            notes += _not_finite(runs, records)
+        runs, more = self._derived(unit, runs, found, sources)
+        notes += more
+        if not runs:
+            raise NotFound(
+                f"unit {unit}, signal {self._signal}: no block is left: {'; '.join(note.text for note in notes)}"
+            )
+        return Reduction(tuple(runs), (*notes, *_scatter(runs), *check_channels(runs)))
+
+    def _means(self, unit: str, records: Mapping[str, Record]) -> dict[str, Blocks]:
+        found: dict[str, Blocks] = {}
+        for rolled_up in (False, True):
+            grids = {
+                run: record.grid(self._since_ns, self._until_ns)
+                for run, record in records.items()
+                if is_rolled_up(record.interval_s, record.samples, record.kept_raw) is rolled_up
+            }
+            found |= block_means(self._catalog, unit, self._signal, grids, self._block_s, rolled_up=rolled_up)
+        return found
+
+    def _run(self, unit: str, run: str, record: Record, found: Blocks, sources: Sequence[Source]) -> RunBlocks:
+        result_unit, factor = report_unit(record.unit_of_measure)
+        grid = record.grid(self._since_ns, self._until_ns)
+        return RunBlocks(
+            unit=unit,
+            run=run,
+            signal=self._signal,
+            slot=found.slot,
+            block_s=self._block_s,
+            t0_ns=grid.t0_ns,
+            value=found.mean * factor,
+            n=found.n,
+            white_variance=found.white_variance * factor**2,
+            unit_of_measure=result_unit,
+            channels=self._joiner.channels(sources, found, grid),
+            is_date_known=record.is_date_known,
+        )
+
+    def _derived(
+        self,
+        unit: str,
+        runs: Sequence[RunBlocks],
+        found: Mapping[str, Blocks],
+        sources: Mapping[str, Sequence[Source]],
+    ) -> tuple[list[RunBlocks], list[Note]]:
+        """The runs with what the record gives beside its channels, each power-on as a run of its own."""
+        steps = read_steps(self._catalog, unit)
+        turns, notes = supposed_axis(steps, runs)
+        numbers = position_numbers(self._catalog)
+        power_ons, first_day_ns = self._power_ons(unit), self._first_day(unit)
+        moved: list[RunBlocks] = []
+        done: list[RunBlocks] = []
+        left_out: dict[str, int] = {}
+        split: list[str] = []
+        for run in runs:
+            own_steps, on_ns = steps.get(run.run, ()), power_ons.get(run.run, [])
+            moving = with_motion(run, found[run.run], own_steps, turns, numbers)
+            moved.append(moving)
+            clean, gone = self._resolved(moving, found[run.run], sources[run.run], own_steps)
+            if gone:
+                left_out[run.run] = gone
+            parts = split_at_power_ons(with_times(clean, on_ns, first_day_ns), on_ns, _FEWEST_BLOCKS)
+            if any(part.run != run.run for part in parts):
+                split.append(run.run)
+            done.extend(part for part in parts if len(part) > 0)
+        notes += source_of_input_rate(runs, moved)
+        if words := sorted({step.position for run in runs for step in steps.get(run.run, ()) if step.position}):
+            told = ", ".join(f"{numbers[word]:g} {word}" for word in words)
+            notes.append(Note("positions", f"channel position stands for: {told}", "position"))
+        if left_out:
+            text = (
+                f"{sum(left_out.values()):,} blocks are left out {in_runs(list(left_out), len(runs))}: the reference "
+                "rate changes within them faster than its readings show; shorter blocks or more readings keep more"
+            )
+            notes.append(Note("unresolved", text, "input_rate", tuple(left_out)))
+        if split:
+            where = in_runs(split, len(runs))
+            text = f"the unit was powered on several times {where}: each power-on counts as a run, RUN#1, RUN#2, ..."
+            notes.append(Note("power_ons", text, runs=tuple(split)))
+        return done, notes
+
+    def _resolved(
+        self, run: RunBlocks, found: Blocks, sources: Sequence[Source], steps: Sequence[Step]
+    ) -> tuple[RunBlocks, int]:
+        """The run without blocks whose reference rate its readings do not resolve."""
+        by_name = {each.name: each for each in sources}
+        source = by_name.get("input_rate", by_name.get("table_rate"))
+        if source is None:
+            return run, 0
+        changes = self._joiner.changes(source, run.slot, run.t0_ns)
+        return without_unresolved(run, changes, source.interval_s, commanded_in(run, found, steps))
+
+    def _power_ons(self, unit: str) -> dict[str, list[int]]:
+        found: dict[str, list[int]] = {}
+        sql = "select run, t_ns from events where kind = 'PowerOn' and unit = $unit order by t_ns"
+        for run, t_ns in self._catalog.rows(sql, {"unit": unit}):
+            found.setdefault(str(run), []).append(int(t_ns))
+        return found
+
+    def _first_day(self, unit: str) -> int | None:
+        """First moment of the unit in the store whose date is known: whichever runs are chosen, days count from it."""
+        rows = self._catalog.rows(
+            "select min(s.t_first_ns) from signals s left join runs r using (run) "
+            "where s.unit = $unit and coalesce(r.date_known, true)",
+            {"unit": unit},
+        )
+        return None if rows[0][0] is None else int(rows[0][0])
+
+
+def _not_finite(runs: Sequence[RunBlocks], records: Mapping[str, Record]) -> list[Note]:
+    missing = {run.run: records[run.run].samples - int(run.n.sum()) for run in runs}
+    having = [run for run, samples in missing.items() if samples > 0]
+    if not having:
+        return []
+    text = (
+        f"{sum(missing[run] for run in having):,} samples are no finite numbers {in_runs(having, len(runs))}: left out"
+    )
+    return [Note("not_finite", text, runs=tuple(having))]
+
+
+def _scatter(runs: Sequence[RunBlocks]) -> list[Note]:
+    if any(np.isfinite(run.white_variance).any() for run in runs):
+        return []
+    text = (
+        f"blocks of {runs[0].block_s:g} s hold one sample each: nothing within them tells the noise, which is judged "
+        "by what the model leaves"
+    )
+    return [Note("no_scatter", text, is_limit=True)]

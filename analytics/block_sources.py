@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from analytics.block_channels import standard_unit
 from analytics.block_checks import Note
 from analytics.run_blocks import STANDARD_CHANNELS
 from storage.catalog import Catalog
@@ -35,6 +36,11 @@ class Source(NamedTuple):
     samples: int
     kept_raw: int
 
+    @property
+    def is_angle(self) -> bool:
+        """Whether it is an angle, which may wrap."""
+        return self.name.endswith("angle") and standard_unit(self.name, self.unit_of_measure)[0] == "deg"
+
 
 _CANDIDATES = """
 select c.run, c.unit, c.signal, c.unit_of_measure, coalesce(c.sample_interval_s, 0), c.samples, c.kept_raw
@@ -52,17 +58,18 @@ def sources_of(
 ) -> tuple[dict[str, list[Source]], list[Note]]:
     """Channels of each run, and what is to be said of them.
 
-    Own signals come first. Every other unit of the run that neither has the signal nor was mounted as a unit under test
-    is an instrument. A rate that the unit itself gives is an output like the signal, and no channel. Where several
-    instruments give the same signal, the one that changes most has the name; of the others those that change are called
-    ``INSTRUMENT.SIGNAL``.
+    Own signals come first. Every other unit of the run that neither has the signal nor was mounted as a unit under
+    test is an instrument. A rate of the unit itself that is called alike (``rate_y`` beside ``rate_x``) is an output
+    like the signal, and no channel. Where several instruments give the same signal, the one that changes most has the
+    name; of the others those that change are called ``INSTRUMENT.SIGNAL``.
     """
     found: dict[str, dict[str, list[Source]]] = {run: {} for run in runs}
     outputs: set[str] = set()
     for run, owner, name, unit_of_measure, interval_s, samples, kept_raw in catalog.rows(
         _CANDIDATES, {"unit": unit, "signal": signal, "runs": list(runs)}
     ):
-        if owner == unit and name not in STANDARD_CHANNELS and is_angular_rate(unit_of_measure):
+        is_like = name.partition("_")[0] == signal.partition("_")[0] and is_angular_rate(unit_of_measure)
+        if owner == unit and is_like and name not in STANDARD_CHANNELS:
             outputs.add(name)
             continue
         source = Source(name, owner, name, run, unit_of_measure, float(interval_s), int(samples), int(kept_raw))

@@ -62,7 +62,7 @@ class ModelTerm(msgspec.Struct, frozen=True, omit_defaults=True):
         """Names of the columns."""
         if self.name == BIAS:
             return (BIAS,)
-        return tuple(f"{self.name}[{each}]" if each else self.name for each in effect(self.name).coefficients)
+        return tuple(f"{self.name}[{each}]" if each else self.name for each in effect(self.name).columns(self.shape))
 
 
 class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

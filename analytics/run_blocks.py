@@ -14,7 +14,7 @@ STANDARD_CHANNELS = (
     *("gravity_i", "gravity_o", "gravity_s"),
     *("temperature", "case_temperature", "chamber_temperature", "chamber_setpoint"),
     *("supply_voltage", "supply_current", "magnetic_i", "magnetic_o", "magnetic_s"),
-    *("vibration", "humidity", "time_since_power_on", "day"),
+    *("vibration", "humidity", "time_since_power_on", "day", "position"),
 )
 HARMONICS = 4
 

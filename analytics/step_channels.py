@@ -1,6 +1,6 @@
 """Channels that the words of a run's steps give: how the input axis lies, and the rate that was commanded."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ from stream.batch import FloatArray, IntArray
 
 _OF_INPUT_AXIS = {"up": 1.0, "down": -1.0}
 _HORIZONTAL = frozenset({"east_west", "east", "west", "north", "south", "horizontal"})
+_FAR_NS = 2**62
 _SIGNAL_AXES = {"x": "X", "y": "Y", "z": "Z"}
 
 
@@ -56,21 +57,32 @@ def input_axis_up(position: str | None, signal: str) -> float | None:
     return _OF_INPUT_AXIS[towards] if axis == own else 0.0
 
 
-def by_position(steps: Sequence[Step], middle_ns: IntArray, signal: str) -> FloatArray:
-    """Component upwards of the input axis at moments; between steps of one position it stays, else NaN."""
-    up = np.full(len(middle_ns), np.nan)
-    named = [step for step in steps if step.position is not None]
-    for at, step in enumerate(named):
-        value = input_axis_up(step.position, signal)
-        if value is None:
-            continue
-        is_first = at == 0 or (at > 0 and all(each.position == step.position for each in named[:at]))
-        stays = at + 1 < len(named) and named[at + 1].position == step.position
-        is_last = at + 1 == len(named)
-        start_ns = -(2**62) if is_first else step.start_ns
-        end_ns = named[at + 1].start_ns if stays else 2**62 if is_last else step.end_ns
-        up[(middle_ns >= start_ns) & (middle_ns <= end_ns)] = value
-    return up
+def positions_at(steps: Sequence[Step], t_ns: IntArray) -> IntArray:
+    """Which step's position the unit has at each moment, as the step's index; -1 where it is being moved.
+
+    Between steps of one position it stays there; before the first and after the last as well.
+
+    Examples
+    --------
+    >>> steps = [Step(10, 20, "IRA_up", None), Step(30, 40, "IRA_up", None), Step(50, 60, "IRA_down", None)]
+    >>> positions_at(steps, np.array([0, 25, 45, 55, 99])).tolist()
+    [0, 0, -1, 2, 2]
+    """
+    held = np.full(len(t_ns), -1)
+    named = [at for at, step in enumerate(steps) if step.position is not None]
+    for before, at, after in zip([None, *named], named, [*named[1:], None], strict=False):
+        start_ns = steps[at].start_ns if before is not None else -_FAR_NS
+        stays = after is not None and steps[after].position == steps[at].position
+        end_ns = _FAR_NS if after is None else steps[after].start_ns if stays else steps[at].end_ns
+        held[(t_ns >= start_ns) & (t_ns <= end_ns)] = at
+    return held
+
+
+def by_position(steps: Sequence[Step], t_ns: IntArray, value: Callable[[str], float | None]) -> FloatArray:
+    """A quantity that the position gives, at moments; NaN where the unit is being moved or the word says nothing."""
+    given = [None if step.position is None else value(step.position) for step in steps]
+    of_step = np.array([np.nan if each is None else each for each in given] + [np.nan])
+    return np.asarray(of_step[positions_at(steps, t_ns)], dtype=np.float64)
 
 
 def unknown_positions(steps: Sequence[Step], signal: str) -> list[str]:
@@ -86,3 +98,9 @@ def commanded_rate(steps: Sequence[Step], start_ns: IntArray, end_ns: IntArray) 
         if step.rate_command_deg_per_s is not None:
             rate[(start_ns >= step.start_ns) & (end_ns <= step.end_ns + 1)] = step.rate_command_deg_per_s
     return rate
+
+
+def position_numbers(catalog: Catalog) -> dict[str, float]:
+    """A number for each word that stands for a position anywhere in the store, in the order of the words."""
+    rows = catalog.rows("select distinct position from steps where position is not null order by 1")
+    return {str(word): float(number) for number, (word,) in enumerate(rows, 1)}

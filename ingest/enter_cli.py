@@ -78,8 +78,11 @@ def _refuse_second_name(folder: Path, unit: str) -> None:
     if not (folder / MARKER).exists():
         return
     with Catalog(Store.open(folder)) as catalog:
-        known = {name for (name,) in catalog.rows("select distinct unit from lake_channels")}
-    if unit not in known and (same := [each for each in known if each.casefold() == unit.casefold()]):
+        known = {
+            name for (name,) in catalog.rows("select unit from lake_channels union select unit from lake_documents")
+        }
+    same = sorted(each for each in known if each and each.casefold() == unit.casefold())
+    if same and unit not in same:
         raise BadInput(
             f"unit {unit!r} is in the store as {same[0]!r}; give that name, since names are told by letter case"
         )

@@ -1,4 +1,4 @@
-"""Documents that a person enters: checks made by eye or by hand, notes, and what other commands have to put on record."""
+"""Documents that a person enters: checks made by eye or by hand, and what other commands put on record."""
 
 import math
 from collections.abc import Sequence
@@ -94,8 +94,8 @@ def check_entered(entry: Entry, t_ns: int) -> CheckEntered:
 
     Examples
     --------
-    >>> found = check_entered(Entry("FOG-1", "insulation", "Li", value=120.0, unit_of_measure="megaohm", lower=100.0), 0)
-    >>> found.verdict.value
+    >>> entry = Entry("FOG-1", "insulation", "Li", value=120.0, unit_of_measure="megaohm", lower=100.0)
+    >>> check_entered(entry, 0).verdict.value
     'PASS'
     """
     check_name("unit", entry.unit)

@@ -135,6 +135,23 @@ class NoteAdded(Document, frozen=True, kw_only=True, tag=True):
     unit: str | None = None
 
 
+class CheckEntered(Document, frozen=True, kw_only=True, tag=True):
+    """What a person found of a unit without an instrument of the station, and how it was judged (GJB 2426A 5.2, 5.3).
+
+    `run` is empty where it belongs to none. `item` is ``visual``, ``electrical``, or what else was checked.
+    """
+
+    unit: str
+    item: str
+    verdict: Verdict
+    by: str
+    value: float | None = None
+    unit_of_measure: str = ""
+    lower: float | None = None
+    upper: float | None = None
+    note: str = ""
+
+
 class Limit(msgspec.Struct, frozen=True, kw_only=True):
     """An upper limit on a characteristic, in `unit_of_measure`."""
 
@@ -300,6 +317,7 @@ AnyDocument = (
     | PowerOff
     | UnitMounted
     | NoteAdded
+    | CheckEntered
     | LimitsApplied
     | EstimatePublished
     | NoiseFitted

@@ -1,7 +1,9 @@
 """Units of measure: read at the border, kept as the source wrote them, reported as the standards ask."""
 
 import difflib
+import re
 from functools import cache
+from typing import cast
 
 import pint
 
@@ -11,6 +13,7 @@ ANGULAR_RATE_UNIT = "deg/h"
 
 _ANGLES = frozenset({"degree", "radian", "turn", "arcminute", "arcsecond", "milliarcsecond", "grade", "milliradian"})
 _ROTATIONS = frozenset({"revolutions_per_minute", "revolutions_per_second"})
+_ROOT = re.compile(r"sqrt\(([^()]+)\)")
 _COMMON = (
     *("deg/s", "deg/h", "rad/s", "rad/h", "arcsec/s", "rpm", "degC", "K", "V", "mV", "A", "mA", "W", "g_0", "m/s^2"),
     *("T", "nT", "Hz", "s", "ms", "count", "LSB", "Pa", "hPa", "percent", "1"),
@@ -110,6 +113,57 @@ def report_unit(text: str) -> tuple[str, float]:
     if is_angular_rate(text):
         return ANGULAR_RATE_UNIT, conversion(text, ANGULAR_RATE_UNIT)[0]
     return text, 1.0
+
+
+@cache
+def result_factor(source: str, target: str) -> float:
+    """Factor between two units of results, such as ``deg/sqrt(h)`` and ``ppm/degC``.
+
+    Here an angle is a quantity of its own: Hz is no deg/h, and ppm no arcsec.
+
+    Raises
+    ------
+    UnknownUnit
+        If one cannot be turned into the other by a factor.
+
+    Examples
+    --------
+    >>> result_factor("deg/sqrt(h)", "deg/sqrt(s)") * 60
+    1.0
+    >>> result_factor("deg/h", "Hz")
+    Traceback (most recent call last):
+    stream.errors.UnknownUnit: 'deg/h' cannot be turned into 'Hz': they measure different quantities
+    """
+    if source == target:
+        return 1.0
+    plain = [_ROOT.sub(r"(\1)**0.5", check_result_unit(text)) for text in (source, target)]
+    factor, offset = conversion(plain[0], plain[1])
+    if offset != 0.0 or _angles(plain[0]) != _angles(plain[1]):
+        raise UnknownUnit(f"{source!r} cannot be turned into {target!r}: they measure different quantities")
+    return factor
+
+
+def check_result_unit(text: str) -> str:
+    """Return `text` if it is a unit of a result: like `check_unit`, and ``sqrt(h)`` may stand in it.
+
+    Raises
+    ------
+    UnknownUnit
+        If it is none.
+
+    Examples
+    --------
+    >>> check_result_unit("deg/sqrt(h)")
+    'deg/sqrt(h)'
+    """
+    check_unit(_ROOT.sub(r"(\1)**0.5", text))
+    return text
+
+
+def _angles(text: str) -> float:
+    """The power in which angles stand in a unit."""
+    powers = cast("dict[str, float]", dict(_unit(text)._units))  # noqa: SLF001  as in is_angular_rate
+    return float(sum(power for name, power in powers.items() if name in _ANGLES or name in _ROTATIONS))
 
 
 def _unit(text: str) -> pint.Unit:

@@ -115,7 +115,7 @@ class Effect(ABC):
         names = [parameter.name for parameter in self.parameters]
         return [dict(zip(names, values, strict=True)) for values in product(*(p.values(runs) for p in self.parameters))]
 
-    def columns(self, shape: Shape) -> tuple[str, ...]:  # noqa: ARG002  a free function has one for each knot
+    def columns(self, shape: Shape) -> tuple[str, ...]:
         """Names of the columns at this shape."""
         return self.coefficients
 
@@ -144,7 +144,7 @@ class Effect(ABC):
         """What the registry lists of this class: one, if it has a name; a class may make several."""
         return (cls(),) if hasattr(cls, "name") else ()
 
-    def recorded(self, time_s: FloatArray, channels: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:  # noqa: ARG002
+    def recorded(self, time_s: FloatArray, channels: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
         """What the record holds in place of `channels`: an auxiliary sensor's fault alters its channel."""
         return channels
 

@@ -27,6 +27,7 @@ CHANNEL_NAMES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "humidity": ("relative humidity", "相对湿度"),
         "time_since_power_on": ("time since power-on", "通电时间"),
         "day": ("calendar time", "日历时间"),
+        "position": ("position", "位置"),
     }
 )
 """English and Chinese name of each standard channel."""

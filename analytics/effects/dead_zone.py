@@ -12,7 +12,7 @@ from stream.batch import FloatArray
 
 
 class DeadZone(Effect):
-    """Error in proportion to the input rate where its magnitude is below `half_width`; a full dead zone loses it all."""
+    """Error in proportion to the input rate where its magnitude is below `half_width`."""
 
     name = "dead_zone"
     en = "dead zone about zero rate"
@@ -22,7 +22,7 @@ class DeadZone(Effect):
         ShapeParameter(
             "half_width",
             "{input_rate}",
-            (0.001, 0.002, 0.004, 0.008, 0.016, 0.032),
+            (0.001, 0.0014, 0.002, 0.0028, 0.004, 0.0057, 0.008, 0.011, 0.016, 0.023, 0.032),
             "half width of the dead zone",
             "死区半宽",
             "input_rate",

@@ -28,7 +28,7 @@ def effects() -> Mapping[str, Effect]:
     package = importlib.import_module(_PACKAGE)
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{_PACKAGE}.{module.name}")
-    found = [instance for cls in _concrete(Effect) for instance in cls.instances()]
+    found = [instance for cls in _concrete() for instance in cls.instances()]
     return MappingProxyType({instance.name: instance for instance in sorted(found, key=lambda e: e.name)})
 
 
@@ -62,7 +62,7 @@ def effect(name: str) -> Effect:
 
 
 def effects_for(runs: Sequence[RunBlocks]) -> Mapping[str, Effect]:
-    """The effects that can be looked for in these runs; of channels that are not standard, the linear effect of each."""
+    """The effects that can be looked for in these runs, with the linear effect of each channel of another name."""
     candidates = {**effects(), **{each.name: each for each in _of_other_channels(runs)}}
     return MappingProxyType({name: each for name, each in candidates.items() if each.unavailable(runs) is None})
 
@@ -82,9 +82,9 @@ def _of_other_channels(runs: Sequence[RunBlocks]) -> list[ChannelLinear]:
     return [ChannelLinear(channel) for channel in sorted(others)]
 
 
-def _concrete(cls: type[Effect]) -> list[type[Effect]]:
+def _concrete() -> list[type[Effect]]:
     found: set[type[Effect]] = set()
-    waiting = [cls]
+    waiting = list(Effect.__subclasses__())
     while waiting:
         each = waiting.pop()
         waiting.extend(each.__subclasses__())

@@ -12,26 +12,20 @@
 -- raw and the corrected value are reported.
 with corrected as (
   select *, unnest(case when earth_deg_per_h is null then ['none'] else ['none', 'removed'] end) as earth_rate
-  from static_steps
-  where "procedure" in ('static_bias', 'bias_repeatability', 'bias_repeatability_days') or "procedure" is null
+  from bias_steps
 )
 select
   unit, signal, run,
-  case when deg_per_h is not null and duration_s >= 3590 then
+  case when lack is null then
     mean_deg_per_h - case when earth_rate = 'removed' then earth_deg_per_h else 0 end end as value,
   u_deg_per_h as standard_uncertainty,
   freedom,
   n,
   {
-    earth_rate: earth_rate, scale_factor: scale_source, repeat: repeat, duration_s: round(duration_s),
-    n_effective: round(n_effective, 1)
+    earth_rate: earth_rate, scale_factor: scale_source, position: position, repeat: repeat,
+    duration_s: round(duration_s), n_effective: round(n_effective, 1)
   } as parameters,
   [run] as runs,
   ["index"] as steps,
-  case
-    when deg_per_h is null then
-      'no scale factor for an output in ' || unit_of_measure || ': measure it or give the nominal one of the product'
-    when duration_s < 3590 then
-      'the record is ' || round(duration_s) || ' s long, the clauses ask for at least one hour'
-  end as reason
+  lack as reason
 from corrected

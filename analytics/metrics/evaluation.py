@@ -69,7 +69,7 @@ def unit_metrics(catalog: Catalog, told: Told | None = None) -> pa.Table:
     """
     steps = step_means(catalog, told)
     products = products_of(catalog.store)
-    prints = _unit_fingerprints(steps, products.fingerprint)
+    prints = _unit_fingerprints(steps, products.fingerprint, _entered(catalog))
     kept = _kept(catalog)
     fresh: set[str] = set()
     if kept is not None:
@@ -82,6 +82,8 @@ def unit_metrics(catalog: Catalog, told: Told | None = None) -> pa.Table:
         changed = steps.filter(pa.compute.is_in(steps["unit"], pa.array(stale, pa.string())))
         catalog.put("step_means", changed)
         found = evaluate(catalog, metrics().values())
+        # a metric may also look at documents, which are those of all units
+        found = found.filter(pa.compute.is_in(found["unit"], pa.array(stale, pa.string())))
         marks = pa.array([prints[unit] for unit in found["unit"].to_pylist()], pa.string())
         tables.append(found.append_column("fingerprint", marks))
         catalog.put("step_means", steps)
@@ -195,9 +197,20 @@ def _rate_units(steps: pa.Table) -> pa.Table:
     )
 
 
-def _unit_fingerprints(steps: pa.Table, products: str) -> dict[str, str]:
-    """What the metrics of each unit depend on: its records, the products' numbers, and how metrics are written."""
+def _entered(catalog: Catalog) -> dict[str, str]:
+    """What was entered by hand of each unit, as a hash; it may belong to no run."""
+    found = catalog.rows(
+        "select unit, bit_xor(hash(uid))::varchar || '/' || count(*) from lake_documents "
+        "where kind = 'CheckEntered' group by unit"
+    )
+    return {str(unit): str(mark) for unit, mark in found}
+
+
+def _unit_fingerprints(steps: pa.Table, products: str, entered: Mapping[str, str]) -> dict[str, str]:
+    """What a unit's metrics depend on: its records and checks, the products' numbers, how metrics are written."""
     runs: defaultdict[str, set[str]] = defaultdict(set)
+    for unit, mark in entered.items():
+        runs[unit].add(mark)
     for unit, mark in zip(steps["unit"].to_pylist(), steps["fingerprint"].to_pylist(), strict=True):
         runs[unit].add(mark)
     written = _written()

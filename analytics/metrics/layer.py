@@ -4,6 +4,7 @@ from importlib.resources import files
 from typing import ClassVar
 
 from analytics.metrics.evaluation import unit_metrics
+from analytics.specification_tables import put_specifications
 from analytics.step_records.step_table import FOLDER
 from storage.catalog import Catalog
 
@@ -11,7 +12,11 @@ from storage.catalog import Catalog
 class MetricsLayer:
     """Step records and metrics; computed when a statement first names one of the tables, and kept in the store."""
 
-    tables = ("step_means", "rate_steps", "static_steps", "unit_metrics", "bias_by_day", "temperature_curve")
+    tables = (
+        "step_means", "rate_steps", "static_steps", "unit_metrics", "bias_by_day", "temperature_curve", "unit_runs",
+        "metric_names", "specification_limits", "verdicts", "unit_verdicts", "yield_by", "failure_pareto",
+        "unit_warnings",
+    )  # fmt: skip
     folder = FOLDER
     examples: ClassVar[dict[str, str]] = {
         "Every metric of a unit": "select metric, value, lo, hi, unit_of_measure, reason from unit_metrics "
@@ -21,11 +26,17 @@ class MetricsLayer:
         "order by unit, temperature",
         "The fleet's 100 s bias stability": "select unit, value from unit_metrics "
         "where metric = 'bias_stability_averaged' and parameters->>'$.average_s' = '100' order by value desc",
+        "Which units are not good, and why?": "select unit, metric, verdict, value, lower, upper, reason "
+        "from verdicts where verdict <> 'PASS' order by unit, metric",
+        "Yield of each lot": "select name as lot, units, passed, failed, yield, yield_lo, yield_hi from yield_by "
+        "where kind = 'lot'",
+        "What do units fail by?": "select metric, subject, failed, judged, cumulative_share from failure_pareto",
     }
 
     def fill(self, catalog: Catalog) -> None:
         """Bring the metrics up to date, and define the tables."""
-        unit_metrics(catalog)
+        unit_metrics(catalog, catalog.told)
+        put_specifications(catalog)
         folder = files("analytics.metrics").joinpath("tables")
         for script in sorted(folder.iterdir(), key=lambda each: each.name):
             if script.name.endswith(".sql"):

@@ -1,12 +1,14 @@
 """Products: what the specification says of a kind of gyro, kept in the store by revision."""
 
 import hashlib
+from operator import itemgetter
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import pyarrow as pa
 
+from analytics.specification_dates import begin_ns
 from storage.store import Store
 from stream.errors import BadInput
 
@@ -46,6 +48,7 @@ class Product(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 class _File(msgspec.Struct, frozen=True):
     product: dict[str, Product] = {}
+    valid_from: Any = None
 
 
 class Products(NamedTuple):
@@ -80,26 +83,35 @@ def parse_products(content: bytes, source: str) -> dict[str, Product]:
     >>> parse_products(b'[product.FOG-70]\nmax_rate_deg_per_s = 300.0', "spec.toml")["FOG-70"].max_rate_deg_per_s
     300.0
     """
+    return _parsed(content, source).product
+
+
+def _parsed(content: bytes, source: str) -> _File:
     try:
-        return msgspec.toml.decode(content, type=_File).product
+        return msgspec.toml.decode(content, type=_File)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise BadInput(f"specification {source}: {error}") from error
 
 
 def products_of(store: Store) -> Products:
-    """The products of the specifications in a store, later files before earlier ones.
+    """The products of the specifications in a store; what began to be valid last goes before what was before.
 
     Raises
     ------
     BadInput
         If a file there cannot be read.
     """
-    found: dict[str, Product] = {}
+    dated: list[tuple[int, str, dict[str, Product]]] = []
     told = hashlib.sha256()
     for path in _specifications(store):
         content = path.read_bytes()
         told.update(content)
-        found |= parse_products(content, str(path))
+        file = _parsed(content, str(path))
+        begin = begin_ns(file.valid_from, f"specification {path}: valid_from")
+        dated.append((-(2**63) if begin is None else begin, path.name, file.product))
+    found: dict[str, Product] = {}
+    for _, _, products in sorted(dated, key=itemgetter(0, 1)):
+        found |= products
     return Products(found, told.hexdigest())
 
 

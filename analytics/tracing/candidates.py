@@ -142,7 +142,7 @@ def _spread(records: Sequence[Record], effect: Effect, shape: Shape) -> FloatArr
     varies = spread > FLAT * np.sqrt(mean_square)
     if not varies.any():
         return f"{' and '.join(effect.needs) or 'it'} does not vary in these runs"
-    return np.where(varies, spread, np.maximum(np.sqrt(mean_square), 1e-300))
+    return np.asarray(np.where(varies, spread, np.maximum(np.sqrt(mean_square), 1e-300)))
 
 
 def _columns(record: Record, items: Sequence[Candidate]) -> FloatArray:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import stats
 
 from analytics.tracing.joint_fit import JointFit
-from analytics.tracing.least_squares import project, solve
+from analytics.tracing.least_squares import orthonormal, project, solve
 from stream.batch import FloatArray, IntArray
 
 PRICE = 9.0
@@ -16,6 +16,7 @@ FUNCTION_PRICE = 9.2
 """What a general function pays beside that: a named effect with the same fit is a hundred times likelier."""
 LEAST_GAIN = 2.0  # nats
 MOST_FROM_ONE = 0.98
+_SMALLEST = 1e-12
 
 
 def one_degree(likelihood_ratio: float, degrees: int) -> float:
@@ -73,6 +74,8 @@ class Replication:
 def leave_one_out(joint: JointFit, replicates: Sequence[IntArray], tried: int) -> Replication:
     """Predict each replicate from all others, with and without the last columns.
 
+    Every replicate is judged by its predictive density, so that what the others do not tell is no mistake.
+
     Parameters
     ----------
     joint : JointFit
@@ -85,21 +88,47 @@ def leave_one_out(joint: JointFit, replicates: Sequence[IntArray], tried: int) -
     grams = [_grams(whitened, number) for whitened, number in zip(joint.whitened, replicates, strict=True)]
     owns = [each.shape[1] for each in joint.hypothesis.own]
     whole = [project(each.sum(axis=0), own) for each, own in zip(grams, owns, strict=True)]
-    normal = np.sum([each.normal for each in whole], axis=0)
-    right = np.sum([each.right for each in whole], axis=0)
+    blocks = sum(map(len, joint.whitened))
     gains = []
     for of_unit, own, unit in zip(grams, owns, whole, strict=True):
-        together = of_unit.sum(axis=0)
-        for gram in of_unit:
-            rest = project(together - gram, own)
-            less_normal, less_right = normal - unit.normal + rest.normal, right - unit.right + rest.right
-            without = _error(together - gram, gram, own, less_normal, less_right, tried)
-            gains.append(0.5 * (without - _error(together - gram, gram, own, less_normal, less_right, 0)))
+        # what the other units say of the common columns stands in as observations of them
+        total = of_unit.sum(axis=0)
+        common = slice(1 + own, None)
+        total[common, common] += np.sum([each.normal for each in whole], axis=0) - unit.normal
+        total[common, 0] += np.sum([each.right for each in whole], axis=0) - unit.right
+        total[0, common] = total[common, 0]
+        less = slice(0, total.shape[0] - tried)
+        centred = np.eye(total.shape[0])
+        centred[0, 1 : less.stop] = -solve(total[less, less][1:, 1:], total[1 : less.stop, 0]).coefficients
+        total = centred @ total @ centred.T
+        # one block's worth of knowledge that the coefficients are those of the fit without the effect
+        vague = np.diag(np.diag(total) / blocks)
+        vague[0, 0] = 0.0
+        for gram in (centred @ each @ centred.T for each in of_unit):
+            with_it = _score(total + vague) - _score(total - gram + vague)
+            without = _score((total + vague)[less, less]) - _score((total - gram + vague)[less, less])
+            gains.append(with_it - without)
     return Replication(np.array(gains))
 
 
+def _score(gram: FloatArray) -> float:
+    """Logarithm of the density of values, their coefficients integrated out, but for a constant."""
+    normal, right = gram[1:, 1:], gram[1:, 0]
+    scale = np.sqrt(np.diag(normal))
+    scale = np.where(scale > 0, scale, 1.0)
+    eigenvalues, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
+    kept = eigenvalues > _SMALLEST
+    along = vectors[:, kept].T @ (right / scale)
+    log_determinant = float(np.sum(np.log(eigenvalues[kept])) + 2 * np.sum(np.log(scale)))
+    return -0.5 * (float(gram[0, 0] - np.sum(along**2 / eigenvalues[kept])) + log_determinant)
+
+
+def _grams(whitened: FloatArray, replicate: IntArray) -> FloatArray:
+    return np.array([whitened[replicate == each].T @ whitened[replicate == each] for each in np.unique(replicate)])
+
+
 def by_replicate(joint: JointFit, replicates: Sequence[IntArray], column: int) -> list[tuple[FloatArray, FloatArray]]:
-    """Coefficient of one common column in each replicate of each record: information, and information times coefficient.
+    """Information on one common column in each replicate of each record, and information times coefficient.
 
     All other columns are taken out over all replicates together.
     """
@@ -107,32 +136,9 @@ def by_replicate(joint: JointFit, replicates: Sequence[IntArray], column: int) -
     for whitened, number, own in zip(joint.whitened, replicates, joint.hypothesis.own, strict=True):
         at = 1 + own.shape[1] + column
         others = np.delete(whitened[:, 1:], at - 1, axis=1)
-        scaled = others / np.maximum(np.linalg.norm(others, axis=0), 1e-300)
-        basis = _orthonormal(scaled)
+        basis = orthonormal(others)
         driver = whitened[:, at] - basis @ (basis.T @ whitened[:, at])
         residual = whitened[:, 0] - basis @ (basis.T @ whitened[:, 0])
-        found.append((np.bincount(number, driver * driver), np.bincount(number, driver * residual)))
+        information = np.asarray(np.bincount(number, driver * driver), dtype=np.float64)
+        found.append((information, np.asarray(np.bincount(number, driver * residual), dtype=np.float64)))
     return found
-
-
-def _orthonormal(columns: FloatArray) -> FloatArray:
-    if not columns.shape[1]:
-        return columns
-    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(left[:, singular > 1e-6 * singular[0]])
-
-
-def _grams(whitened: FloatArray, replicate: IntArray) -> FloatArray:
-    return np.array([whitened[replicate == each].T @ whitened[replicate == each] for each in np.unique(replicate)])
-
-
-def _error(
-    rest: FloatArray, left_out: FloatArray, own: int, normal: FloatArray, right: FloatArray, dropped: int
-) -> float:
-    """Squared whitened error in the replicate left out, predicted from the rest without the last `dropped` columns."""
-    kept = normal.shape[0] - dropped
-    theta = solve(normal[:kept, :kept], right[:kept]).coefficients
-    first, last = slice(1, 1 + own), slice(1 + own, 1 + own + kept)
-    beta = solve(rest[first, first], rest[first, 0] - rest[first, last] @ theta).coefficients
-    weights = np.concatenate([[1.0], -beta, -theta, np.zeros(dropped)])
-    return float(weights @ left_out @ weights)

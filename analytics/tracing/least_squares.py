@@ -7,6 +7,7 @@ import numpy as np
 from stream.batch import FloatArray
 
 LEAST_EIGENVALUE = 1e-9  # of the scaled normal matrix; below it a combination of columns counts as nothing
+LEAST_SINGULAR = 1e-6
 
 
 class Solution(NamedTuple):
@@ -73,3 +74,13 @@ def project(gram: FloatArray, taken_out: int) -> Projected:
     normal = gram[rest, rest] - onto @ gram[out, rest]
     right = gram[rest, 0] - onto @ gram[out, 0]
     return Projected(normal, right, np.diag(gram)[rest].copy())
+
+
+def orthonormal(columns: FloatArray) -> FloatArray:
+    """Orthonormal basis of what columns span; directions that rounding alone could make are left out."""
+    lengths = np.linalg.norm(columns, axis=0)
+    there = lengths > 0
+    if not there.any():
+        return columns[:, there]
+    left, singular, _ = np.linalg.svd(columns[:, there] / lengths[there], full_matrices=False)
+    return np.asarray(left[:, singular > LEAST_SINGULAR * singular[0]])

@@ -7,7 +7,7 @@ import numpy as np
 from analytics.tracing.least_squares import Solution, fit
 from analytics.tracing.record import Record, as_array, from_array
 from analytics.tracing.result import NoiseCoefficients
-from stream.batch import FloatArray
+from stream.batch import FloatArray, IntArray
 
 _DIFFERENCE = 1e-3  # of a logarithm
 _LONGEST_STEP = 1.5
@@ -63,15 +63,15 @@ def fit_noise(record: Record, columns: FloatArray, start: NoiseCoefficients | No
         Where to start; by default where the prior has its centre.
     """
     data = np.column_stack([record.value, columns])
-    active = np.flatnonzero(record.prior.values > 0)
+    active = np.flatnonzero(record.prior.values > 0).astype(np.int64)
     begin = record.prior.center if start is None else start
     current = _evaluate(record, data, begin)
     for _ in range(_MOST_STEPS):
         score, information = _derivatives(record, data, current, active)
-        step = np.linalg.solve(information, score)
+        step = np.asarray(np.linalg.solve(information, score), dtype=np.float64)
         if 0.5 * float(score @ step) < _ENOUGH:
             break
-        step *= min(1.0, _LONGEST_STEP / float(np.abs(step).max()))
+        step = step * min(1.0, _LONGEST_STEP / float(np.abs(step).max()))
         better = _climb(record, data, current, active, step)
         if better is None:
             break
@@ -93,7 +93,7 @@ def _evaluate(record: Record, data: FloatArray, noise: NoiseCoefficients) -> _At
     return _At(NoiseFit(noise, log_likelihood, solution, whitened), whitener.innovation)
 
 
-def _derivatives(record: Record, data: FloatArray, at: _At, active: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _derivatives(record: Record, data: FloatArray, at: _At, active: IntArray) -> tuple[FloatArray, FloatArray]:
     """Gradient of the log likelihood and its expected curvature, in logarithms of the active coefficients."""
     values = as_array(at.fit.noise)
     with_coefficients = np.concatenate([[1.0], -at.fit.solution.coefficients])
@@ -112,7 +112,7 @@ def _derivatives(record: Record, data: FloatArray, at: _At, active: FloatArray) 
     return score, flat.T @ flat + np.diag(record.prior.spread[active] ** -2.0)
 
 
-def _climb(record: Record, data: FloatArray, at: _At, active: FloatArray, step: FloatArray) -> _At | None:
+def _climb(record: Record, data: FloatArray, at: _At, active: IntArray, step: FloatArray) -> _At | None:
     """The first point along a step, halved up to four times, that is better."""
     values = as_array(at.fit.noise)
     for _ in range(5):

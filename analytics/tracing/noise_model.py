@@ -39,8 +39,8 @@ class StateSpace:
 class NoiseModel:
     """How noise coefficients act on blocks of a given length in runs of a given length.
 
-    Flicker is a sum of Ornstein-Uhlenbeck states whose correlation times span from twice the block to 3/4 of the longest
-    run, each with the same variance, so that the sum has the spectrum B**2/(2*pi*f) in between.
+    Flicker is a sum of Ornstein-Uhlenbeck states whose correlation times span from twice the block to 3/4 of the
+    longest run, each with the same variance, so that the sum has the spectrum B**2/(2*pi*f) in between.
 
     Parameters
     ----------

@@ -2,14 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
+from analytics.effects.base import Kind
 from analytics.tracing.candidates import Candidate, Candidates
 from analytics.tracing.least_squares import Projected, project
 from analytics.tracing.result import NoiseCoefficients
-from stream.batch import FloatArray
+from stream.batch import BoolArray, FloatArray, IntArray
 
 DRAWS = 1000
 LEAST_LEFT = 1e-3
@@ -102,9 +104,8 @@ def screen(
         Effects that are in the model already.
     """
     total = pooled(candidates, designs, noises)
-    normal, right = total.normal, total.right
-    left = np.diag(normal) > LEAST_LEFT * np.maximum(total.before, 1e-300)
-    null = _draws(normal, rng)
+    left = _left(total)
+    null = _draws(total.normal, left, rng)
     results: list[Screened] = []
     best_null: dict[str, FloatArray] = {}
     seen: dict[str, bool] = {}
@@ -112,19 +113,50 @@ def screen(
         name = item.effect.name
         if name in without:
             continue
-        own = np.flatnonzero(left[item.columns]) + item.start
-        seen[name] = seen.get(name, False) or bool(own.size)
-        if not own.size:
+        test = _test(item, total, left)
+        seen[name] = seen.get(name, False) or test is not None
+        if test is None:
             continue
-        whiten = _own_whitening(normal[np.ix_(own, own)])
-        degrees = whiten.shape[0]
-        statistic = float(np.sum((whiten @ right[own]) ** 2))
-        p_value = float(special.gammaincc(degrees / 2, statistic / 2))
-        results.append(Screened(item, statistic, degrees, p_value))
-        null_p = special.gammaincc(degrees / 2, np.sum((whiten @ null[own]) ** 2, axis=0) / 2)
+        results.append(test.screened)
+        chi_square = np.sum((test.whiten @ null[test.own]) ** 2, axis=0)
+        null_p = special.gammaincc(test.screened.degrees / 2, chi_square / 2)
         best_null[name] = np.minimum(best_null.get(name, 1.0), null_p)
     blind = tuple(name for name, told in seen.items() if not told)
     return Screen(tuple(results), _effective_tests(list(best_null.values())), blind)
+
+
+def tests_of_kind(
+    candidates: Candidates, designs: Sequence[FloatArray], noises: Sequence[NoiseCoefficients], kind: Kind
+) -> list[Screened]:
+    """Test the candidates of one kind beside a design, without the count of tests."""
+    total = pooled(candidates, designs, noises)
+    left = _left(total)
+    tests = [_test(item, total, left) for item in candidates.items if item.effect.kind is kind]
+    return [each.screened for each in tests if each is not None]
+
+
+class _Test(NamedTuple):
+    """The test of one candidate, and how to repeat it on drawn noise."""
+
+    screened: Screened
+    own: IntArray
+    whiten: FloatArray
+
+
+def _left(total: Projected) -> BoolArray:
+    """Columns of which enough is left beside the design."""
+    return np.asarray(np.diag(total.normal) > LEAST_LEFT * np.maximum(total.before, 1e-300))
+
+
+def _test(item: Candidate, total: Projected, left: BoolArray) -> _Test | None:
+    own = np.flatnonzero(left[item.columns]) + item.start
+    if not own.size:
+        return None
+    whiten = _own_whitening(total.normal[np.ix_(own, own)])
+    degrees = whiten.shape[0]
+    statistic = float(np.sum((whiten @ total.right[own]) ** 2))
+    p_value = float(special.gammaincc(degrees / 2, statistic / 2))
+    return _Test(Screened(item, statistic, degrees, p_value), own, whiten)
 
 
 def pooled(candidates: Candidates, designs: Sequence[FloatArray], noises: Sequence[NoiseCoefficients]) -> Projected:
@@ -141,12 +173,14 @@ def pooled(candidates: Candidates, designs: Sequence[FloatArray], noises: Sequen
     )
 
 
-def _draws(normal: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Products of candidates with white noise, drawn from their covariance, shape (columns, draws)."""
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    eigenvalues, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
+def _draws(normal: FloatArray, left: BoolArray, rng: np.random.Generator) -> FloatArray:
+    """Products of the columns that are left with white noise, drawn from their covariance, shape (columns, draws)."""
+    scale = np.sqrt(np.diag(normal)[left])
+    eigenvalues, vectors = np.linalg.eigh(normal[np.ix_(left, left)] / np.outer(scale, scale))
     root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
-    return np.asarray(scale[:, None] * (root @ rng.standard_normal((scale.size, DRAWS))))
+    drawn = np.zeros((left.size, DRAWS))
+    drawn[left] = scale[:, None] * (root @ rng.standard_normal((scale.size, DRAWS)))
+    return drawn
 
 
 def _own_whitening(normal: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""White variance of each block as its neighbours tell it, by run and rate; blocks that are outliers; a guess of the noise."""
+"""White variance of each block as its neighbours tell it, by run and rate; outliers; a guess of the noise."""
 
 import numpy as np
 

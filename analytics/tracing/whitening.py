@@ -65,26 +65,36 @@ class Whitener:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
+def _begin(covariance, start, variance):  # type: ignore[no-untyped-def]
+    covariance[:] = 0.0
+    covariance[0, 0] = start
+    for i in range(variance.size):
+        covariance[i + 1, i + 1] = variance[i]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _predict(covariance, step, walk, decay, variance, factor):  # type: ignore[no-untyped-def]
+    states = factor.size
+    for i in range(1, states):
+        factor[i] = decay[i - 1] if step == 1 else decay[i - 1] ** step
+    for i in range(states):
+        for j in range(states):
+            covariance[i, j] *= factor[i] * factor[j]
+    covariance[0, 0] += walk * step
+    for i in range(1, states):
+        covariance[i, i] += variance[i - 1] * (1 - factor[i] * factor[i])
+
+
+@njit(cache=True, nogil=True, fastmath=True)
 def _filter_gains(steps, white, walk, start, decay, variance, gain, innovation):  # type: ignore[no-untyped-def]
     n, states = steps.size, decay.size + 1
     factor, column = np.ones(states), np.empty(states)
     covariance = np.zeros((states, states))
     for t in range(n):
-        step = steps[t]
-        if step == 0:
-            covariance[:] = 0.0
-            covariance[0, 0] = start
-            for i in range(1, states):
-                covariance[i, i] = variance[i - 1]
+        if steps[t] == 0:
+            _begin(covariance, start, variance)
         else:
-            for i in range(1, states):
-                factor[i] = decay[i - 1] if step == 1 else decay[i - 1] ** step
-            for i in range(states):
-                for j in range(states):
-                    covariance[i, j] *= factor[i] * factor[j]
-            covariance[0, 0] += walk * step
-            for i in range(1, states):
-                covariance[i, i] += variance[i - 1] * (1 - factor[i] * factor[i])
+            _predict(covariance, steps[t], walk, decay, variance, factor)
         total = white[t]
         for i in range(states):
             column[i] = 0.0

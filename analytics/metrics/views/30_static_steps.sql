@@ -1,9 +1,22 @@
--- Steps in which a unit stands still and records: the ground of the bias family, in deg/h.
-create or replace view static_steps as
-select *,
+-- Steps in which a unit stands still and records: the ground of the bias family, in deg/h. Where no rate was commanded
+-- the table tells: above 0.01 deg/s it turns, and what the unit gives is no bias. `turns` says whether the unit turns or
+-- vibrates in another step of the same procedure, whose steps at rest then belong to that.
+create or replace view still_steps as
+with moving as (
+  select *,
+    frequency is not null or case when rate_command is null then abs(coalesce(input_rate, 0)) > 0.01
+      else rate_command <> 0 end as moves
+  from rate_steps
+), told as (
+  select *, bool_or(moves) over (partition by run, unit, signal, "procedure") as turns from moving
+)
+select * exclude (moves),
   mean * deg_per_h as mean_deg_per_h,
   standard_uncertainty * abs(deg_per_h) as u_deg_per_h,
   earth_projection(position, latitude_deg) as earth_deg_per_h,
   case when date_known then cast(timezone(time_zone, make_timestamptz(t_from_ns // 1000)) as date) end as day
-from rate_steps
-where n > 0 and coalesce(rate_command, 0) = 0 and frequency is null;
+from told
+where not moves;
+
+create or replace view static_steps as
+select * exclude (turns) from still_steps where n > 0;

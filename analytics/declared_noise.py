@@ -1,0 +1,96 @@
+"""Noise to start from where nobody declares it: a unit's own Allan fits, and the scatter of its bias over runs."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from analytics.error_model import ErrorModel
+from analytics.noise_coefficients import MOST_MISFIT
+from analytics.run_blocks import RunBlocks
+from analytics.tracing.result import NoiseCoefficients
+from storage.catalog import Catalog
+from stream.batch import FloatArray
+from stream.estimators.base import NoEstimate
+from stream.quantities import ANGULAR_RATE_UNIT
+
+_KEYS = ("angle_random_walk", "bias_instability", "rate_random_walk")
+_QUANTILE = 0.25
+_OF_LIMIT = 1.0 / 3.0
+_NORMAL_PER_MAD = 1.4826
+
+
+def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorModel) -> NoiseCoefficients | NoEstimate:
+    """Noise coefficients of a unit by the Allan fits of its runs, or why there are none.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        The store, which has the fit of every finished run.
+    runs : sequence of RunBlocks
+        Of one unit; runs in which the unit was powered on anew count with the fit of the whole.
+    model : ErrorModel
+        Declared; what it leaves tells the turn-on scatter.
+
+    Notes
+    -----
+    An Allan deviation holds the effects as well as the noise, so that of several runs the lower quartile is taken; of a
+    term that a run does not show, a third of what it leaves room for, if the fit says nothing better. Fits that are
+    off by more than a quarter do not count. The turn-on scatter is that of the runs' constants by least squares
+    (1.4826 times the median distance from the median); of a single run it is not known, and the bias instability is
+    taken in its place.
+    """
+    unit, signal = runs[0].unit, runs[0].signal
+    if runs[0].unit_of_measure != ANGULAR_RATE_UNIT:
+        return NoEstimate(
+            f"signal {signal} is in {runs[0].unit_of_measure}: the noise terms are those of an angular rate"
+        )
+    names = {name for run in runs for name in (run.run, run.run.rpartition("#")[0]) if name}
+    rows = catalog.rows(
+        "select run, document->'$.coefficients' as coefficients from events "
+        "where kind = 'NoiseFitted' and unit = $unit and signal = $signal order by t_ns",
+        {"unit": unit, "signal": signal},
+    )
+    fits = {str(run): msgspec.json.decode(text) for run, text in rows if text and run in names}
+    usable = [fit for fit in fits.values() if fit is not None and fit.get("misfit", 0.0) <= MOST_MISFIT]
+    if not usable:
+        return NoEstimate(
+            f"unit {unit}, signal {signal}: none of {len(names)} runs has an Allan fit that describes it; noise is "
+            "estimated from these runs alone, or give --noise"
+        )
+    white, flicker, walk = (float(np.quantile([_value(fit[key]) for fit in usable], _QUANTILE)) for key in _KEYS)
+    constants = _constants(runs, model)
+    if len(constants) > 1:
+        turn_on = _NORMAL_PER_MAD * float(np.median(np.abs(constants - np.median(constants))))
+    else:
+        turn_on = flicker
+    return NoiseCoefficients(N=white, B=flicker, K=walk, turn_on=turn_on)
+
+
+def _value(coefficient: dict[str, Any]) -> float:
+    if coefficient["observable"] or coefficient["value"] > 0.0:
+        return float(coefficient["value"])
+    return float(coefficient["hi"]) * _OF_LIMIT
+
+
+def _constants(runs: Sequence[RunBlocks], model: ErrorModel) -> FloatArray:
+    """Constant of each run beside the model's terms, by least squares."""
+    columns, values, rows = [], [], []
+    for at, run in enumerate(runs):
+        x = np.column_stack([model.columns(run), run.value])
+        x = x[np.isfinite(x).all(axis=1)]
+        columns.append(x[:, :-1])
+        values.append(x[:, -1])
+        rows.append(np.full(len(x), at))
+    terms, value, row = np.concatenate(columns), np.concatenate(values), np.concatenate(rows)
+    present = np.unique(row)
+    if len(present) == 0:
+        return np.empty(0)
+    own = (row[:, None] == present).astype(np.float64)
+    means = (own.T @ np.column_stack([terms, value])) / own.sum(axis=0)[:, None]
+    terms, value = terms - own @ means[:, :-1], value - own @ means[:, -1]
+    scale = np.sqrt(np.sum(terms**2, axis=0))
+    is_told = scale > 1e-9 * (np.abs(means[:, :-1]).max(axis=0, initial=0.0) + 1e-300) * np.sqrt(len(row))
+    found, *_ = np.linalg.lstsq(terms[:, is_told], value, rcond=None)
+    return np.asarray(means[:, -1] - means[:, :-1][:, is_told] @ found, dtype=np.float64)

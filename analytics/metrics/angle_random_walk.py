@@ -1,0 +1,107 @@
+"""Angle random walk: from the Allan variance, and by normalised bias stability of a short fast record."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from analytics.metrics.largest_magnitude import json_text
+from analytics.metrics.variance_components import deviation
+from storage.catalog import Catalog
+from storage.reading import stored_between
+from stream.batch import FloatArray
+from stream.errors import NotFound
+from stream.estimators.base import NoEstimate
+from stream.estimators.noise_model import ANGLE_RANDOM_WALK
+from stream.estimators.random_walk_normalised import angle_random_walk_normalised
+
+HEADER = """\
+-- id:        angle_random_walk
+-- en:        Angle random walk
+-- zh:        角度随机游走系数
+-- unit:      deg/sqrt(h)
+-- better:    lower
+-- grain:     unit, signal, run, step, method
+-- source:    GJB 2426A-2004 5.12.5.4 (23)-(31); JJF 2014-2022 7.2.20 (34)-(39)
+-- needs:     a static step at least one hour long; for the normalised method one of procedure random_walk
+-- limits:    given
+-- equation:  RWC = sqrt(A_-1), sigma^2(tau) = sum A_m tau^m; normalised RWC = Bs(1 s) sqrt(1 s)
+"""
+
+# The fit of the whole run's Allan curve, else the white part of the step's own.
+_ALLAN = """
+select s.unit, s.signal, s.run, s."index", s.n, s.duration_s, s.lack, s.white * s.deg_per_h ** 2 as white,
+  -- white noise is told by the shortest averaging times; long steps are reduced from means of 1 s
+  greatest(case when s.n > 20000 then s.duration_s else s.n end / 1.5, 1) as freedom,
+  c.run is not null as is_fitted, c.value, c.lo, c.hi, c.standard_uncertainty, c.reason
+from bias_steps s
+left join noise_coefficients c
+  on c.run = s.run and c.unit = s.unit and c.signal = s.signal and c."index" = s."index"
+  and c.coefficient = 'angle_random_walk' and (c.value is not null or s.white is null)
+order by s.unit, s.signal, s.run, s."index"
+"""
+
+_SHORT = """
+select s.unit, s.signal, s.run, s."index", s.n, s.duration_s, s.t_from_ns, s.t_to_ns, abs(s.deg_per_h) as deg_per_h,
+  s.unit_of_measure, g.sample_interval_s, g.irregular
+from still_steps s join signals g on g.run = s.run and g.unit = s.unit and g.signal = s.signal
+where regexp_matches(s."procedure", '^random_walk|随机游走')
+order by s.unit, s.signal, s.run, s."index"
+"""
+
+
+def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
+    """Rows of the metric; the normalised method reads the samples of its steps, which are short."""
+    for row in catalog.reader(_ALLAN).read_all().to_pylist():
+        yield _told(row, "allan", {"record": "run" if row["is_fitted"] else "step"}) | _of_allan(row)
+    for row in catalog.reader(_SHORT).read_all().to_pylist():
+        clause = {"standard": "GJB2426A", "clause": "5.12.5.4.1 (23)(24)"}
+        yield _told(row, "normalised", {"sample_interval_s": row["sample_interval_s"]}) | clause | _short(catalog, row)
+
+
+def _told(row: Mapping[str, Any], method: str, more: Mapping[str, Any]) -> dict[str, Any]:
+    told = {name: row[name] for name in ("unit", "signal", "run", "n")}
+    parameters = {"method": method, "duration_s": round(row["duration_s"]), **more}
+    return told | {"runs": [row["run"]], "steps": [row["index"]], "parameters": json_text(parameters)}
+
+
+def _of_allan(row: Mapping[str, Any]) -> dict[str, Any]:
+    if row["lack"] is not None:
+        return {"reason": row["lack"]}
+    if row["is_fitted"]:
+        return {name: row[name] for name in ("value", "lo", "hi", "standard_uncertainty", "reason")}
+    if not row["white"]:
+        return {"reason": "the record shows no angle random walk: other noise covers it at every averaging time"}
+    found = deviation(row["white"] * ANGLE_RANDOM_WALK.per_si**2, row["freedom"])
+    return found._asdict()
+
+
+def _short(catalog: Catalog, row: Mapping[str, Any]) -> dict[str, Any]:
+    if row["n"] == 0:
+        return {"reason": "no sample in the evaluated part of the step"}
+    if row["deg_per_h"] is None:
+        return {
+            "reason": f"no scale factor for an output in {row['unit_of_measure']}: measure it or give the nominal one "
+            "of the product"
+        }
+    if row["irregular"]:
+        return {"reason": "the samples lie on no grid, and means over 1 s of the normalised method need one"}
+    try:
+        found = stored_between(catalog, row["unit"], row["signal"], row["run"], row["t_from_ns"], row["t_to_ns"])
+    except NotFound as error:
+        return {"reason": str(error)}
+    times_ns, values = found
+    rates = _on_grid((times_ns - times_ns[0]) / 1e9 / row["sample_interval_s"], values * row["deg_per_h"])
+    walk = angle_random_walk_normalised(rates, row["sample_interval_s"])
+    if isinstance(walk, NoEstimate):
+        return {"reason": walk.reason}
+    limits = {name: getattr(walk.coefficient, name) for name in ("value", "lo", "hi")}
+    return limits | {"standard_uncertainty": (limits["hi"] - limits["lo"]) / (2 * 1.959963984540054)}
+
+
+def _on_grid(place: FloatArray, values: FloatArray) -> FloatArray:
+    """Values at their places, NaN where one is missing."""
+    slots = np.rint(place).astype(np.int64)
+    grid = np.full(int(slots[-1]) + 1, np.nan)
+    grid[slots] = values
+    return grid

@@ -1,0 +1,52 @@
+"""Bias sensitivity to acceleration: half the difference between an axis up and down, for each axis and the largest."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from analytics.metrics.largest_magnitude import largest_magnitudes
+from storage.catalog import Catalog
+
+HEADER = """\
+-- id:        bias_acceleration_sensitivity
+-- en:        Bias acceleration sensitivity
+-- zh:        零偏加速度灵敏度
+-- unit:      deg/h/g
+-- better:    lower
+-- grain:     unit, signal, run, axis
+-- source:    JJF 2014-2022 7.2.17
+-- needs:     procedure bias_acceleration_sensitivity: static steps with X, Y and Z up and down
+-- limits:    given
+-- equation:  (mean(+1 g) - mean(-1 g))/(2 g); of the unit the largest in magnitude
+"""
+
+_SQL = """
+with shown as (
+  select *, axis as shown from bias_flips
+  where earth_rate = 'none' or not coalesce(list_contains(level, axis), false)
+  union all
+  select *, 'largest' from bias_flips
+), told as (
+  select *, list_filter(['X', 'Y', 'Z'], lambda each: not list_contains(axes, each)) as absent from shown
+)
+select unit, signal, run, "procedure", repeat, shown, earth_rate, axis, half as difference, u, freedom,
+  case when shown = 'largest' then (sum(n) over test)::bigint else n end as n,
+  [run] as runs,
+  case when shown = 'largest' then list_sort(flatten(list(steps) over (test
+    order by axis rows between unbounded preceding and unbounded following))) else steps end as steps,
+  case when shown = 'largest' and len(absent) > 0 and not list_contains(axes, 'IRA') then
+    'no flip of axis ' || array_to_string(absent, ', ') || ': the clause asks for X, Y and Z' else lack end as reason,
+  {
+    axis: shown, earth_rate: earth_rate, repeat: repeat, scale_factor: scale_source,
+    earth_rate_unknown: case when shown = 'largest' and earth_rate = 'removed' then level end
+  } as parameters
+from told
+window test as (partition by unit, signal, run, "procedure", repeat, shown, earth_rate)
+order by run, unit, signal, "procedure", repeat, shown, earth_rate, axis
+"""
+
+
+def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
+    """Rows of the metric: signed for an axis, the magnitude for the largest, with limits of `largest_magnitudes`."""
+    rows = catalog.reader(_SQL).read_all().to_pylist()
+    keys = ["run", "unit", "signal", "procedure", "repeat", "shown", "earth_rate"]
+    yield from largest_magnitudes(rows, keys, of="axis", signed=True)

@@ -1,0 +1,25 @@
+"""Change of the bias by shocks, along each axis and the largest."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from analytics.metrics.axis_changes import largest_changes
+from storage.catalog import Catalog
+
+HEADER = """\
+-- id:        bias_shock_change
+-- en:        Bias change by shock
+-- zh:        零偏冲击前后变化量
+-- unit:      deg/h
+-- better:    lower
+-- grain:     unit, signal, run, axis
+-- source:    JJF 2014-2022 7.2.18 (32)
+-- needs:     procedure bias_shock: static steps before and after a shock along X, Y and Z
+-- limits:    given
+-- equation:  abs(B_after - B_before) along each axis; of the unit the largest
+"""
+
+
+def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
+    """Rows of the metric."""
+    yield from largest_changes(catalog, "select * from bias_changes where cause = 'shock'")

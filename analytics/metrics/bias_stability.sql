@@ -1,0 +1,26 @@
+-- id:        bias_stability
+-- en:        Bias stability (standard deviation of the samples)
+-- zh:        零偏稳定性
+-- unit:      deg/h
+-- better:    lower
+-- grain:     unit, signal, run, step
+-- source:    GJB 2426A-2004 5.12.2 (20)
+-- needs:     a static step (procedure static_bias or bias_repeatability), at least one hour long
+-- limits:    chi_square
+-- equation:  Bs = sqrt(sum((F_i - mean(F))^2)/(n - 1))/K
+-- Of the raw samples, so it rises with the sample rate; over averages it is bias_stability_averaged. Not bias
+-- instability, which is the floor of the Allan deviation. The samples correlate: the freedom is less than n - 1.
+select
+  unit, signal, run,
+  case when lack is null then sd * abs(deg_per_h) end as value,
+  null::double as standard_uncertainty,
+  sd_freedom as freedom,
+  n,
+  {
+    scale_factor: scale_source, position: position, repeat: repeat, duration_s: round(duration_s),
+    n_effective: round(n_effective, 1)
+  } as parameters,
+  [run] as runs,
+  ["index"] as steps,
+  coalesce(lack, case when sd is null then 'one sample in the step: a standard deviation needs two' end) as reason
+from bias_steps

@@ -1,0 +1,65 @@
+"""Output delay, from the phases on an angular-vibration table."""
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from analytics.calibration.dynamics import Found, first_order_bandwidth, output_delay
+from analytics.calibration.vibration_records import (
+    LEAST_RECORDS,
+    Vibration,
+    row_of,
+    told,
+    too_little_for,
+    unmet,
+    vibrations,
+)
+from storage.catalog import Catalog
+from stream.errors import BadInput
+
+HEADER = """\
+-- id:        output_delay
+-- en:        Output delay time
+-- zh:        输出延迟时间
+-- unit:      ms
+-- better:    lower
+-- grain:     unit, signal, run
+-- source:    GJB 2426A-2004 5.14 (42)-(46); JJF 2014-2022 7.2.22 (44)-(50)
+-- needs:     procedure bandwidth, with the table's rate or angle recorded as fast as the units
+-- limits:    t
+-- equation:  -P_i - atan(omega_i T) = omega_i T_d
+"""
+_MS = 1e3
+
+
+def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
+    """Rows of the metric: the standards differ in how many records they ask for."""
+    for vibration in vibrations(catalog):
+        for standard, clause, least_records in (
+            ("GJB2426A", "5.14.4 (42)-(46)", 1),
+            ("JJF2014", "7.2.22.2 (44)-(50)", LEAST_RECORDS),
+        ):
+            parameters = told(vibration)
+            found, reason = None, unmet(vibration, least_records=least_records)
+            if reason is None:
+                try:
+                    found, bandwidth_hz = _found(vibration)
+                    reason = too_little_for(bandwidth_hz, vibration)
+                    parameters["bandwidth_hz"] = float(f"{bandwidth_hz:.6g}")
+                    parameters["misfit_rad"] = float(f"{found.misfit:.3g}")
+                except BadInput as error:
+                    reason = str(error)
+            yield row_of(vibration) | {
+                "value": None if found is None or reason else found.value * _MS,
+                "standard_uncertainty": None if found is None else found.standard_uncertainty * _MS,
+                "freedom": None if found is None else found.freedom,
+                "parameters": json.dumps(parameters, ensure_ascii=False),
+                "standard": standard,
+                "clause": clause,
+                "reason": reason,
+            }
+
+
+def _found(vibration: Vibration) -> tuple[Found, float]:
+    assert vibration.response is not None
+    return output_delay(vibration.response), first_order_bandwidth(vibration.response).value

@@ -1,0 +1,40 @@
+-- id:        scale_factor_nonlinearity
+-- en:        Scale-factor nonlinearity
+-- zh:        标度因数非线性度
+-- unit:      ppm
+-- better:    lower
+-- grain:     unit, signal, run, position, temperature, repeat
+-- source:    GJB 2426A-2004 5.8.2 (7)-(9); JJF 2014-2022 7.2.2 (6)-(8)
+-- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
+-- limits:    given
+-- equation:  K_n = max|(Fhat_j - F_j)/F_max|; JJF 2014: over K |Omega_max+ - Omega_max-|, the full span
+-- A maximum comes out too large where noise rules. Its limits hold for all points at once (Bonferroni): the largest lower
+-- and the largest upper limit of any point.
+with scaled as (
+  select *,
+    case standard when 'GJB2426A' then list_max([abs(p.output - rest_zero) for p in points])
+      else abs(k) * (list_max(x) - list_min(x)) end as full_scale,
+    student_quantile(0.05 / n_points, list_min(freedoms)) as wide
+  from scale_results('scale_fits') where standard <> 'JJF1536'
+), deviating as (
+  select *,
+    [{size: abs(z[1] / full_scale) * 1e6, u: z[2] / full_scale * 1e6, rate: z[3].command, freedom: z[3].freedom}
+      for z in list_zip(residuals, residual_uncertainties(dx, sxx, u), points)] as deviations
+  from scaled
+), largest as (
+  select *, list_sort(deviations, 'desc')[1] as worst from deviating
+)
+select
+  unit, signal, run,
+  case when lack is null then worst.size end as value,
+  list_max([greatest(0, d.size - wide * d.u) for d in deviations]) as lo,
+  list_max([d.size + wide * d.u for d in deviations]) as hi,
+  worst.u as standard_uncertainty,
+  worst.freedom as freedom,
+  n,
+  struct_insert(words, temperature := round(temperature, 2), rate_of_maximum_deg_per_s := worst.rate,
+    largest_rate_deg_per_s := largest_rate) as parameters,
+  [run] as runs, steps, standard,
+  case standard when 'GJB2426A' then '5.8.2 (7)-(9)' else '7.2.2 (6)-(8)' end as clause,
+  lack as reason
+from largest

@@ -1,0 +1,11 @@
+-- id:        scale_factor_shock_change
+-- en:        Scale-factor change by shock
+-- zh:        标度因数冲击前后变化量
+-- unit:      1
+-- better:    lower
+-- grain:     unit, signal, run, axis (X, Y, Z and the largest of them), repeat
+-- source:    JJF 2014-2022 7.2.7 (12)(13)
+-- needs:     scale factors before and after a shock along X, Y and Z, at least 11 rates in each direction
+-- limits:    given
+-- equation:  max over X, Y, Z of |K_after - K_before|
+from scale_changes('scale_fits', 'shock|冲击')

@@ -1,0 +1,11 @@
+-- id:        scale_factor_vibration_change
+-- en:        Scale-factor change by vibration
+-- zh:        标度因数振动前后变化量
+-- unit:      1
+-- better:    lower
+-- grain:     unit, signal, run, axis (X, Y, Z and the largest of them), repeat
+-- source:    JJF 2014-2022 7.2.8 (14)(15)
+-- needs:     scale factors before and after a vibration along X, Y and Z, at least 11 rates in each direction
+-- limits:    given
+-- equation:  max over X, Y, Z of |K_after - K_before|
+from scale_changes('scale_fits', 'vibration|振动')

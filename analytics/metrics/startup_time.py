@@ -1,0 +1,25 @@
+"""Start-up time: from power-on until the output stays within the product's error band."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from analytics.metrics.settling_time import settling_times
+from storage.catalog import Catalog
+
+HEADER = """\
+-- id:        startup_time
+-- en:        Start-up time
+-- zh:        启动时间
+-- unit:      s
+-- better:    lower
+-- grain:     unit, signal, run, test
+-- source:    GJB 2426A-2004 5.5; JJF 2014-2022 7.2.23
+-- needs:     procedure startup_time: power-on at several rates and positions; startup_band_deg_per_h of the product
+-- limits:    given
+-- equation:  max(t_r1, ..., t_rm, t_p1, ..., t_pn)
+"""
+
+
+def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
+    """Rows of the metric."""
+    yield from settling_times(catalog, "^startup_time|^start_up|启动时间")

@@ -1,0 +1,133 @@
+-- Verdicts: each value against the limits of the specification that was valid when its last run began; what a
+-- specification asks for and nobody has measured; and the checks that were entered by hand.
+create or replace macro verdict_rank(verdict) as
+  case verdict when 'FAIL' then 1 when 'MARGINAL' then 2 when 'NO_DATA' then 3 when 'PASS' then 4 end;
+create or replace macro verdict_of_rank(rank) as
+  case rank when 1 then 'FAIL' when 2 then 'MARGINAL' when 3 then 'NO_DATA' when 4 then 'PASS' end;
+
+-- The last run of each unit; its product from the last run that knew it.
+create or replace view unit_last_run as
+select u.* replace (coalesce(u.product, p.product) as product)
+from unit_runs u
+left join (select unit, arg_max(product, t_start_ns) as product from unit_runs where product is not null group by unit) p
+  on p.unit = u.unit
+qualify row_number() over (partition by u.unit order by u.date_known desc, u.t_start_ns desc, u.run) = 1;
+
+-- The last of the runs that a value rests on; the unit's last run where it rests on none.
+create or replace view metric_runs as
+with behind as (
+  select r.row, u.* exclude (unit)
+  from (select rowid as row, unit, unnest(runs) as run from unit_metrics) r
+  join unit_runs u on u.run = r.run and u.unit = r.unit
+  qualify row_number() over (partition by r.row order by u.date_known desc, u.t_start_ns desc, u.run) = 1
+)
+select m.rowid as row, m.*,
+  coalesce(b.product, l.product) as product, coalesce(b.lot, l.lot) as lot, coalesce(b.station, l.station) as station,
+  coalesce(b.fixture, l.fixture) as fixture,
+  case when b.row is null then l.day else b.day end as day,
+  coalesce(b.date_known, l.date_known, false) as date_known,
+  coalesce(b.t_start_ns, l.t_start_ns) as t_ns
+from unit_metrics m left join behind b on b.row = m.rowid left join unit_last_run l on l.unit = m.unit;
+
+-- Every value with every limit that could be meant, whether or not it was valid then.
+create or replace view limit_candidates as
+select m.*, s.* exclude (limit_id, metric, product, signal, standard, parameters, unit_of_measure),
+  s.limit_id, s.product as limit_product, s.standard as limit_standard, s.parameters as limit_parameters,
+  s.unit_of_measure as limit_unit,
+  -- where the date is not known, a specification that has never changed is the one that held
+  case when m.date_known then m.t_ns >= s.from_ns and m.t_ns < s.until_ns else s.revisions = 1 end as is_valid
+from metric_runs m
+join specification_limits s on s.metric = m.metric
+  and (s.product is null or s.product = m.product)
+  and (s.signal is null or s.signal = m.signal)
+  and (s.standard is null or list_contains(string_split(m.standard, ', '), s.standard))
+where (m.row, s.limit_id) not in (
+  select (o.rowid, p.limit_id)
+  from unit_metrics o
+  join specification_limits q on q.metric = o.metric
+  join specification_parameters p on p.limit_id = q.limit_id
+  where case when p.number is null then o.parameters->>p.path is distinct from p.text
+    else coalesce(abs(try_cast(o.parameters->>p.path as double) - p.number) > 1e-9 * abs(p.number), true) end
+);
+
+create or replace view verdicts as
+with converted as (                     -- in the unit of the limit
+  select c.*, c.value * f.factor as v, c.lo * f.factor as v_lo, c.hi * f.factor as v_hi,
+    f.factor is not null as is_comparable
+  from limit_candidates c
+  left join result_factors f on f.source = c.unit_of_measure and f.target = c.limit_unit
+  where c.is_valid
+), judged as (
+  select *,
+    case
+      when v is null then 'NO_DATA'
+      when coalesce(v_lo, v) > upper or coalesce(v_hi, v) < lower then 'FAIL'
+      when (upper is null or coalesce(v_hi, v) <= upper) and (lower is null or coalesce(v_lo, v) >= lower) then 'PASS'
+      else 'MARGINAL'
+    end as verdict
+  from converted
+), of_values as (
+  select unit, signal, run, metric, subject, verdict, v as value, v_lo as lo, v_hi as hi, lower, upper,
+    limit_unit as unit_of_measure, parameters, runs, standard, clause, specification, revision,
+    case
+      when v is null and value is null then reason
+      when v is null then 'the value is in ' || unit_of_measure || ', the limit in ' || limit_unit
+      when verdict = 'MARGINAL' then 'the limit lies inside the 95 % interval: the data do not decide'
+      when v_lo is null then 'judged by the value alone, which has no interval'
+    end as reason,
+    product, lot, station, fixture, day, t_ns
+  from judged
+), outside as (                         -- a limit there is, but none that was valid at the time
+  select unit, signal, run, metric, any_value(subject order by limit_id) as subject, 'NO_DATA' as verdict,
+    null::double as value, null::double as lo, null::double as hi, null::double as lower, null::double as upper,
+    any_value(limit_unit order by limit_id) as unit_of_measure, any_value(parameters) as parameters,
+    any_value(runs) as runs, any_value(standard) as standard, any_value(clause) as clause, specification,
+    null::varchar as revision,
+    case when bool_and(date_known)
+      then 'no revision of ' || specification || ' was valid at ' || strftime(make_timestamp(any_value(t_ns) // 1000), '%Y-%m-%d')
+      else 'the date of the run is not known, so nobody can say which revision of ' || specification || ' held'
+    end || ': there is ' || string_agg(distinct revision || ' ' || valid, ', ' order by revision || ' ' || valid) as reason,
+    any_value(product) as product, any_value(lot) as lot, any_value(station) as station,
+    any_value(fixture) as fixture, any_value(day) as day, any_value(t_ns) as t_ns
+  from limit_candidates
+  group by row, unit, signal, run, metric, specification
+  having not bool_or(is_valid)
+), asked as (                           -- what is asked of a unit since the specification of its last run
+  select u.unit, u.product, u.lot, u.station, u.fixture, u.day, u.t_start_ns as t_ns,
+    s.* exclude (product), s.signal as limit_signal
+  from unit_last_run u join specification_limits s
+    on (s.product is null or s.product = u.product)
+    and case when u.date_known then u.t_start_ns >= s.from_ns and u.t_start_ns < s.until_ns else s.revisions = 1 end
+), lacking as (
+  select a.unit, a.limit_signal as signal, null::varchar as run, a.metric, a.subject, 'NO_DATA' as verdict,
+    null::double as value, null::double as lo, null::double as hi, a.lower, a.upper, a.unit_of_measure, a.parameters,
+    []::varchar[] as runs, coalesce(a.standard, n.standard) as standard, n.clause, a.specification, a.revision,
+    case when h.unit is null then 'not measured: it needs ' || n.needs
+      else 'values of ' || a.metric || ' are there, but none of ' || a.subject end as reason,
+    a.product, a.lot, a.station, a.fixture, a.day, a.t_ns
+  from asked a
+  left join metric_names n on n.metric = a.metric
+  left join (select distinct unit, metric from unit_metrics) h on h.unit = a.unit and h.metric = a.metric
+  anti join (select distinct unit, specification, subject from limit_candidates) c
+    on c.unit = a.unit and c.specification = a.specification and c.subject = a.subject
+), entered as (
+  select e.unit, null::varchar as signal, nullif(e.run, '') as run,
+    case e.document->>'$.item' when 'visual' then 'visual_check' when 'electrical' then 'electrical_check'
+      else e.document->>'$.item' end as metric,
+    'entered' as subject, e.document->>'$.verdict' as verdict,
+    (e.document->>'$.value')::double as value, null::double as lo, null::double as hi,
+    (e.document->>'$.lower')::double as lower, (e.document->>'$.upper')::double as upper,
+    coalesce(e.document->>'$.unit_of_measure', '') as unit_of_measure,
+    to_json({'by': e.document->>'$.by'})::varchar as parameters,
+    case when e.run = '' then [] else [e.run] end as runs, 'GJB2426A' as standard,
+    case e.document->>'$.item' when 'visual' then '5.2' when 'electrical' then '5.3' end as clause,
+    null::varchar as specification, null::varchar as revision, e.document->>'$.note' as reason,
+    u.product, u.lot, u.station, u.fixture, e."time"::date as day, e.t_ns
+  from events e left join unit_last_run u on u.unit = e.unit
+  where e.kind = 'CheckEntered'
+)
+select * from of_values
+union all select * from outside
+union all select * from lacking
+union all select * from entered;
+comment on view verdicts is 'each value against its limit: PASS, FAIL, MARGINAL or NO_DATA with the reason, by the revision valid at the time';

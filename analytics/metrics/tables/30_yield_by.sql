@@ -1,0 +1,33 @@
+-- How many units of a lot, station, fixture or day are good. Each group judges a unit by what was measured in it. The
+-- yield is of the units that are decided or marginal; its 95 % interval is Wilson's.
+create or replace view yield_by as
+with placed as (
+  select 'lot' as kind, lot as name, * from verdicts
+  union all select 'station', station, * from verdicts
+  union all select 'fixture', fixture, * from verdicts
+  union all select 'day', day::varchar, * from verdicts
+), each_limit as (                      -- as in unit_verdicts
+  select kind, name, unit,
+    coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3) as rank
+  from placed group by kind, name, unit, signal, metric, subject, standard, specification
+), each_unit as (
+  select kind, name, unit, verdict_of_rank(min(rank)) as verdict from each_limit group by kind, name, unit
+), counted as (
+  select kind, name, count(*) as units,
+    count(*) filter (verdict = 'PASS') as passed,
+    count(*) filter (verdict = 'FAIL') as failed,
+    count(*) filter (verdict = 'MARGINAL') as marginal,
+    count(*) filter (verdict = 'NO_DATA') as no_data
+  from each_unit group by kind, name
+), shares as (
+  select *, nullif(units - no_data, 0) as n, passed / nullif(units - no_data, 0) as share,
+    1.959963984540054 as z
+  from counted
+)
+select kind, name, units, passed, failed, marginal, no_data, share as yield,
+  greatest(0, (share + z * z / (2 * n) - z * sqrt(share * (1 - share) / n + z * z / (4 * n * n))) / (1 + z * z / n)) as yield_lo,
+  least(1, (share + z * z / (2 * n) + z * sqrt(share * (1 - share) / n + z * z / (4 * n * n))) / (1 + z * z / n)) as yield_hi,
+  case when n is null then 'none of its units has a verdict: all are NO_DATA' end as reason
+from shares
+order by kind, name nulls last;
+comment on view yield_by is 'yield by lot, station, fixture and day (column kind), with its 95 % interval';

@@ -1,0 +1,61 @@
+-- How the bias differs between +1 g and -1 g along an axis, half of it, deg/h/g: a row for each axis of a test, as it was
+-- measured and, where the flipped axis is the input axis, without the Earth's rate, which flips with it. Across the
+-- input axis the flip leaves it level, and what the Earth's rate adds depends on a heading that no word tells.
+create or replace view bias_flips as
+with flip as (
+  select *,
+    coalesce(upper(axis), nullif(regexp_extract(position, '^[+-]?([XYZ])(_|[+-]|$)', 1), ''),
+      case when regexp_matches(position, '^(IRA|vertical)_(up|down)$') then 'IRA' end, 'unnamed') as flipped,
+    case
+      when regexp_matches(position, '_up$|[+]$|^[+]') then 1
+      when regexp_matches(position, '_down$|-$|^-') then -1
+    end as g
+  from still_steps
+  where phase is null and not turns
+    and (regexp_matches("procedure", '^bias_acceleration|零偏加速度')
+      or "procedure" is null and regexp_matches(position, '^[XYZ]_(up|down)$'))
+), side as (
+  select run, unit, signal, "procedure", repeat, flipped, g,
+    count(*) filter (n = 0 or deg_per_h is null) as unknown,
+    any_value(unit_of_measure) as unit_of_measure, any_value(scale_source) as scale_source,
+    any_value(latitude_deg) as latitude_deg, bool_and(deg_per_h is not null) as is_scaled,
+    avg(mean_deg_per_h order by "index") as mean,
+    sqrt(sum(u_deg_per_h ** 2 order by "index")) / count(*) as u,
+    sum(u_deg_per_h ** 2 order by "index") ** 2
+      / nullif(sum(u_deg_per_h ** 4 / greatest(freedom, 1) order by "index"), 0) as freedom,
+    sum(n)::bigint as n, list("index" order by "index") as steps
+  from flip where g is not null
+  group by all
+), pair as (
+  select run, unit, signal, "procedure", repeat, flipped as axis,
+    (max(mean) filter (g = 1) - max(mean) filter (g = -1)) / 2 as half,
+    sqrt(sum(u ** 2 order by g)) / 2 as u,
+    sum(u ** 2 order by g) ** 2 / nullif(sum(u ** 4 / greatest(freedom, 1) order by g), 0) as freedom,
+    sum(n)::bigint as n, list_sort(flatten(list(steps order by g))) as steps,
+    any_value(scale_source) as scale_source,
+    case when flipped = 'IRA' or lower(signal) = 'rate_' || lower(flipped)
+      then sin(radians(any_value(latitude_deg))) * earth_rate_deg_per_h() end as earth,
+    case
+      when not bool_and(is_scaled) then 'no scale factor for an output in ' || any_value(unit_of_measure)
+        || ': measure it or give the nominal one of the product'
+      when sum(unknown) > 0 then 'axis ' || flipped || ': no sample in the evaluated part of a step'
+      when count(*) < 2 then 'axis ' || flipped || ': measured only with it '
+        || case when max(g) = 1 then 'up' else 'down' end || ', the clause asks for up and down'
+    end as lack
+  from side
+  group by run, unit, signal, "procedure", repeat, flipped
+), whole as (
+  select *,
+    list(axis) over test as axes,
+    list(axis) filter (earth is null) over test as level
+  from pair
+  window test as (partition by run, unit, signal, "procedure", repeat
+    order by axis rows between unbounded preceding and unbounded following)
+)
+select run, unit, signal, "procedure", repeat, axis, axes, level, half, u, freedom, n, steps, scale_source, lack,
+  'none' as earth_rate
+from whole
+union all
+select run, unit, signal, "procedure", repeat, axis, axes, level, half - coalesce(earth, 0), u, freedom, n, steps,
+  scale_source, lack, 'removed'
+from whole where len(level) < len(axes) or level is null;

@@ -1,0 +1,43 @@
+-- How the bias has changed from before a shock or vibration to after it: a row for each axis of a test, deg/h. Which of
+-- the two it was (`cause`) is told by the name of the procedure, else of the step.
+create or replace view bias_changes as
+with phased as (
+  select *,
+    case when regexp_matches(concat_ws(' ', "procedure", step), 'shock|冲击') then 'shock' else 'vibration' end as cause,
+    coalesce(upper(axis), nullif(regexp_extract(position, '^([XYZ])(_|$)', 1), ''), 'unnamed') as along
+  from still_steps
+  where lower(phase) in ('before', 'after') and not turns
+    and not regexp_matches(coalesce("procedure", ''), '^scale_factor')
+    and regexp_matches(concat_ws(' ', "procedure", step), 'shock|冲击|vibration|振动')
+), side as (
+  select cause, run, unit, signal, "procedure", repeat, along, lower(phase) as phase,
+    bool_and(deg_per_h is not null) as is_scaled, min(n) as least_n, any_value(unit_of_measure) as unit_of_measure,
+    any_value(scale_source) as scale_source,
+    avg(mean_deg_per_h order by "index") as mean,
+    sqrt(sum(u_deg_per_h ** 2 order by "index")) / count(*) as u,
+    sum(u_deg_per_h ** 2 order by "index") ** 2
+      / nullif(sum(u_deg_per_h ** 4 / greatest(freedom, 1) order by "index"), 0) as freedom,
+    sum(n)::bigint as n, list("index" order by "index") as steps
+  from phased
+  group by all
+), axis as (
+  select cause, run, unit, signal, "procedure", repeat, along as axis,
+    max(mean) filter (phase = 'after') - max(mean) filter (phase = 'before') as change,
+    sqrt(sum(u ** 2 order by phase)) as u,
+    sum(u ** 2 order by phase) ** 2 / nullif(sum(u ** 4 / greatest(freedom, 1) order by phase), 0) as freedom,
+    sum(n)::bigint as n, list_sort(flatten(list(steps order by phase))) as steps,
+    any_value(scale_source) as scale_source,
+    case
+      when not bool_and(is_scaled) then 'no scale factor for an output in ' || any_value(unit_of_measure)
+        || ': measure it or give the nominal one of the product'
+      when min(least_n) = 0 then 'axis ' || along || ': no sample in the evaluated part of a step'
+      when count(*) < 2 then 'axis ' || along || ': measured only ' || any_value(phase) || ' the ' || cause
+        || ', the clause asks for before and after'
+    end as lack
+  from side
+  group by cause, run, unit, signal, "procedure", repeat, along
+)
+select *,
+  list(axis) over (partition by cause, run, unit, signal, "procedure", repeat
+    order by axis rows between unbounded preceding and unbounded following) as axes
+from axis;

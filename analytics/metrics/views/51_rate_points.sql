@@ -1,0 +1,31 @@
+-- Steps of which a scale factor is made: the table turning about the input axis, or at rest before and after. `output` is
+-- in deg/s where the source gives a rate, else in its own unit. Threshold and resolution tests hold a scale factor too,
+-- whose steps are told by their names.
+create or replace macro is_scale_factor_procedure("procedure") as
+  regexp_matches(coalesce("procedure", ''), '^(scale_factor|rates_|attitude_unit_scale_factor)');
+
+create or replace macro is_other_procedure("procedure") as
+  regexp_matches(coalesce("procedure", ''), '^(threshold|resolution|misalignment|polarity|startup|warmup|gyro_sep'
+    '|accelerometer_sep|attitude_unit_|bandwidth|output_delay|system_level|static_|bias|random_walk|allan|power|visual)');
+
+create or replace view rate_points as
+select
+  run, unit, signal, "procedure", repeat, temperature_command, room, position, axis, phase, product, "index", n,
+  rate_command, input_rate, rate_command = 0 as at_rest,
+  mean * coalesce(rate_factor / 3600, 1) as output,
+  standard_uncertainty * coalesce(rate_factor / 3600, 1) as u,
+  freedom,
+  case when rate_factor is null then unit_of_measure else 'deg/s' end as output_unit,
+  temperature, station, time_zone, date_known, t_from_ns, t_to_ns
+from gyro_steps
+where n > 0 and rate_command is not null and frequency is null
+  and (
+    is_scale_factor_procedure("procedure") or not is_other_procedure("procedure")
+    or (regexp_matches("procedure", '^(threshold|resolution)') and step in ('rest_before', 'rate', 'rest_after'))
+  )
+  -- an axis other than the one that is up sees no rate; so does the input axis across the table's (misalignment)
+  and not regexp_matches(coalesce(position, ''), '^[Oo][XxYy]_')
+  and (
+    not regexp_matches(coalesce(position, ''), '^[XYZ]_(up|down)$') or not regexp_matches(signal, '_[xyz]$')
+    or lower(position[1]) = signal[-1]
+  );

@@ -1,0 +1,123 @@
+-- One row for each scale factor that was measured: the points of its rates, the rests around them, what is asked of them
+-- by each standard, and the least-squares lines through all points, the forward ones and the backward ones. Planning the
+-- lines takes longer than computing them: the metric scale_factor, which comes first, keeps them as the table scale_fits.
+-- (They are macros of a table that is named later, since a view would be planned when it is defined.)
+create table if not exists products (
+  product varchar, max_rate_deg_per_s double, nonlinearity_ppm double, expected_threshold_deg_per_h double
+);
+
+create or replace view scale_sets as
+with measured as (
+  select
+    run, unit, signal, "procedure", repeat, temperature_command, room, position, axis, phase, output_unit,
+    min(product) as product, min(station) as station, min(time_zone) as time_zone, bool_and(date_known) as date_known,
+    min(t_from_ns) as t_from_ns, max(t_to_ns) as t_to_ns,
+    list({
+      "index": "index", command: rate_command, rate: input_rate, output: output, u: u, freedom: coalesce(freedom, 1),
+      temperature: temperature
+    } order by "index") filter (not at_rest) as points,
+    list({"index": "index", output: output, u: u, freedom: coalesce(freedom, 1)} order by "index")
+      filter (at_rest) as rests,
+    sum(n)::bigint as n
+  from rate_points
+  group by all
+), counted as (
+  select *,
+    list_sort(list_distinct([p.command for p in points if p.command > 0])) as forwards,
+    list_sort(list_distinct([-p.command for p in points if p.command < 0])) as backwards,
+    [r for r in rests if r."index" < points[1]."index"][-1] as rest_before,
+    [r for r in rests if r."index" > points[-1]."index"][1] as rest_after
+  from measured
+  where len(points) > 0
+)
+select c.*,
+  list_max(list_concat(forwards, backwards)) as largest_rate,
+  list_avg([p.temperature for p in points]) as temperature,
+  list_sort([p."index" for p in list_concat(
+    [{"index": p."index"} for p in points], [{"index": r."index"} for r in [rest_before, rest_after] if r is not null]
+  )]) as steps,
+  p.max_rate_deg_per_s, p.nonlinearity_ppm
+from counted c left join products p on p.product = c.product
+-- with fewer rates, in a procedure of another name, it is some other test
+where is_scale_factor_procedure("procedure") or len(forwards) + len(backwards) > 2;
+
+create or replace view scale_sides as
+select * exclude (points),
+  case side when 'both' then points when 'forwards' then [p for p in points if p.command > 0]
+    else [p for p in points if p.command < 0] end as points
+from (select *, unnest(['both', 'forwards', 'backwards']) as side from scale_sets);
+
+create or replace macro listed(rates) as
+  array_to_string([format('{:g}', r) for r in rates], ', ');
+
+create or replace macro lack_of_directions(forwards, backwards, clause) as
+  nullif(concat_ws('; ',
+    case when least(len(forwards), len(backwards)) < 11 then
+      len(forwards) || ' rates measured forwards and ' || len(backwards) || ' backwards, 11 in each direction are asked for ('
+      || clause || ')' end,
+    case when forwards <> backwards then 'the rates are not symmetric: '
+      || concat_ws(' and ',
+        nullif(listed(list_filter(forwards, lambda r: not list_contains(backwards, r))), '') || ' deg/s forwards only',
+        nullif(listed(list_filter(backwards, lambda r: not list_contains(forwards, r))), '') || ' deg/s backwards only')
+      || '; measure each rate in both directions (' || clause || ')' end
+  ), '');
+
+create or replace macro lack_of_range(largest, asked, product) as
+  case when largest < asked * (1 - 1e-6) then
+    format('the largest rate is {:g} deg/s, that of product {} is {:g} deg/s and must be among them', largest, product, asked)
+  end;
+
+create or replace macro scale_lines(source) as table
+with sided as (
+  select * exclude (k_spread), sqrt(k_spread.variance) as u_k, k_spread.freedom as freedom_k
+  from line_fits(source)
+), other as (
+  select run, unit, signal, steps,
+    any_value({k: k, u_k: u_k, freedom_k: freedom_k, residuals: residuals, sxx: sxx, n_points: n_points, points: points,
+      slope_weights: slope_weights, u: u, freedoms: freedoms})
+      filter (side = 'forwards') as plus,
+    any_value({k: k, u_k: u_k, freedom_k: freedom_k, residuals: residuals, sxx: sxx, n_points: n_points, points: points,
+      slope_weights: slope_weights, u: u, freedoms: freedoms})
+      filter (side = 'backwards') as minus
+  from sided where side <> 'both' group by all
+), lacks as (
+  select s.* exclude (side), o.plus, o.minus,
+    (s.rest_before.output + s.rest_after.output) / 2 as rest_zero,
+    case when output_unit = 'deg/s' then '1' else output_unit || '/(deg/s)' end as k_unit,
+    lack_of_directions(forwards, backwards, '5.8.1.3') as gjb_directions,
+    lack_of_directions(forwards, backwards, '7.2.1.1 b') as jjf_directions,
+    lack_of_range(largest_rate, max_rate_deg_per_s, product) as lack_of_range,
+    case
+      when rest_before is null and rest_after is null then
+        'no record of the table at rest before and after the rates (5.8.1.3 d)'
+      when rest_before is null then 'no record of the table at rest before the rates (5.8.1.3 d)'
+      when rest_after is null then 'no record of the table at rest after the rates (5.8.1.3 d)'
+    end as lack_of_rest,
+    case when len(forwards) + len(backwards) < 7 then
+      len(forwards) + len(backwards) || ' rates measured, 7 to 11 are asked for (7.1.1 c)' end as jjf1536_lack
+  from sided s left join other o using (run, unit, signal, steps)
+  where s.side = 'both'
+)
+select *,
+  nullif(concat_ws('; ', gjb_directions, lack_of_range, lack_of_rest), '') as gjb_reason,
+  nullif(concat_ws('; ', jjf_directions, lack_of_range), '') as jjf_reason,
+  nullif(concat_ws('; ', jjf1536_lack, replace(lack_of_rest, '5.8.1.3 d', '(11)')), '') as jjf1536_reason,
+  {
+    "procedure": "procedure", repeat: repeat, temperature_command: temperature_command, room: room, position: position,
+    axis: axis, phase: phase
+  } as words
+from lacks;
+
+-- The scale factor of each standard that the measurement can serve, with the reason where something it asks for is missing.
+create or replace macro scale_results(source) as table
+select * exclude (form), form.standard as standard, form.reason as lack
+from (
+  select *, unnest(list_filter([
+    {standard: 'GJB2426A', reason: gjb_reason,
+      applies: not regexp_matches(coalesce("procedure", ''), '^(attitude_unit|rates_jjf|scale_factor_(jjf|acc|shock|vib))')},
+    {standard: 'JJF2014', reason: jjf_reason, applies: not starts_with(coalesce("procedure", ''), 'attitude_unit')},
+    {standard: 'JJF1536', reason: jjf1536_reason, applies: starts_with(coalesce("procedure", ''), 'attitude_unit')
+      or (not starts_with(coalesce("procedure", ''), 'scale_factor') and len(forwards) + len(backwards) between 7 and 11)}
+  ], lambda f: f.applies)) as form
+  from query_table(source)
+);

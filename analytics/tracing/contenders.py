@@ -1,0 +1,253 @@
+"""Contenders of one round: what passed the screening, each fitted together with the noise, and its evidence."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from analytics.effects.base import Kind, Role
+from analytics.tracing.candidates import Candidate, Candidates
+from analytics.tracing.evidence import Replication, evidence, leave_one_out, one_degree
+from analytics.tracing.joint_fit import JointFit, fit_jointly
+from analytics.tracing.jump_scan import jump_column, scan_jumps
+from analytics.tracing.line_scan import line_columns, scan_lines
+from analytics.tracing.misfit import noise_inflation
+from analytics.tracing.record import Record, as_array, from_array
+from analytics.tracing.result import NoiseCoefficients
+from analytics.tracing.screening import Screen, Screened, family_p_value, screen
+from stream.batch import FloatArray
+
+ALPHA = 0.01
+"""Family-wise chance of a false finding, for each of library, lines and jumps."""
+SCREENED = 1e-3
+MOST_FITTED, MOST_FITTED_IN_FLEET = 10, 5
+UNMASKED = 1e-4
+MOST_UNMASKED = 8
+SWALLOWED = 0.25
+"""Logarithm by which a fitted noise coefficient exceeds the declared one when it may have swallowed an effect."""
+LINE, JUMP = "periodic_line", "jump"
+LINE_MOST_FROM_ONE = 0.9
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One explanation of what is left.
+
+    Parameters
+    ----------
+    name : str
+        Of the effect.
+    kind : Kind
+        How it came into the search.
+    role : Role
+        Of its channels.
+    parameters : mapping
+        Values of the shape parameters.
+    candidate : Candidate, optional
+        None for a line or a jump.
+    columns : tuple of array
+        On each record, in natural units.
+    joint : JointFit
+        Fit with it.
+    likelihood_ratio : float
+        Twice the gain in log likelihood, noise fitted with and without it, over the inflation of the noise at its pace.
+    degrees : int
+        Of freedom.
+    evidence : float
+        On the common scale.
+    replication : Replication, optional
+        None for a jump, which happens once.
+    replicates : bool
+        Whether it counts as seen more than once.
+    """
+
+    name: str
+    kind: Kind
+    role: Role
+    parameters: dict[str, Any]
+    candidate: Candidate | None
+    columns: tuple[FloatArray, ...]
+    joint: JointFit
+    likelihood_ratio: float
+    degrees: int
+    evidence: float
+    replication: Replication | None = None
+    replicates: bool = True
+
+    @property
+    def significance(self) -> float:
+        """As the z of a test of one degree of freedom."""
+        return float(np.sqrt(one_degree(self.likelihood_ratio, self.degrees)))
+
+
+def contenders(
+    records: Sequence[Record],
+    candidates: Candidates,
+    base: JointFit,
+    rng: np.random.Generator,
+    taken: Sequence[str],
+    *,
+    with_events: bool = True,
+) -> list[Contender]:
+    """Everything with positive evidence beside a fit, largest evidence first; what does not replicate included.
+
+    Parameters
+    ----------
+    records, candidates
+        The blocks, and what is tried on them.
+    base : JointFit
+        The model so far.
+    rng : numpy Generator
+        For the screening.
+    taken : sequence of str
+        Effects that are in the model so far.
+    with_events : bool
+        Whether to scan for lines and jumps.
+    """
+    first = screen(candidates, base.hypothesis.designs, base.noises, rng, taken)
+    fitted = [
+        _fitted(records, candidates, base, group, first)
+        for group in _worth_fitting(records, candidates, base, rng, taken, first)
+    ]
+    discounted = [_discounted(records, each) for each in fitted if each is not None and each.evidence > 0]
+    found = [each for each in discounted if each.evidence > 0]
+    if with_events:
+        found += [each for each in (_line(records, base), _jump(records, base)) if each is not None]
+    return sorted(found, key=lambda each: -each.evidence)
+
+
+def _worth_fitting(
+    records: Sequence[Record],
+    candidates: Candidates,
+    base: JointFit,
+    rng: np.random.Generator,
+    taken: Sequence[str],
+    first: Screen,
+) -> list[list[Screened]]:
+    """Effects that passed the screening, each with its shapes, best first.
+
+    Where the fitted noise exceeds the declared one it may have swallowed an effect (ageing in the turn-on scatter,
+    warm-up in the random walk): a second screening at the declared noise unmasks it.
+    """
+    chosen = [group for group in first.by_effect() if group[0].p_value < SCREENED]
+    del chosen[MOST_FITTED if len(records) == 1 else MOST_FITTED_IN_FLEET :]
+    least = [_least(noise, record) for noise, record in zip(base.noises, records, strict=True)]
+    if all(each is None for each in least):
+        return chosen
+    noises = [noise if each is None else each for noise, each in zip(base.noises, least, strict=True)]
+    second = screen(candidates, base.hypothesis.designs, noises, rng, taken)
+    names = {group[0].candidate.effect.name for group in chosen}
+    others = [group for group in second.by_effect() if group[0].candidate.effect.name not in names]
+    return chosen + [group for group in others if group[0].p_value < UNMASKED][:MOST_UNMASKED]
+
+
+def _least(noise: NoiseCoefficients, record: Record) -> NoiseCoefficients | None:
+    """The lesser of fitted and declared noise, where the fitted one is much larger."""
+    fitted, declared = as_array(noise), record.prior.values
+    active = declared > 0
+    if not np.any(np.log(fitted[active][1:] / declared[active][1:]) > SWALLOWED):
+        return None
+    return from_array(np.minimum(fitted, declared))
+
+
+def _fitted(
+    records: Sequence[Record], candidates: Candidates, base: JointFit, group: Sequence[Screened], screened: Screen
+) -> Contender | None:
+    """Fit the two best shapes of an effect and keep the better one; None where it fails the family-wise test."""
+    best: Contender | None = None
+    for result in group[: 2 if len(records) == 1 else 1]:
+        item = result.candidate
+        columns = tuple(candidates.of(item, number) for number in range(len(records)))
+        joint = fit_jointly(records, base.hypothesis.with_common(columns), base.noises)
+        ratio = 2 * (joint.log_likelihood - base.log_likelihood)
+        p_value = float(stats.chi2.sf(max(ratio, 0.0), result.degrees))
+        if family_p_value(p_value, screened.tests) >= ALPHA or (best and ratio <= best.likelihood_ratio):
+            continue
+        degrees = result.degrees + (len(group) > 1)
+        is_function = item.effect.kind is Kind.FUNCTION
+        best = Contender(
+            name=item.effect.name,
+            kind=item.effect.kind,
+            role=item.effect.role,
+            parameters=dict(item.shape),
+            candidate=item,
+            columns=columns,
+            joint=joint,
+            likelihood_ratio=ratio,
+            degrees=degrees,
+            evidence=evidence(ratio, degrees, is_function=is_function),
+        )
+    return best
+
+
+def _discounted(records: Sequence[Record], contender: Contender) -> Contender:
+    """Take back what noise at the pace of the effect can explain, and see whether the replicates bear it out."""
+    replicates = [record.stack.replicate for record in records]
+    runs = [record.stack.run_number for record in records]
+    width = contender.columns[0].shape[1]
+    ratio = contender.likelihood_ratio / noise_inflation(contender.joint, replicates, runs, width)
+    replication = leave_one_out(contender.joint, replicates, width)
+    return replace(
+        contender,
+        likelihood_ratio=ratio,
+        evidence=evidence(ratio, contender.degrees, is_function=contender.kind is Kind.FUNCTION),
+        replication=replication,
+        replicates=replication.replicates,
+    )
+
+
+def _line(records: Sequence[Record], base: JointFit) -> Contender | None:
+    line = scan_lines(records, base.residuals)
+    if line is None or line.family_p_value >= ALPHA:
+        return None
+    blocks = sum(map(len, records))
+    strength = float(stats.chi2.isf(max(line.p_value, 1e-300), 1))
+    gain = strength - 2 * np.log(blocks)
+    if gain <= 0:
+        return None
+    columns = tuple(line_columns(record, line.frequency_hz) for record in records)
+    joint = fit_jointly(records, base.hypothesis.with_own(columns), base.noises)
+    return Contender(
+        name=LINE,
+        kind=Kind.LINE,
+        role=Role.CAUSE,
+        parameters={"frequency_hz": line.frequency_hz},
+        candidate=None,
+        columns=columns,
+        joint=joint,
+        likelihood_ratio=strength,
+        degrees=1,
+        evidence=gain,
+        replicates=line.powers.size == 1 or line.largest_share < LINE_MOST_FROM_ONE,
+    )
+
+
+def _jump(records: Sequence[Record], base: JointFit) -> Contender | None:
+    jump = scan_jumps(records, base)
+    if jump is None or jump.family_p_value >= ALPHA:
+        return None
+    columns = tuple(
+        jump_column(record, jump.row) if number == jump.record else np.empty((len(record), 0))
+        for number, record in enumerate(records)
+    )
+    joint = fit_jointly(records, base.hypothesis.with_own(columns), base.noises)
+    ratio = 2 * (joint.log_likelihood - base.log_likelihood)
+    gain = ratio - 3 * np.log(sum(map(len, records)))
+    if gain <= 0:
+        return None
+    run = records[jump.record].stack.runs[jump.run]
+    slot = records[jump.record].stack.slot[jump.row]
+    return Contender(
+        name=JUMP,
+        kind=Kind.EVENT,
+        role=Role.CAUSE,
+        parameters={"run": run.run, "at_s": float(slot * run.block_s)},
+        candidate=None,
+        columns=columns,
+        joint=joint,
+        likelihood_ratio=ratio,
+        degrees=1,
+        evidence=gain,
+    )

@@ -1,0 +1,109 @@
+"""The error before and after, and the floor that noise sets, at several averaging times."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from analytics.tracing.least_squares import solve
+from analytics.tracing.lockbox import Lockbox
+from analytics.tracing.noise_floor import Averages, averages_of, expected_variance
+from analytics.tracing.result import ErrorAt, ErrorTable
+from analytics.tracing.selection import Search
+from stream.batch import FloatArray
+
+AVERAGING_S = (300.0, 1800.0, 3600.0)
+REFERENCE_S = 1800.0
+MOST_BY_CHANCE = 0.999
+EXCITED = 0.25
+"""An effect is excited where it reaches this part of its largest average."""
+
+
+class _Squares(NamedTuple):
+    """Squared averages before and after, and the variance that noise leaves in each."""
+
+    before: FloatArray
+    after: FloatArray
+    floor: FloatArray
+
+
+def error_table(box: Lockbox, found: Search, names: Sequence[str], *, is_held_out: bool) -> ErrorTable:
+    """Return the table on the blocks of a lockbox.
+
+    The floor is what the noise leaves in these very runs, the error of the declared coefficients included: the residual
+    less what is likely an error in the sizes of the effects, as the noise model and the training tell the two apart.
+    Where that is more than the noise model allows by chance, each run counted once, structure is left, and the floor is
+    the most that it allows.
+    """
+    record = box.record
+    rows = np.flatnonzero(box.held_out)
+    noise = found.joint.noises[0]
+    block_s = record.noise_model.block_s
+    left, error = _noise_alone(box, found)
+    runs = np.unique(record.stack.run_number[rows]).size
+    times = [block_s, *(each for each in AVERAGING_S if each > block_s)]
+    table, fractions = [], {}
+    for seconds in times:
+        averages = averages_of(record, max(1, round(seconds / block_s)), rows)
+        if not averages.rows:
+            continue
+        allowed = expected_variance(record, noise, averages)
+        squares = _Squares(
+            averages.of(box.before) ** 2,
+            averages.of(box.after) ** 2,
+            _floor(averages, left, error, box, allowed, runs),
+        )
+        driven = np.abs(averages.of(box.predictions.sum(axis=1)))
+        excited = driven > EXCITED * driven.max(initial=0.0)
+        table.append(_row(seconds, squares, excited))
+        fractions[seconds] = _fraction(squares), _fraction(_Squares(*(each[excited] for each in squares)))
+    whole, on_excited = fractions.get(REFERENCE_S, (None, None)) if box.predictions.any() else (None, None)
+    return ErrorTable(tuple(names), is_held_out, record.stack.runs[0].unit_of_measure, tuple(table), whole, on_excited)
+
+
+def _noise_alone(box: Lockbox, found: Search) -> tuple[FloatArray, FloatArray]:
+    """Residual less the likely error of the sizes of the effects, and the covariance of what is left of that error."""
+    width = box.predictions.shape[1]
+    whitened = box.whitened[:, 1:]
+    residual = box.whitened[:, 0] - whitened[:, :width].sum(axis=1)
+    known = np.zeros((whitened.shape[1], whitened.shape[1]))
+    known[width:, width:] = np.linalg.pinv(box.covariance)
+    for number, each in enumerate([each for each in found.selected if each.is_common]):
+        at = found.common_columns(each)
+        theta, covariance = found.joint.common.coefficients[at], found.joint.common.covariance[at, at]
+        known[number, number] = float(theta @ np.linalg.pinv(covariance) @ theta)
+    solution = solve(known + whitened.T @ whitened, whitened.T @ residual)
+    return box.after - box.predictions @ solution.coefficients[:width], solution.covariance[:width, :width]
+
+
+def _floor(
+    averages: Averages, left: FloatArray, error: FloatArray, box: Lockbox, allowed: FloatArray, runs: int
+) -> FloatArray:
+    predictions = averages.of(box.predictions)
+    there = averages.of(left) ** 2 + np.einsum("ij,jk,ik->i", predictions, error, predictions)
+    most = float(stats.chi2.ppf(MOST_BY_CHANCE, runs)) / runs
+    return np.asarray(there * min(1.0, most * allowed.sum() / max(float(there.sum()), 1e-300)))
+
+
+def _row(seconds: float, squares: _Squares, excited: FloatArray) -> ErrorAt:
+    rms = [float(np.sqrt(each.mean())) for each in squares]
+    on = [float(np.sqrt(each[excited].mean())) if excited.any() else None for each in squares]
+    return ErrorAt(
+        averaging_s=seconds,
+        before=rms[0],
+        after=rms[1],
+        floor=rms[2],
+        averages=squares.before.size,
+        excited_before=on[0],
+        excited_after=on[1],
+        excited_floor=on[2],
+    )
+
+
+def _fraction(squares: _Squares) -> float | None:
+    """Part of what could be won that was won; None where the error was at the floor already."""
+    could = float(squares.before.sum() - squares.floor.sum())
+    if could <= 0:
+        return None
+    return float(squares.before.sum() - squares.after.sum()) / could

@@ -1,0 +1,184 @@
+"""The lockbox: runs that took no part in the fit are predicted once, with frozen coefficients."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from analytics.effects.base import Kind
+from analytics.tracing.candidates import effect_columns
+from analytics.tracing.least_squares import solve
+from analytics.tracing.line_scan import powers_at
+from analytics.tracing.record import Record
+from analytics.tracing.result import Holdout, HoldoutSlope
+from analytics.tracing.selection import Search, Selected
+from analytics.tracing.stack import Stack
+from analytics.tracing.white_variance import record_of
+from stream.batch import BoolArray, FloatArray
+
+IS_THERE = 1.64
+"""Standard errors by which the slope has to exceed zero: 5 % one-sided."""
+SAME_SIZE = 2.58
+"""Standard errors by which the slope may differ from one: of true effects 1 % are refused for their size."""
+LINE_P_VALUE = 0.05
+
+
+@dataclass(frozen=True)
+class Lockbox:
+    """Held-out blocks of one unit with what the training says of them.
+
+    Parameters
+    ----------
+    record : Record
+        All blocks of the unit, the training included, so that the filter knows what was before.
+    held_out : array of bool, shape (n,)
+        Which of them were held out.
+    before : array of shape (n,)
+        Residual of the declared model.
+    predictions : array of shape (n, effects)
+        What each common effect adds, less what the declared model would have taken of it.
+    covariance : array of shape (p, p)
+        Of the declared coefficients.
+    whitened : array of shape (held out, 1 + effects + p)
+        Residual, predictions and the declared columns, whitened by the noise of the training.
+    """
+
+    record: Record
+    held_out: BoolArray
+    before: FloatArray
+    predictions: FloatArray
+    covariance: FloatArray
+    whitened: FloatArray
+
+    @property
+    def after(self) -> FloatArray:
+        """Residual of the model with all effects."""
+        return np.asarray(self.before - self.predictions.sum(axis=1))
+
+
+def open_lockbox(stack: Stack, held_out: BoolArray, training: Record, found: Search, number: int = 0) -> Lockbox:
+    """Predict the held-out blocks of a unit from its training.
+
+    The declared coefficients of the training are split into what they are without the effects, and what each effect
+    adds to them; so the predictions of the effects and the residual of the declared model are independent.
+
+    Parameters
+    ----------
+    stack : Stack
+        All blocks of the unit.
+    held_out : array of bool
+        Which of them were held out.
+    training : Record
+        The others.
+    found : Search
+        What the training came to.
+    number : int
+        Which of its records the training is.
+    """
+    record = record_of(stack, training.prior.center)
+    common = [each for each in found.selected if each.is_common]
+    p = training.design.shape[1]
+    whitened = found.joint.whitened[number]
+    trained = whitened[:, 1 : 1 + p]
+    normal = trained.T @ trained
+    first = 1 + found.joint.hypothesis.own[number].shape[1]
+    predictions = np.empty((len(record), len(common)))
+    declared = found.joint.own[number].coefficients[:p].copy()
+    for column, each in enumerate(common):
+        at = found.common_columns(each)
+        theta = found.joint.common.coefficients[at]
+        driven = whitened[:, first + at.start : first + at.stop] @ theta
+        taken = solve(normal, trained.T @ driven).coefficients
+        candidate = each.contender.candidate
+        assert candidate is not None
+        columns = effect_columns(record, candidate.effect, candidate.shape)
+        predictions[:, column] = columns @ theta - record.design @ taken
+        declared += taken
+    before = record.value - record.design @ declared
+    data = np.column_stack([before, predictions, record.design])
+    return Lockbox(
+        record=record,
+        held_out=held_out,
+        before=before,
+        predictions=predictions,
+        covariance=solve(normal, np.zeros(p)).covariance,
+        whitened=record.whitener(found.joint.noises[number])(data)[held_out],
+    )
+
+
+def judge(boxes: Sequence[Lockbox], trainings: Sequence[Record], found: Search, names: Sequence[str]) -> Holdout | None:
+    """Return what the held-out runs say of each effect; None where they can say nothing, as of a jump."""
+    common = [each for each in found.selected if each.is_common]
+    judged = _slopes(boxes, found, common, np.eye(len(common)), [each.contender.name for each in common])
+    judged += [
+        _line_slope(boxes, trainings, found, each) for each in found.selected if each.contender.kind is Kind.LINE
+    ]
+    if not judged:
+        return None
+    if len(common) < 2:
+        return Holdout(tuple(names), judged[0], tuple(judged))
+    (total,) = _slopes(boxes, found, common, np.ones((len(common), 1)), ["all"])
+    return Holdout(tuple(names), total, tuple(judged))
+
+
+def _slopes(
+    boxes: Sequence[Lockbox], found: Search, common: Sequence[Selected], sums: FloatArray, names: Sequence[str]
+) -> list[HoldoutSlope]:
+    """Regression of the residual on sums of predictions, all units together."""
+    if not common:
+        return []
+    width = len(common)
+    parts = [(box.whitened[:, 0], box.whitened[:, 1 : 1 + width] @ sums, box.whitened[:, 1 + width :]) for box in boxes]
+    normal = np.sum([predicted.T @ predicted for _, predicted, _ in parts], axis=0)
+    right = np.sum([predicted.T @ residual for residual, predicted, _ in parts], axis=0)
+    solution = solve(normal, right)
+    variance = solution.covariance.copy()
+    for box, (_, predicted, design) in zip(boxes, parts, strict=True):
+        through_declared = solution.covariance @ predicted.T @ design
+        variance += through_declared @ box.covariance @ through_declared.T
+    strength = np.array([_relative_error(found, each) ** -2 for each in common]) @ sums
+    errors = np.sqrt(np.maximum(np.diag(variance), 1e-300))
+    return [
+        _slope(name, float(slope), float(error), float(squared**-0.5))
+        for name, slope, error, squared in zip(names, solution.coefficients, errors, strength, strict=True)
+    ]
+
+
+def _slope(name: str, slope: float, slope_se: float, training_se: float) -> HoldoutSlope:
+    accepted = slope - IS_THERE * slope_se > 0 and abs(slope - 1) < SAME_SIZE * float(np.hypot(slope_se, training_se))
+    return HoldoutSlope(name, slope, slope_se, float(training_se), accepted)
+
+
+def _line_slope(boxes: Sequence[Lockbox], trainings: Sequence[Record], found: Search, which: Selected) -> HoldoutSlope:
+    """Ratio of a line's amplitudes in held-out and training runs; accepted where the line is there at all."""
+    frequency_hz = which.contender.parameters["frequency_hz"]
+    records = [record_of(box.record.stack.part(box.held_out), box.record.prior.center) for box in boxes]
+    residuals = [box.whitened[:, 0] - box.whitened[:, 1 : 1 + box.predictions.shape[1]].sum(axis=1) for box in boxes]
+    there = powers_at(records, residuals, frequency_hz)
+    with_line = [_with_line(found, which, number) for number in range(len(trainings))]
+    trained = powers_at(trainings, with_line, frequency_hz)
+    blocks_there = sum(map(len, records)) / there.size
+    blocks_trained = sum(map(len, trainings)) / trained.size
+    power_there = max(float(there.mean()) - 2.0, 0.0)
+    power_trained = max(float(trained.mean()) - 2.0, 1e-6)
+    slope = float(np.sqrt(power_there / blocks_there / (power_trained / blocks_trained)))
+    slope_se = float(np.sqrt((1 + power_there) / there.size) / max(np.sqrt(power_there * power_trained), 1e-6))
+    training_se = float(np.sqrt((1 + power_trained) / trained.size) / power_trained)
+    accepted = float(stats.chi2.sf(there.sum(), 2 * there.size)) < LINE_P_VALUE
+    return HoldoutSlope(which.contender.name, slope, slope_se, training_se, accepted)
+
+
+def _with_line(found: Search, which: Selected, number: int) -> FloatArray:
+    """Whitened training residual of one record with the line still in it."""
+    at = found.own_columns(which, number)
+    part = found.joint.whitened[number][:, 1 + at.start : 1 + at.stop] @ found.joint.own[number].coefficients[at]
+    return np.asarray(found.joint.residuals[number] + part)
+
+
+def _relative_error(found: Search, which: Selected) -> float:
+    """Relative standard error of the size of an effect in the training runs."""
+    at = found.common_columns(which)
+    theta, covariance = found.joint.common.coefficients[at], found.joint.common.covariance[at, at]
+    strength = float(theta @ np.linalg.pinv(covariance) @ theta)
+    return float(max(strength, 1e-12) ** -0.5)

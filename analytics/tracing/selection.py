@@ -1,0 +1,187 @@
+"""The search for what is missing: rounds of contenders, then swap and prune."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from analytics.effects.base import Kind, Role
+from analytics.tracing.candidates import Candidates
+from analytics.tracing.contenders import Contender, contenders
+from analytics.tracing.evidence import PRICE
+from analytics.tracing.joint_fit import Hypothesis, JointFit, fit_jointly, nothing_more
+from analytics.tracing.record import Record
+
+MOST_EFFECTS = 4
+_MOST_SWEEPS = 3
+
+
+@dataclass(frozen=True)
+class Selected:
+    """An effect that was taken into the model, and what else could be meant.
+
+    Parameters
+    ----------
+    contender : Contender
+        The effect.
+    confounded : tuple of Contender
+        Others within 9 of its evidence.
+    companions : tuple of str
+        Proxies within 9 of its evidence.
+    leading_proxy : str, optional
+        A proxy that explains far more than this cause: then the cause acts in another way than its form says.
+    """
+
+    contender: Contender
+    confounded: tuple[Contender, ...]
+    companions: tuple[str, ...]
+    leading_proxy: str | None = None
+
+    @property
+    def is_common(self) -> bool:
+        """Whether its coefficients are those of all units."""
+        return self.contender.candidate is not None
+
+
+@dataclass(frozen=True)
+class Search:
+    """What the search came to.
+
+    Parameters
+    ----------
+    selected : tuple of Selected
+        In the order in which they were found.
+    null, joint : JointFit
+        The declared model alone, and with all that was selected.
+    unreplicated : tuple of Contender
+        What had evidence in the first round, but from one run alone.
+    """
+
+    selected: tuple[Selected, ...]
+    null: JointFit
+    joint: JointFit
+    unreplicated: tuple[Contender, ...]
+
+    def common_columns(self, which: Selected) -> slice:
+        """Where the columns of a selected effect are among the common ones."""
+        start = 0
+        for each in self.selected:
+            if not each.is_common:
+                continue
+            width = each.contender.columns[0].shape[1]
+            if each is which:
+                return slice(start, start + width)
+            start += width
+        return slice(0, 0)
+
+    def own_columns(self, which: Selected, number: int) -> slice:
+        """Where the columns of a line or a jump are among the own ones of a record."""
+        start = self.null.hypothesis.own[number].shape[1]
+        for each in self.selected:
+            width = 0 if each.is_common else each.contender.columns[number].shape[1]
+            if each is which:
+                return slice(start, start + width)
+            start += width
+        return slice(0, 0)
+
+
+def search(records: Sequence[Record], candidates: Candidates, rng: np.random.Generator) -> Search:
+    """Find what the declared model lacks.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        One for each unit.
+    candidates : Candidates
+        What is tried beside lines and jumps.
+    rng : numpy Generator
+        For the screening.
+    """
+    null = fit_jointly(records, nothing_more(records))
+    joint = null
+    selected: list[Selected] = []
+    unreplicated: tuple[Contender, ...] = ()
+    for _ in range(MOST_EFFECTS):
+        found = contenders(records, candidates, joint, rng, [each.contender.name for each in selected])
+        if not selected:
+            unreplicated = tuple(each for each in found if not each.replicates)
+        best = _chosen(found)
+        if best is None:
+            break
+        selected.append(best)
+        joint = best.contender.joint
+    if sum(each.is_common for each in selected) >= 2:
+        selected, joint = _refined(records, candidates, selected, joint, rng)
+    return Search(tuple(selected), null, joint, unreplicated)
+
+
+def _chosen(found: Sequence[Contender]) -> Selected | None:
+    """Return the best contender that replicates; a proxy or an alias only where no cause will do."""
+    usable = [each for each in found if each.replicates]
+    if not usable:
+        return None
+    best, leading = usable[0], None
+    causes = [each for each in usable if each.role is Role.CAUSE and each.candidate is not None]
+    if best.role is Role.PROXY and causes:
+        leading = best.name if best.evidence - causes[0].evidence > PRICE else None
+        best = causes[0]
+    elif best.role is Role.ALIAS and causes and best.evidence - causes[0].evidence < PRICE:
+        best = causes[0]
+    near = [each for each in usable if each is not best and best.evidence - each.evidence < PRICE]
+    return Selected(
+        contender=best,
+        confounded=tuple(each for each in near if each.role is not Role.PROXY and not _contains(each, best)),
+        companions=tuple(each.name for each in near if each.role is Role.PROXY),
+        leading_proxy=leading,
+    )
+
+
+def _contains(function: Contender, effect: Contender) -> bool:
+    """Whether a contender is a general function of the very channels of an effect: then it says nothing against it."""
+    if function.kind is not Kind.FUNCTION or function.candidate is None or effect.candidate is None:
+        return False
+    return set(function.candidate.effect.needs) <= set(effect.candidate.effect.needs)
+
+
+def _refined(
+    records: Sequence[Record],
+    candidates: Candidates,
+    selected: list[Selected],
+    joint: JointFit,
+    rng: np.random.Generator,
+) -> tuple[list[Selected], JointFit]:
+    """Choose each effect anew beside the others, and drop those that the others make needless."""
+    for _ in range(_MOST_SWEEPS):
+        before = [each.contender.name for each in selected]
+        selected, joint = _sweep(records, candidates, selected, joint, rng)
+        if [each.contender.name for each in selected] == before:
+            break
+    return selected, joint
+
+
+def _sweep(
+    records: Sequence[Record],
+    candidates: Candidates,
+    selected: list[Selected],
+    joint: JointFit,
+    rng: np.random.Generator,
+) -> tuple[list[Selected], JointFit]:
+    for old in [each for each in selected if each.is_common]:
+        others = [each for each in selected if each is not old]
+        base = fit_jointly(records, hypothesis_of(records, others), joint.noises)
+        taken = [each.contender.name for each in others]
+        best = _chosen(contenders(records, candidates, base, rng, taken, with_events=False))
+        if best is None:
+            selected, joint = others, base
+        else:
+            selected, joint = [*others, best], best.contender.joint
+    return selected, joint
+
+
+def hypothesis_of(records: Sequence[Record], selected: Sequence[Selected]) -> Hypothesis:
+    """Return the declared model with selected effects."""
+    hypothesis = nothing_more(records)
+    for each in selected:
+        add = hypothesis.with_common if each.is_common else hypothesis.with_own
+        hypothesis = add(each.contender.columns)
+    return hypothesis

@@ -1,0 +1,1 @@
+"""How a characteristic goes on from unit to unit and from day to day, and which group of units stands apart."""

@@ -1,0 +1,282 @@
+"""Components of variance by restricted maximum likelihood: units as a random effect, stations fixed or random.
+
+Patterson and Thompson 1971; degrees of freedom after Satterthwaite (Giesbrecht and Burns 1985).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq, minimize
+from scipy.stats import chi2
+from scipy.stats import t as student
+
+from stream.batch import FloatArray, IntArray
+
+_CONFIDENCE = 0.95
+_STEP = 1e-3
+_ROUGH = 1e-3
+# of the logarithm of a variance ratio: beyond it the component is as good as none
+_LEAST, _MOST = -16.0, 16.0
+
+
+class Effect(NamedTuple):
+    """A combination of fixed effects, with 95 % limits.
+
+    Parameters
+    ----------
+    value, lo, hi, standard_uncertainty : float
+        In the unit of the values.
+    freedom : float
+        Degrees of freedom of the uncertainty.
+    chance : float
+        Probability of a value at least so far from 0 where it is 0.
+    """
+
+    value: float
+    lo: float
+    hi: float
+    standard_uncertainty: float
+    freedom: float
+    chance: float
+
+
+class Deviation(NamedTuple):
+    """Standard deviation of a component, with 95 % limits by its profile likelihood."""
+
+    value: float
+    lo: float
+    hi: float
+
+
+@dataclass(frozen=True)
+class MixedModel:
+    """y = fixed @ beta + unit effects + random effects + residual, all effects normal and independent.
+
+    Parameters
+    ----------
+    y : array of shape (n,)
+        Values.
+    fixed : array of shape (n, p)
+        Columns of full rank.
+    unit : array of int, shape (n,)
+        Which unit each value is of, from 0.
+    random : array of shape (n, q), optional
+        Indicators of the levels of a second random effect.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(2)
+    >>> unit = np.repeat(np.arange(500), 3)
+    >>> y = 10 + rng.normal(0, 2, 500)[unit] + rng.normal(0, 1, 1500)
+    >>> found = MixedModel(y, np.ones((1500, 1)), unit).deviations()
+    >>> found["unit"].lo < 2.0 < found["unit"].hi, found["residual"].lo < 1.0 < found["residual"].hi
+    (True, True)
+    """
+
+    y: FloatArray
+    fixed: FloatArray
+    unit: IntArray
+    random: FloatArray | None = None
+
+    @cached_property
+    def _sums(self) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Cross products of [random, fixed, y], their sums in each unit, and values in each unit."""
+        parts = [self.fixed, (self.y - self.y.mean())[:, None]]
+        columns = np.column_stack(parts if self.random is None else [self.random, *parts])
+        counts = np.bincount(self.unit)
+        order = np.argsort(self.unit, kind="stable")
+        starts = np.r_[0, np.cumsum(counts)[:-1]]
+        return columns.T @ columns, np.add.reduceat(columns[order], starts, axis=0), counts
+
+    @property
+    def has_repeats(self) -> bool:
+        """Whether any unit has more than one value: else unit and residual are one."""
+        return bool((self._sums[2] > 1).any())
+
+    def effects(self, contrasts: FloatArray) -> list[Effect]:
+        """Values of combinations of the fixed effects.
+
+        Parameters
+        ----------
+        contrasts : array of shape (combinations, p)
+            Their coefficients.
+        """
+        at = self._optimum
+        beta, covariance = self._solved(at)
+        freedoms = self._freedoms(at, contrasts)
+        found = []
+        for contrast, freedom in zip(contrasts, freedoms, strict=True):
+            value = float(contrast @ beta) + float(contrast @ self._centre) * float(self.y.mean())
+            error = float(np.sqrt(contrast @ covariance @ contrast))
+            half = float(student.ppf((1 + _CONFIDENCE) / 2, freedom)) * error
+            chance = float(2 * student.sf(abs(value) / error, freedom)) if error > 0 else float(value == 0)
+            found.append(Effect(value, value - half, value + half, error, float(freedom), chance))
+        return found
+
+    def deviations(self) -> dict[str, Deviation]:
+        """Standard deviations of `unit`, `residual` and, where there is one, the second random effect (`random`)."""
+        at = self._optimum
+        names = self._names
+        values = dict(zip(names, np.exp(at / 2), strict=True))
+        return {name: self._profile(index, float(values[name])) for index, name in enumerate(names)}
+
+    @property
+    def _names(self) -> list[str]:
+        names = ["residual"]
+        if self.has_repeats:
+            names.append("unit")
+        return names if self.random is None else [*names, "random"]
+
+    @cached_property
+    def _centre(self) -> FloatArray:
+        """The coefficients that make a constant 1 of the fixed columns; zero where they cannot."""
+        ones = np.ones(self.y.size)
+        beta = np.linalg.lstsq(self.fixed, ones, rcond=None)[0]
+        return np.asarray(beta if np.allclose(self.fixed @ beta, ones) else 0.0 * beta, np.float64)
+
+    def _reduced(self, logs: FloatArray) -> tuple[FloatArray, float]:
+        """[fixed, y]' V^-1 [fixed, y] and ln|V|, from the logarithms of the variances in the order of their names."""
+        products, sums, counts = self._sums
+        log_residual = float(logs[0])
+        ratio = np.exp(logs[1] - log_residual) if self.has_repeats else 0.0
+        weight = ratio / (1 + ratio * counts)
+        inner = products - sums.T @ (weight[:, None] * sums)
+        log_det = self.y.size * log_residual + float(np.log1p(ratio * counts).sum())
+        if self.random is not None:
+            q = self.random.shape[1]
+            gamma = np.exp(logs[-1] - log_residual)
+            middle = np.eye(q) + gamma * inner[:q, :q]
+            inner = inner[q:, q:] - gamma * inner[q:, :q] @ np.linalg.solve(middle, inner[:q, q:])
+            log_det += float(np.linalg.slogdet(middle)[1])
+        return inner / np.exp(log_residual), log_det
+
+    def _deviance(self, logs: FloatArray) -> float:
+        """-2 ln of the restricted likelihood, up to a constant."""
+        inner, log_det = self._reduced(logs)
+        normal, right = inner[:-1, :-1], inner[:-1, -1]
+        squares = float(inner[-1, -1] - right @ np.linalg.solve(normal, right))
+        return log_det + float(np.linalg.slogdet(normal)[1]) + squares
+
+    def _solved(self, logs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        inner, _ = self._reduced(logs)
+        covariance = np.asarray(np.linalg.inv(inner[:-1, :-1]), np.float64)
+        return covariance @ inner[:-1, -1], covariance
+
+    @cached_property
+    def _optimum(self) -> FloatArray:
+        """Logarithms of the variances at the greatest restricted likelihood."""
+        start = np.log(max(float(self.y.var()), 1e-300))
+        names = self._names
+        found = min(
+            (self._least(start + np.array(shift[: len(names)])) for shift in ((0.0, -1.0, -1.0), (-3.0, 0.0, -4.0))),
+            key=lambda each: each[1],
+        )[0]
+        return np.clip(found, start + _LEAST, start + _MOST)
+
+    def _least(
+        self, start: FloatArray, fixed: tuple[int, float] | None = None, within: float = 1e-7
+    ) -> tuple[FloatArray, float]:
+        """The best point from a start, with one of the logarithms held where it is given."""
+        free = [index for index in range(start.size) if fixed is None or index != fixed[0]]
+        whole = start.copy()
+        if fixed is not None:
+            whole[fixed[0]] = fixed[1]
+        low, high = float(start[free[0]]) + _LEAST, float(start[free[0]]) + _MOST
+
+        def deviance(part: FloatArray) -> float:
+            at = whole.copy()
+            at[free] = np.clip(part, low, high)
+            return self._deviance(at)
+
+        options = {"xatol": within, "fatol": within, "maxiter": 2000}
+        best = minimize(deviance, whole[free], method="Nelder-Mead", options=options)
+        whole[free] = np.clip(best.x, low, high)
+        return whole, float(best.fun)
+
+    def _freedoms(self, at: FloatArray, contrasts: FloatArray) -> FloatArray:
+        """Satterthwaite: 2*v**2 over the variance of v, by the curvature of the likelihood."""
+        residual = float(self.y.size - self.fixed.shape[1])
+        # a component at its border does not move the uncertainty
+        live = [index for index in range(at.size) if index == 0 or at[index] - at.max() > _LEAST / 2]
+        shifts = np.zeros((len(live), at.size))
+        shifts[np.arange(len(live)), live] = _STEP
+        curvature = np.empty((len(live), len(live)))
+        for i, one in enumerate(shifts):
+            for j, two in enumerate(shifts):
+                corners = [self._deviance(at + a * one + b * two) * a * b for a in (1, -1) for b in (1, -1)]
+                curvature[i, j] = sum(corners) / (4 * _STEP**2)
+        spread = 2 * np.linalg.pinv(curvature, hermitian=True)
+
+        def variances(logs: FloatArray) -> FloatArray:
+            covariance = self._solved(logs)[1]
+            return np.asarray(np.einsum("ij,jk,ik->i", contrasts, covariance, contrasts), np.float64)
+
+        slopes = np.array([(variances(at + one) - variances(at - one)) / (2 * _STEP) for one in shifts])
+        wobble = np.einsum("ki,kl,li->i", slopes, spread, slopes)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            freedom = 2 * variances(at) ** 2 / wobble
+        return np.clip(np.where(wobble > 0, freedom, residual), 1.0, residual)
+
+    def _profile(self, index: int, value: float) -> Deviation:
+        at = self._optimum
+        rise = float(chi2.ppf(_CONFIDENCE, 1))
+        least = self._deviance(at)
+
+        def above(log: float) -> float:
+            if at.size == 1:
+                return self._deviance(np.array([log])) - least - rise
+            return self._least(at, (index, log), _ROUGH)[1] - least - rise
+
+        lo = _crossing(above, float(at[index]), -1.0, _LEAST)
+        hi = _crossing(above, float(at[index]), 1.0, _MOST)
+        zero = index > 0 and at[index] - at.max() < _LEAST / 2
+        return Deviation(
+            0.0 if zero else value,
+            0.0 if lo is None else float(np.exp(lo / 2)),
+            float("inf") if hi is None else float(np.exp(hi / 2)),
+        )
+
+
+def paired_difference(differences: FloatArray) -> Effect:
+    """Mean of paired differences with limits by Student's t; at least 2.
+
+    Examples
+    --------
+    >>> round(paired_difference(np.array([0.9, 1.0, 1.1])).value, 3)
+    1.0
+    """
+    n = differences.size
+    mean, error = float(differences.mean()), float(differences.std(ddof=1) / np.sqrt(n))
+    half = float(student.ppf((1 + _CONFIDENCE) / 2, n - 1)) * error
+    chance = float(2 * student.sf(abs(mean) / error, n - 1)) if error > 0 else float(mean == 0)
+    return Effect(mean, mean - half, mean + half, error, float(n - 1), chance)
+
+
+def _crossing(above: Callable[[float], float], start: float, step: float, most: float) -> float | None:
+    """Where a function that is negative at `start` becomes positive that way; None if it does not."""
+    inside = start
+    while abs(inside - start) < abs(most):
+        outside = inside + step
+        if above(outside) > 0:
+            return float(brentq(above, min(inside, outside), max(inside, outside), xtol=1e-3))
+        inside, step = outside, step * 1.5
+    return None
+
+
+def holm(chances: list[float]) -> list[float]:
+    """Probabilities adjusted for being several (Holm 1979).
+
+    Examples
+    --------
+    >>> [round(each, 3) for each in holm([0.01, 0.04, 0.03])]
+    [0.03, 0.06, 0.06]
+    """
+    adjusted = [0.0] * len(chances)
+    running = 0.0
+    for rank, index in enumerate(sorted(range(len(chances)), key=chances.__getitem__)):
+        running = max(running, min(1.0, (len(chances) - rank) * chances[index]))
+        adjusted[index] = running
+    return adjusted

@@ -1,0 +1,103 @@
+"""The eight rules of Nelson for a chart of individual values (Journal of Quality Technology 16, 1984, 237-239)."""
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from analytics.trends.words import Words
+from stream.batch import FloatArray
+
+BoolArray = NDArray[np.bool_]
+
+RULES = (
+    Words("a point beyond 3 sigma", "1 点超出 3σ 控制限"),
+    Words("9 points in a row on one side of the centre", "连续 9 点在中心线同一侧"),
+    Words("6 points in a row rising or falling", "连续 6 点递增或递减"),
+    Words("14 points in a row up and down by turns", "连续 14 点交替上下"),
+    Words("2 of 3 points beyond 2 sigma on one side", "连续 3 点中有 2 点在同侧 2σ 以外"),
+    Words("4 of 5 points beyond 1 sigma on one side", "连续 5 点中有 4 点在同侧 1σ 以外"),
+    Words("15 points in a row within 1 sigma", "连续 15 点在 1σ 以内"),
+    Words("8 points in a row beyond 1 sigma, on either side", "连续 8 点在两侧 1σ 以外"),
+)
+LENGTHS = (1, 9, 6, 14, 3, 5, 15, 8)
+"""Points that each rule looks at together."""
+
+
+def rule_flags(z: FloatArray) -> BoolArray:
+    """Where each rule is met for the points up to there.
+
+    Parameters
+    ----------
+    z : array of shape (..., points)
+        (value - centre)/sigma, in order of time; several series at once.
+
+    Returns
+    -------
+    array of bool, shape (8, ..., points)
+        True at the last point of each pattern.
+
+    Notes
+    -----
+    White noise with known centre and sigma first meets a rule after so many points, on average: 370 (rule 1), 511 (2),
+    422 (3), 600 (4), 512 (5), 292 (6), 963 (7), 14,000 (8); one of the eight after 74. A signal alone says little: see
+    `chart_chance`.
+
+    Examples
+    --------
+    >>> flags = rule_flags(np.array([0.1] * 8 + [3.5]))
+    >>> [number + 1 for number in range(8) if flags[number, -1]]
+    [1, 2]
+    """
+    above, below = z > 0, z < 0
+    steps = np.diff(z, axis=-1)
+    turning = np.sign(steps[..., 1:]) * np.sign(steps[..., :-1]) < 0
+    flags = np.zeros((len(RULES), *z.shape), bool)
+    flags[0] = np.abs(z) > 3
+    flags[1] = _of_last(above, 9, 9) | _of_last(below, 9, 9)
+    flags[2, ..., 1:] = _of_last(steps > 0, 5, 5) | _of_last(steps < 0, 5, 5)
+    flags[3, ..., 2:] = _of_last(turning, 12, 12)
+    for rule, (sigma, least, of) in ((4, (2.0, 2, 3)), (5, (1.0, 4, 5))):
+        # the point that completes the pattern is one of those outside
+        flags[rule] = (_of_last(z > sigma, least, of) & (z > sigma)) | (_of_last(z < -sigma, least, of) & (z < -sigma))
+    flags[6] = _of_last(np.abs(z) < 1, 15, 15)
+    flags[7] = _of_last(np.abs(z) > 1, 8, 8)
+    return flags
+
+
+def points_of(flags: BoolArray, z: FloatArray) -> dict[int, list[int]]:
+    """All points that take part in each rule's patterns; rules by number, 1 to 8, that are met at all.
+
+    Examples
+    --------
+    >>> z = np.array([0.0, 2.5, 0.0, 2.2, 0.0])
+    >>> points_of(rule_flags(z), z)
+    {5: [1, 3]}
+    """
+    found = {}
+    for rule, (flag, length) in enumerate(zip(flags, LENGTHS, strict=True)):
+        ends = np.flatnonzero(flag)
+        if not ends.size:
+            continue
+        taking_part = np.zeros(z.size, bool)
+        for end in ends:
+            window = slice(max(0, int(end) - length + 1), int(end) + 1)
+            if rule in {4, 5}:
+                outside = z[window] * np.sign(z[end]) > (2.0 if rule == 4 else 1.0)
+                taking_part[window] |= outside
+            else:
+                taking_part[window] = True
+        found[rule + 1] = [int(each) for each in np.flatnonzero(taking_part)]
+    return found
+
+
+def _of_last(condition: BoolArray, least: int, of: int) -> BoolArray:
+    """Whether at least so many of the last `of` are true; patterns that begin before the first point are not."""
+    met = np.zeros(condition.shape, bool)
+    short = min(of, condition.shape[-1])
+    if least == of or short < of:
+        if condition.shape[-1] >= of:
+            met[..., of - 1 :] = sliding_window_view(condition, of, axis=-1).all(axis=-1)
+        return met
+    padded = np.concatenate([np.zeros((*condition.shape[:-1], of - 1), bool), condition], axis=-1)
+    met[...] = sliding_window_view(padded, of, axis=-1).sum(axis=-1) >= least
+    return met

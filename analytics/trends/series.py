@@ -1,0 +1,315 @@
+"""The values of a characteristic in order of time, with the unit, station, lot and fixture of each."""
+
+import json
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from analytics.metrics_selection import check_metrics
+from storage.catalog import Catalog
+from stream.batch import BoolArray, FloatArray, IntArray
+from stream.errors import NotFound
+
+GROUPS = ("station", "fixture", "lot")
+UNGIVEN = "(not given)"
+
+# What was found beside the value, not asked for: values that differ in these are values of one characteristic.
+_FOUND = frozenset(
+    {
+        "duration_s",
+        "n_effective",
+        "repeat",
+        "repeats",
+        "scale_factor",
+        "scale_source",
+        "epochs",
+        "days",
+        "power_ons",
+        "n",
+    }
+)
+_TEMPERATURE = "temperature"
+_TEMPERATURE_GAP_DEG_C = 5.0
+_FEW = 12
+_SQL = """
+with chosen as (
+  select row_number() over () as number, *
+  from unit_metrics where metric = $metric
+), placed as (
+  select c.number,
+    max(s.t_to_ns) as t_ns,
+    arg_max(s.station, s.t_to_ns) as station,
+    arg_max(s.lot, s.t_to_ns) as lot,
+    arg_max(s.fixture, s.t_to_ns) as fixture,
+    arg_max(s.product, s.t_to_ns) as product,
+    bool_and(s.date_known) as date_known
+  from (select *, unnest(case when len(runs) > 0 then runs else [run] end) as in_run from chosen) c
+  join step_means s on s.run = c.in_run and s.unit = c.unit
+    and (len(c.runs) > 1 or coalesce(len(c.steps), 0) = 0 or list_contains(c.steps, s."index"))
+  group by c.number
+)
+select c.unit, c.signal, coalesce(c.run, c.runs[-1]) as run, c.value, c.standard_uncertainty, c.unit_of_measure,
+  c.standard, c.parameters, c.reason,
+  p.t_ns, coalesce(p.date_known, r.date_known, false) as date_known,
+  coalesce(p.station, u.station, r.station) as station,
+  coalesce(p.lot, u.lot, r.lot) as lot,
+  coalesce(p.fixture, u.fixture) as fixture,
+  coalesce(p.product, u.product) as product,
+  epoch_ns(coalesce(r.started, r.recorded)) as recorded_ns,
+  c.steps
+from chosen c
+left join placed p using (number)
+left join units u on u.run = coalesce(c.run, c.runs[-1]) and u.unit = c.unit
+left join runs r on r.run = coalesce(c.run, c.runs[-1])
+"""
+
+
+class Variant(NamedTuple):
+    """Which of the kinds of values that a characteristic has: its standard and what it was asked with."""
+
+    standard: str
+    parameters: tuple[tuple[str, str], ...]
+
+    def __str__(self) -> str:
+        return ", ".join([f"standard={self.standard}", *(f"{name}={value}" for name, value in self.parameters)])
+
+
+@dataclass(frozen=True)
+class Series:
+    """Values in order of time.
+
+    Parameters
+    ----------
+    metric, unit_of_measure : str
+        What they are of.
+    value, uncertainty : arrays of shape (n,)
+        In that unit; the standard uncertainty is NaN where unknown.
+    t_ns : array of int, shape (n,)
+        When each was measured; where the date of a run is unknown, when it was recorded.
+    unit : list of str
+        Which unit; with the signal where units have several.
+    run : list of str
+        In which run.
+    groups : dict of list of str
+        Of each value, for `GROUPS` and `product`.
+    variant : Variant
+        Which kind of values.
+    others : tuple of Variant
+        The other kinds that there are.
+    without_value : int
+        Rows of this kind that have a reason in place of a value.
+    dated : bool
+        Whether the dates of all runs are known.
+    """
+
+    metric: str
+    unit_of_measure: str
+    value: FloatArray
+    uncertainty: FloatArray
+    t_ns: IntArray
+    unit: list[str]
+    run: list[str]
+    groups: dict[str, list[str]]
+    variant: Variant
+    others: tuple[Variant, ...]
+    without_value: int
+    dated: bool
+
+    def where(self, chosen: BoolArray | Iterable[int]) -> "Series":
+        """Only some of the values, in the same order."""
+        at = (
+            np.flatnonzero(chosen) if isinstance(chosen, np.ndarray) and chosen.dtype == bool else np.array(chosen, int)
+        )
+        return replace(
+            self,
+            value=self.value[at],
+            uncertainty=self.uncertainty[at],
+            t_ns=self.t_ns[at],
+            unit=[self.unit[index] for index in at],
+            run=[self.run[index] for index in at],
+            groups={name: [levels[index] for index in at] for name, levels in self.groups.items()},
+        )
+
+    def first_of_units(self) -> "Series":
+        """The first value of each unit: a unit that was measured again is not a new unit."""
+        seen: dict[str, int] = {}
+        for index, unit in enumerate(self.unit):
+            seen.setdefault(unit, index)
+        return self.where(seen.values())
+
+    def split(self, by: str) -> dict[str, "Series"]:
+        """The values of each unit, or level of a group, by name."""
+        levels = self.unit if by == "unit" else self.groups[by]
+        places: defaultdict[str, list[int]] = defaultdict(list)
+        for index, level in enumerate(levels):
+            places[level].append(index)
+        return {level: self.where(places[level]) for level in sorted(places)}
+
+
+class Choice(NamedTuple):
+    """Which values are wanted; what is left out is not restricted."""
+
+    units: tuple[str, ...] = ()
+    signal: str | None = None
+    standard: str | None = None
+    parameters: Mapping[str, str] = {}
+    lot: str | None = None
+    station: str | None = None
+    fixture: str | None = None
+    since_ns: int | None = None
+
+
+def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> Series:  # noqa: B008  it is a tuple
+    """Read the values of one characteristic from the store.
+
+    Where a characteristic has several kinds of values (averaging times, axes, with and without the Earth's rate) and
+    the choice leaves more than one, the kind with the most values is taken; the others are named in the result.
+
+    Raises
+    ------
+    BadInput
+        If there is no such characteristic; the message names those that look alike.
+    NotFound
+        If there is no value of it.
+    """
+    check_metrics([metric])
+    rows = [
+        row | {"parameters": json.loads(row["parameters"] or "{}")}
+        for batch in catalog.batches(_SQL, {"metric": metric})
+        for row in batch.to_pylist()
+    ]
+    kept = [row for row in rows if _is_wanted(row, choice)]
+    if not kept:
+        raise NotFound(_nothing(metric, rows, choice))
+    variant, others, kept = _one_kind(kept)
+    valued = [row for row in kept if row["value"] is not None]
+    if not valued:
+        reasons = Counter(row["reason"] for row in kept)
+        raise NotFound(f"{metric}: no unit has a value; of {len(kept)} most say: {reasons.most_common(1)[0][0]}")
+    return _series(metric, valued, variant, others, len(kept) - len(valued))
+
+
+def _is_wanted(row: Mapping[str, Any], choice: Choice) -> bool:
+    asked = (
+        (not choice.units or row["unit"] in choice.units),
+        choice.signal in {None, row["signal"]},
+        choice.standard is None or choice.standard in (row["standard"] or "").split(", "),
+        choice.since_ns is None or (_moment(row) or 0) >= choice.since_ns,
+        *(wanted in {None, row[name]} for name, wanted in choice._asdict().items() if name in GROUPS),
+        *(_text(row["parameters"].get(name)) == _text(value) for name, value in choice.parameters.items()),
+    )
+    return all(asked)
+
+
+def _moment(row: Mapping[str, Any]) -> int | None:
+    found: int | None = row["t_ns"] if row["date_known"] and row["t_ns"] is not None else row["recorded_ns"]
+    return found
+
+
+def _text(value: object) -> str:
+    """A parameter so that 100, 100.0 and '100' are the same."""
+    try:
+        return f"{float(str(value)):g}"
+    except ValueError:
+        return str(value)
+
+
+def _nothing(metric: str, rows: list[dict[str, Any]], choice: Choice) -> str:
+    if not rows:
+        return f"{metric}: no unit of this store has been in such a test; `gyrofleet metrics` lists what there is"
+    asked = ", ".join(f"{name} {value}" for name, value in choice._asdict().items() if value not in (None, (), {}))
+    kinds = sorted(str(each) for each in _kinds(rows))
+    return f"{metric}: none of {len(rows)} values is of {asked}; kinds of values: {'; '.join(kinds[:12])}"
+
+
+def _settings(rows: list[dict[str, Any]]) -> set[str]:
+    """Parameters that tell kinds of values apart: words, averaging times, what values of the same steps differ in."""
+    named: set[str] = set()
+    same: defaultdict[tuple[object, ...], list[dict[str, Any]]] = defaultdict(list)
+    for row in rows:
+        named |= {
+            name for name, value in row["parameters"].items() if isinstance(value, str | bool) or name == "average_s"
+        }
+        same[row["unit"], row["signal"], row["run"], row["standard"], tuple(row["steps"] or ())].append(
+            row["parameters"]
+        )
+    for group in same.values():
+        if len(group) > 1:
+            names = {name for each in group for name in each}
+            named |= {name for name in names if len({_text(each.get(name)) for each in group}) > 1}
+    few = {
+        name
+        for name in named
+        if len({_text(row["parameters"].get(name)) for row in rows}) <= max(_FEW, len(rows) // 20)
+    }
+    return (few - _FOUND) | {_TEMPERATURE}
+
+
+def _temperature_classes(rows: list[dict[str, Any]]) -> dict[float, str]:
+    """Measured temperatures that belong together, with their median: a gap of more than 5 degC parts them."""
+    found = sorted(
+        {float(each) for row in rows if isinstance(each := row["parameters"].get(_TEMPERATURE), int | float)}
+    )
+    gaps = [at for at in range(1, len(found)) if found[at] - found[at - 1] > _TEMPERATURE_GAP_DEG_C]
+    return {
+        each: f"{np.median(found[first:last]):.0f}"
+        for first, last in pairwise([0, *gaps, len(found)])
+        for each in found[first:last]
+    }
+
+
+def _kinds(rows: list[dict[str, Any]]) -> dict[Variant, list[dict[str, Any]]]:
+    settings, classes = _settings(rows), _temperature_classes(rows)
+    kinds: defaultdict[Variant, list[dict[str, Any]]] = defaultdict(list)
+    for row in rows:
+        told = {
+            name: _text(value) for name, value in row["parameters"].items() if name in settings and value is not None
+        }
+        if (temperature := row["parameters"].get(_TEMPERATURE)) in classes:
+            told[_TEMPERATURE] = classes[temperature]
+        kinds[Variant(row["standard"] or "", tuple(sorted(told.items())))].append(row)
+    return kinds
+
+
+def _one_kind(rows: list[dict[str, Any]]) -> tuple[Variant, tuple[Variant, ...], list[dict[str, Any]]]:
+    kinds = _kinds(rows)
+    # of two with as many values the one at room temperature
+    order = sorted(
+        kinds,
+        key=lambda kind: (
+            -sum(row["value"] is not None for row in kinds[kind]),
+            ("room", "False") in kind.parameters,
+            kind,
+        ),
+    )
+    return order[0], tuple(order[1:]), kinds[order[0]]
+
+
+def _series(
+    metric: str, rows: list[dict[str, Any]], variant: Variant, others: tuple[Variant, ...], without_value: int
+) -> Series:
+    units = Counter(row["unit_of_measure"] for row in rows)
+    (unit_of_measure, _), *_rest = units.most_common()
+    # outputs in volts and in deg/s have scale factors that cannot stand on one chart
+    without_value += sum(row["unit_of_measure"] != unit_of_measure for row in rows)
+    rows = [row for row in rows if row["unit_of_measure"] == unit_of_measure]
+    rows.sort(key=lambda row: (_moment(row) or 0, row["run"] or "", row["unit"], row["signal"], row["steps"] or []))
+    several = len({row["signal"] for row in rows}) > 1
+    return Series(
+        metric=metric,
+        unit_of_measure=unit_of_measure,
+        value=np.array([row["value"] for row in rows], np.float64),
+        uncertainty=np.array([row["standard_uncertainty"] for row in rows], np.float64),
+        t_ns=np.array([_moment(row) or 0 for row in rows], np.int64),
+        unit=[f"{row['unit']} {row['signal']}" if several else row["unit"] for row in rows],
+        run=[row["run"] or "" for row in rows],
+        groups={name: [row[name] or UNGIVEN for row in rows] for name in (*GROUPS, "product")},
+        variant=variant,
+        others=others,
+        without_value=without_value,
+        dated=all(row["date_known"] for row in rows),
+    )

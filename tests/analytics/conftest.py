@@ -1,0 +1,199 @@
+"""Stores with tested units: runs that are written sample by sample, and records of steps as they are kept."""
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import pyarrow as pa
+import pytest
+
+from analytics.metrics.evaluation import define_views, evaluate
+from analytics.metrics.product_files import products_of
+from analytics.metrics.registry import metrics
+from analytics.step_records.step_table import step_means
+from storage.catalog import Catalog
+from storage.event_log import EventLog
+from storage.lake import build_missing, builder_lock
+from storage.mcap_records import EVENTS, SAMPLES, LogRecord
+from storage.sequence import place_of
+from storage.store import Store, WriterLock
+from stream.batch import FloatArray, SampleBatch
+from stream.events import (
+    AnyDocument,
+    PowerOn,
+    RunStarted,
+    StepEnded,
+    StepStarted,
+    StepWords,
+    UnitMounted,
+    encode_event,
+)
+from stream.identity import Place, event_key, sample_key
+from stream.wire import encode_batch
+
+PLACE = Place("plant", "station-1")
+START_NS = 1_763_683_200 * 10**9  # 2025-11-21 00:00 UTC
+SECOND_NS = 10**9
+
+
+class TestedUnits:
+    """A store that is filled with runs; the time of each unit's signals goes on from step to step."""
+
+    __test__ = False
+
+    def __init__(self, folder: Path) -> None:
+        self.store = Store.create(folder)
+        self._lock = WriterLock(self.store, "test")
+        self._log = EventLog(self.store)
+        self._documents = 0
+
+    def run(
+        self,
+        run: str,
+        *,
+        t_ns: int = START_NS,
+        procedure: str | None = None,
+        time_zone: str = "UTC",
+        latitude_deg: float | None = 40.0,
+        date_known: bool = True,
+    ) -> None:
+        """A run begins."""
+        details = {"time_zone": time_zone}
+        if latitude_deg is not None:
+            details["latitude_deg"] = str(latitude_deg)
+        self.document(RunStarted(run=run, t_ns=t_ns, procedure=procedure, details=details, date_known=date_known))
+
+    def mount(self, run: str, unit: str, *, t_ns: int = START_NS, **words: Any) -> None:
+        self.document(UnitMounted(run=run, t_ns=t_ns, unit=unit, **words))
+
+    def power_on(self, run: str, unit: str, t_ns: int) -> str:
+        """A unit is powered on; the epoch."""
+        epoch = str(uuid4())
+        self.document(PowerOn(run=run, t_ns=t_ns, unit=unit, epoch=epoch))
+        return epoch
+
+    def samples(
+        self,
+        run: str,
+        unit: str,
+        signal: str,
+        values: FloatArray,
+        *,
+        t0_ns: int,
+        dt_ns: int = 10**8,
+        unit_of_measure: str = "deg/h",
+    ) -> None:
+        """Samples of a stretch; each call is an epoch of its own."""
+        batch = SampleBatch(unit, signal, run, uuid4(), 0, t0_ns, dt_ns, unit_of_measure, values=values)
+        key = sample_key(PLACE, unit, signal)
+        self._append(LogRecord(key, SAMPLES, batch.last_ns + 10**6, t0_ns, encode_batch(batch)))
+
+    def step(
+        self,
+        run: str,
+        unit: str,
+        values: FloatArray | Mapping[str, tuple[FloatArray, str]],
+        *,
+        t0_ns: int,
+        dt_ns: int = 10**8,
+        unit_of_measure: str = "deg/h",
+        outcome: str = "completed",
+        **words: Any,
+    ) -> int:
+        """A step of a unit with the samples of its signals (values and unit of measure; `rate` if one array is given).
+
+        Returns
+        -------
+        int
+            Its end, where the next one can begin, ns.
+        """
+        signals = values if isinstance(values, Mapping) else {"rate": (values, unit_of_measure)}
+        longest = max(len(each) for each, _ in signals.values())
+        end_ns = t0_ns + longest * dt_ns
+        begun = StepStarted(run=run, t_ns=t0_ns, unit=unit, words=StepWords(**words))
+        self.document(begun)
+        for signal, (each, measure) in signals.items():
+            interval_ns = longest * dt_ns // len(each)
+            self.samples(run, unit, signal, each, t0_ns=t0_ns, dt_ns=interval_ns, unit_of_measure=measure)
+        self.document(StepEnded(run=run, t_ns=end_ns - dt_ns, unit=unit, step_uid=begun.uid, outcome=outcome))
+        return end_ns
+
+    def document(self, document: AnyDocument) -> None:
+        payload = encode_event(document, "e", self._documents)
+        self._documents += 1
+        self._append(LogRecord(event_key(PLACE), EVENTS, document.t_ns, document.t_ns, payload))
+
+    def product(self, text: str) -> None:
+        """Write a specification into the store."""
+        folder = self.store.folder / "products"
+        folder.mkdir(exist_ok=True)
+        (folder / "specification.toml").write_text(text)
+
+    def catalog(self) -> Catalog:
+        """What has been written so far."""
+        self._log.seal()
+        with builder_lock(self.store):
+            list(build_missing(self.store, compacts=False))
+        return Catalog(self.store)
+
+    def metric(self, name: str) -> list[dict[str, Any]]:
+        """Rows of one metric over what has been written, its parameters among the columns."""
+        with self.catalog() as catalog:
+            return _evaluated(catalog, step_means(catalog), name)
+
+    def release(self) -> None:
+        self._log.abandon()
+        self._lock.release()
+
+    def _append(self, record: LogRecord) -> None:
+        place = place_of(record)
+        assert place is not None
+        self._log.append(place, record)
+
+
+def _evaluated(catalog: Catalog, steps: pa.Table, metric: str) -> list[dict[str, Any]]:
+    """Rows of one metric from records of steps, its parameters among the columns; the other metrics are left out."""
+    catalog._unfilled.clear()  # else it would fill itself with all of them
+    define_views(catalog, steps, products_of(catalog.store).scales)
+    rows: list[dict[str, Any]] = evaluate(catalog, [metrics()[metric]]).to_pylist()
+    return [json.loads(row["parameters"] or "{}") | row for row in rows]
+
+
+@pytest.fixture
+def tested(tmp_path: Path) -> Iterator[TestedUnits]:
+    """A store to be filled with runs."""
+    made = TestedUnits(tmp_path / "store")
+    yield made
+    made.release()
+
+
+Recorded = Callable[[Sequence[Mapping[str, Any]], str], list[dict[str, Any]]]
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Recorded:
+    """A metric's rows from records of steps that a test makes up: what is not said of them is as of a plain static
+    step of unit U1 in run r1, its samples in deg/h."""
+
+    def run(rows: Sequence[Mapping[str, Any]], metric: str) -> list[dict[str, Any]]:
+        folder = tmp_path / "records"
+        store = Store.open(folder) if folder.exists() else Store.create(folder)
+        with Catalog(store) as catalog:
+            schema = step_means(catalog).schema
+            plain = {
+                "run": "r1", "unit": "U1", "signal": "rate", "date_known": True, "time_zone": "UTC", "room": False,
+                "latitude_deg": 40.0, "unit_of_measure": "deg/h", "n": 36_000, "duration_s": 3600.0, "freedom": 30.0,
+                "standard_uncertainty": 0.01, "n_effective": 1000.0,
+            }  # fmt: skip
+            told: list[dict[str, Any]] = [
+                {"index": i + 1, "t_start_ns": START_NS + i * 7200 * SECOND_NS} | plain | dict(row)
+                for i, row in enumerate(rows)
+            ]
+            for each in told:
+                each.setdefault("t_from_ns", each["t_start_ns"])
+                each.setdefault("t_to_ns", each["t_from_ns"] + round(each["duration_s"] * 1e9))
+            return _evaluated(catalog, pa.Table.from_pylist(told, schema=schema), metric)
+
+    return run

@@ -1,0 +1,383 @@
+"""Reduction of a store to blocks: equal to NumPy on the same samples; joins, gaps, bad input."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from analytics.block_reduction import BlockReducer, Reduction
+from analytics.declared_noise import declared_noise
+from analytics.error_model import ErrorModel
+from storage.catalog import Catalog
+from stream.batch import FloatArray
+from stream.errors import BadInput, NotFound
+from stream.estimators.base import NoEstimate
+from stream.events import NoiseFitted, PowerOn
+
+START_NS = 1_763_683_200 * 10**9
+SECOND_NS = 10**9
+
+
+def reduced(tested: Any, unit: str = "U1", signal: str = "rate", **options: Any) -> Reduction:
+    with tested.catalog() as catalog:
+        return BlockReducer(catalog, signal, **options).reduce(unit)
+
+
+def white_variance(values: FloatArray, per_piece: int) -> float:
+    """Variance of the mean of `values` by successive differences of the means of pieces."""
+    pieces = values.reshape(-1, per_piece).mean(axis=1)
+    return float(np.mean(np.diff(pieces) ** 2) / 2.0 / len(pieces))
+
+
+@pytest.mark.parametrize("block_s", [30.0, 10.0, 0.8])
+def test_means_and_scatter_are_those_of_numpy(tested: Any, block_s: float) -> None:
+    rng = np.random.default_rng(1)
+    tested.run("r1")
+    rate = 5.0 + rng.normal(0.0, 2.0, 6000) + np.linspace(0.0, 3.0, 6000)
+    tested.samples("r1", "U1", "rate", rate / 3600.0, t0_ns=START_NS, dt_ns=SECOND_NS // 10, unit_of_measure="deg/s")
+    (run,) = reduced(tested, block_s=block_s).runs
+    per_block = round(10 * block_s)
+    blocks = rate.reshape(-1, per_block)
+    assert (run.unit_of_measure, run.t0_ns, run.block_s) == ("deg/h", START_NS, block_s)
+    np.testing.assert_array_equal(run.slot, np.arange(len(blocks)))
+    np.testing.assert_array_equal(run.n, per_block)
+    np.testing.assert_allclose(run.value, blocks.mean(axis=1), rtol=1e-12)
+    if block_s == 30.0:
+        expected = [white_variance(each, 10) for each in blocks]
+        np.testing.assert_allclose(run.white_variance, expected, rtol=1e-9)
+    # 8 or more differences a block: sd of their mean square over two is at most sqrt(3/8) of it, less over all blocks
+    assert np.median(run.white_variance) == pytest.approx(4.0 / per_block, rel=0.25)
+
+
+def test_slow_change_hardly_counts_as_white_noise(tested: Any) -> None:
+    tested.run("r1")
+    ramp = np.linspace(0.0, 36.0, 36_000)  # deg/h over an hour: 0.3 in a block
+    noise = np.random.default_rng(2).normal(0.0, 1.0, 36_000)
+    tested.samples("r1", "U1", "rate", ramp + noise, t0_ns=START_NS)
+    (run,) = reduced(tested).runs
+    # 120 blocks of 29 differences, each with relative variance 2 and next ones correlated 1/4: sd of the mean 0.03
+    assert run.white_variance.mean() == pytest.approx(1.0 / 300.0, rel=0.12)
+
+
+def test_gaps_leap_and_a_short_block_takes_the_scatter_of_its_run(tested: Any) -> None:
+    rng = np.random.default_rng(3)
+    tested.run("r1")
+    first, second = rng.normal(0.0, 1.0, 3000), rng.normal(0.0, 1.0, 35)
+    tested.samples("r1", "U1", "rate", first, t0_ns=START_NS)
+    tested.samples("r1", "U1", "rate", second, t0_ns=START_NS + 600 * SECOND_NS)
+    (run,) = reduced(tested).runs
+    assert run.slot.tolist() == [*range(10), 20]
+    assert run.n[-1] == 35
+    assert run.value[-1] == pytest.approx(second.mean())
+    # the median of some 290 squares of normal deviates: sd 0.14 of it
+    assert run.white_variance[-1] * 35 == pytest.approx(1.0, rel=0.5)
+
+
+def test_channels_of_unit_and_station_are_joined_by_time(tested: Any) -> None:
+    tested.run("r1")
+    tested.mount("r1", "U1")
+    tested.mount("r1", "U2")
+    t_s = np.arange(0.0, 1800.0, 0.1)
+    for unit in ("U1", "U2"):
+        tested.samples("r1", unit, "rate", np.sin(t_s), t0_ns=START_NS)
+        tested.samples("r1", unit, "temperature", 25.0 + t_s / 100.0, t0_ns=START_NS, unit_of_measure="degC")
+    every_5_s, every_60_s = np.arange(0.0, 1801.0, 5.0), np.arange(0.0, 1801.0, 60.0)
+    chamber_k, supply_mv = 293.15 + 0.01 * every_5_s, 5000.0 + every_60_s
+    tested.samples(
+        "r1", "chamber", "chamber_temperature", chamber_k, t0_ns=START_NS, dt_ns=5 * SECOND_NS, unit_of_measure="kelvin"
+    )
+    tested.samples(
+        "r1", "supply", "supply_voltage", supply_mv, t0_ns=START_NS, dt_ns=60 * SECOND_NS, unit_of_measure="mV"
+    )
+    reduction = reduced(tested)
+    (run,) = reduction.runs
+    centre_s = run.time_s - 0.05  # of samples at 0.0 to 29.9 s
+    channels = run.channels
+    assert {name: each.unit_of_measure for name, each in channels.items()} == {
+        "temperature": "degC",
+        "chamber_temperature": "degC",
+        "supply_voltage": "V",
+        "day": "day",
+    }
+    np.testing.assert_allclose(run.mean("temperature"), 25.0 + centre_s / 100.0, rtol=1e-12)
+    np.testing.assert_allclose(channels["temperature"].spread, np.std(t_s[:300]) / 100.0, rtol=1e-9)
+    np.testing.assert_allclose(run.mean("chamber_temperature"), 20.0 + 0.01 * (run.time_s - 2.5), rtol=1e-9)
+    np.testing.assert_allclose(run.mean("supply_voltage"), 5.0 + (run.time_s - 15.0 + 15.0) / 1000.0, atol=1e-3)
+    np.testing.assert_allclose(run.mean("day"), run.time_s / 86_400.0)
+
+
+def test_a_channel_that_stops_is_nan_beyond_the_tolerance(tested: Any) -> None:
+    tested.run("r1")
+    tested.samples("r1", "U1", "rate", np.zeros(18_000) + np.arange(18_000) % 2, t0_ns=START_NS)
+    readings = np.arange(6.0)  # every 100 s until 500 s of 1800 s
+    tested.samples("r1", "U1", "temperature", readings, t0_ns=START_NS, dt_ns=100 * SECOND_NS, unit_of_measure="degC")
+    (run,) = (reduction := reduced(tested)).runs
+    known = np.isfinite(run.mean("temperature"))
+    assert known.tolist() == (run.time_s < 605.0).tolist()  # 1.05 of its interval
+    (note,) = [note for note in reduction.notes if note.what == "channel_gap"]
+    assert note.text == "channel temperature has no reading near 40 of 60 blocks, in run r1"
+    (strict,) = reduced(tested, tolerance_s=20.0).runs
+    near = np.abs(strict.time_s[:, None] - 0.05 - 100.0 * readings).min(axis=1) <= 20.0
+    assert np.isfinite(strict.mean("temperature")).tolist() == near.tolist()
+
+
+def test_bad_channels_are_told(tested: Any) -> None:
+    rng = np.random.default_rng(4)
+    for run in ("r1", "r2"):
+        tested.run(run)
+        warm = 30.0 + np.cumsum(rng.normal(0.0, 0.01, 6000))
+        signals = {
+            "temperature": (warm, "degC"),
+            "case_temperature": (2.0 * warm + 3.0, "degC"),
+            "supply_voltage": (np.full(6000, 5.0), "V"),
+            "fan": (rng.normal(0.0, 1.0, 6000), "count"),
+            "rate_y": (rng.normal(0.0, 1.0, 6000), "deg/h"),
+        }
+        if run == "r2":
+            del signals["fan"]
+        tested.step(run, "U1", {"rate": (rng.normal(0.0, 1.0, 6000), "deg/h"), **signals}, t0_ns=START_NS)
+    reduction = reduced(tested)
+    told = {note.what: note for note in reduction.notes}
+    assert set(told) == {"constant", "copy", "missing_channel", "counts", "output"}
+    assert told["copy"].text.startswith("channels case_temperature and temperature are copies of each other")
+    assert told["constant"].channel == "supply_voltage"
+    assert told["missing_channel"].text.startswith("channel fan is missing in 1 of 2 runs (r2)")
+    assert told["counts"].text == "channel fan is in count: coefficients are per count"
+    assert len(reduction.limits) == 3
+    assert all("rate_y" not in run.channels for run in reduction.runs)
+
+
+def test_samples_that_are_no_numbers_are_left_out_and_counted(tested: Any) -> None:
+    tested.run("r1")
+    rate = np.random.default_rng(5).normal(10.0, 1.0, 6000)
+    rate[450:750] = np.nan
+    tested.samples("r1", "U1", "rate", rate, t0_ns=START_NS)
+    reduction = reduced(tested)
+    (run,) = reduction.runs
+    assert run.n.tolist() == [300, 150, 150, *([300] * 17)]
+    np.testing.assert_allclose(run.value[1], rate[300:450].mean())
+    (note,) = reduction.notes
+    assert note.text == "300 samples are no finite numbers in run r1: left out"
+
+
+def rate_test(tested: Any, *, table_s: float, position: str | None = None, signal: str = "rate") -> None:
+    """Six rates of 40 s each, with the table's readings every `table_s`; gyro of 3600.36 deg/h for 1 deg/s."""
+    rng = np.random.default_rng(6)
+    tested.run("r1")
+    t_ns = START_NS
+    for rate in (0.0, 10.0, -10.0, 100.0, -100.0, 0.0):
+        gyro = 3600.36 * rate + rng.normal(0.0, 1.0, 400)
+        t_ns = tested.step(
+            "r1", "U1", {signal: (gyro, "deg/h")}, t0_ns=t_ns, rate_command_deg_per_s=rate, position=position
+        )
+        readings = np.full(round(40.0 / table_s), rate)
+        tested.samples(
+            "r1", "table", "table_rate", readings, t0_ns=t_ns - 40 * SECOND_NS, dt_ns=round(table_s * SECOND_NS),
+            unit_of_measure="deg/s",
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("table_s", [1.0, 5.0, 20.0])
+def test_blocks_across_an_edge_that_the_table_does_not_show_are_left_out(tested: Any, table_s: float) -> None:
+    rate_test(tested, table_s=table_s)
+    reduction = reduced(tested, block_s=15.0)
+    (run,) = reduction.runs
+    inside = [slot for slot in range(16) if slot * 15 // 40 == (slot * 15 + 15 - 1) // 40]
+    if table_s < 15.0:  # else a block may have no reading of its own step
+        assert set(inside) <= set(run.slot.tolist())
+    assert set(run.slot.tolist()) <= set(inside)
+    model = ErrorModel.parse("bias + scale_factor*input_rate").fitted([0.0, 3600.36])
+    # sd 1/sqrt(150) of a block's mean; a mean off by 0.001 deg/s would be 3.6
+    assert np.abs(model.residual(run)).max() < 5.0 / np.sqrt(150.0)
+    told = [note.what for note in reduction.notes if note.is_limit]
+    assert told == ["input_rate"]
+    assert "taken from table_rate in run r1" in reduction.limits[0]
+
+
+@pytest.mark.parametrize(
+    ("position", "signal", "turned"),
+    [("IRA_up", "rate", 1.0), ("IRA_down", "rate", -1.0), ("IRA_east_west", "rate", 0.0), ("X_down", "rate_x", -1.0)],
+)
+def test_a_known_position_says_how_the_input_axis_lies(tested: Any, position: str, signal: str, turned: float) -> None:
+    rate_test(tested, table_s=1.0, position=position, signal=signal)
+    (run,) = reduced(tested, block_s=20.0, signal=signal).runs
+    np.testing.assert_allclose(run.mean("gravity_i"), turned)
+    np.testing.assert_allclose(run.mean("input_rate"), turned * run.mean("table_rate"))
+    assert set(run.mean("position")) == {1.0}
+
+
+def test_several_positions_that_say_nothing_give_no_input_rate(tested: Any) -> None:
+    tested.run("r1")
+    t_ns = START_NS
+    for position in ("left", "right"):
+        signals = {"rate": (np.arange(600.0) % 7, "deg/h"), "table_rate": (np.full(600, 5.0), "deg/s")}
+        t_ns = tested.step("r1", "U1", signals, t0_ns=t_ns, position=position, rate_command_deg_per_s=5.0)
+    reduction = reduced(tested, block_s=20.0)
+    (run,) = reduction.runs
+    assert "input_rate" not in run.channels
+    assert run.mean("position").tolist() == [1.0, 1.0, 1.0, 2.0, 2.0, 2.0]
+    assert "the positions left, right do not say how the input axis lies" in " ".join(reduction.limits)
+    assert "position stands for: 1 left, 2 right" in " ".join(note.text for note in reduction.notes)
+
+
+def test_a_rate_command_serves_where_no_table_was_recorded(tested: Any) -> None:
+    tested.run("r1")
+    t_ns = START_NS
+    for rate in (10.0, -10.0):
+        t_ns = tested.step("r1", "U1", np.arange(600.0) % 7, t0_ns=t_ns, rate_command_deg_per_s=rate)
+    reduction = reduced(tested, block_s=20.0)
+    assert reduction.runs[0].mean("input_rate").tolist() == [10.0, 10.0, 10.0, -10.0, -10.0, -10.0]
+    assert "taken from the steps' rate commands in run r1" in reduction.limits[0]
+
+
+def test_an_angle_is_unwrapped_and_keeps_its_phasors(tested: Any) -> None:
+    tested.run("r1")
+    t_s = np.arange(0.0, 600.0, 0.1)
+    degrees = 300.0 + 0.5 * t_s
+    tested.samples("r1", "U1", "rate", np.sin(t_s), t0_ns=START_NS)
+    tested.samples("r1", "table", "table_angle", degrees % 360.0, t0_ns=START_NS, unit_of_measure="deg")
+    (run,) = reduced(tested).runs
+    angle = run.channels["table_angle"]
+    np.testing.assert_allclose(angle.mean, degrees.reshape(-1, 300).mean(axis=1), rtol=1e-9)
+    assert angle.phasors is not None
+    for k in range(1, 5):
+        expected = np.exp(1j * k * np.radians(degrees)).reshape(-1, 300).mean(axis=1)
+        np.testing.assert_allclose(angle.phasors[k - 1], expected, atol=1e-12)
+
+
+def test_an_angle_that_turns_too_fast_for_its_readings_says_nothing(tested: Any) -> None:
+    tested.run("r1")
+    t_s = np.arange(0.0, 600.0, 0.1)
+    tested.samples("r1", "U1", "rate", np.sin(t_s), t0_ns=START_NS)
+    every_5_s = np.arange(0.0, 600.0, 5.0)
+    for signal, values, unit in (
+        ("table_angle", 20.0 * every_5_s % 360.0, "deg"),
+        ("table_rate", np.full(len(every_5_s), 20.0), "deg/s"),
+    ):
+        tested.samples("r1", "table", signal, values, t0_ns=START_NS, dt_ns=5 * SECOND_NS, unit_of_measure=unit)
+    (run,) = reduced(tested).runs
+    phasors = run.channels["table_angle"].phasors
+    assert phasors is not None
+    assert np.abs(phasors[0]).max() > 0.0  # 100 deg between readings are followed, 200 are not
+    assert not phasors[1:].any()
+
+
+def test_power_ons_give_time_since_and_runs_of_their_own(tested: Any) -> None:
+    for run, t0_ns in (("r1", START_NS), ("r2", START_NS + 86_400 * SECOND_NS)):
+        tested.run(run, t_ns=t0_ns)
+        tested.power_on(run, "U1", t0_ns - 60 * SECOND_NS)
+        tested.samples(run, "U1", "rate", np.arange(6000.0) % 5, t0_ns=t0_ns)
+    tested.document(PowerOn(run="r2", t_ns=START_NS + 86_700 * SECOND_NS, unit="U1", epoch="again"))
+    reduction = reduced(tested)
+    assert [run.run for run in reduction.runs] == ["r1", "r2#1", "r2#2"]
+    first, second, third = (run.mean("time_since_power_on") for run in reduction.runs)
+    np.testing.assert_allclose(first, 75.0 + 30.0 * np.arange(20))
+    np.testing.assert_allclose(second, 75.0 + 30.0 * np.arange(10))
+    np.testing.assert_allclose(third, 15.0 + 30.0 * np.arange(10))
+    assert reduction.runs[2].slot[0] == 10
+    assert reduction.runs[1].mean("day")[0] == pytest.approx(1.0, abs=1e-3)
+    assert "powered on several times in 1 of 2 runs (r2)" in " ".join(note.text for note in reduction.notes)
+
+
+def test_runs_and_time_are_chosen(tested: Any) -> None:
+    for run, t0_ns in (("r1", START_NS), ("r2", START_NS + 3600 * SECOND_NS)):
+        tested.run(run, t_ns=t0_ns)
+        tested.samples(run, "U1", "rate", np.arange(6000.0) % 5, t0_ns=t0_ns)
+    assert [run.run for run in reduced(tested, runs=["r2"]).runs] == ["r2"]
+    since = reduced(tested, since_ns=START_NS + 300 * SECOND_NS, until_ns=START_NS + 3700 * SECOND_NS)
+    assert [(run.run, int(run.slot[0]), len(run)) for run in since.runs] == [("r1", 10, 10), ("r2", 0, 4)]
+    with pytest.raises(NotFound, match="no run r9; it has r1, r2"):
+        reduced(tested, runs=["r1", "r9"])
+    with pytest.raises(NotFound, match="reaches from 2025-11-21T00:00:00Z to 2025-11-21T01:09:59Z"):
+        reduced(tested, until_ns=START_NS - SECOND_NS)
+    with pytest.raises(NotFound, match="unit 'U9' is not in"):
+        reduced(tested, unit="U9")
+
+
+@pytest.mark.parametrize("options", [{"block_s": 0.0}, {"block_s": np.nan}, {"tolerance_s": -1.0}])
+def test_lengths_that_are_none_are_refused(tested: Any, options: dict[str, Any]) -> None:
+    tested.run("r1")
+    with pytest.raises(BadInput, match="give a positive number of seconds"):
+        reduced(tested, **options)
+
+
+def test_runs_in_units_that_do_not_go_together_are_refused(tested: Any) -> None:
+    for run, unit in (("r1", "deg/s"), ("r2", "V")):
+        tested.run(run)
+        tested.samples(run, "U1", "rate", np.arange(600.0), t0_ns=START_NS, unit_of_measure=unit)
+    with pytest.raises(BadInput, match="runs are in V and deg/h, which cannot be brought together"):
+        reduced(tested)
+
+
+def test_noise_comes_from_the_allan_fits_of_the_unit(tested: Any) -> None:
+    rng = np.random.default_rng(7)
+    for at, run in enumerate(("r1", "r2", "r3", "r4", "r5")):
+        tested.run(run)
+        tested.samples(run, "U1", "rate", 10.0 * at + rng.normal(0.0, 1.0, 6000), t0_ns=START_NS)
+        seen = {"observable": True, "lo": 0.0, "hi": 0.9}
+        fit: dict[str, Any] = {
+            "angle_random_walk": {"value": 0.01 * (1 + at), **seen},
+            "bias_instability": {"value": 0.2, **seen},
+            "rate_random_walk": {"value": 0.0, "lo": 0.0, "hi": 0.9, "observable": False},
+            "misfit": 0.9 if run == "r1" else 0.01,
+        }
+        tested.document(NoiseFitted(run=run, t_ns=START_NS, unit="U1", signal="rate", coefficients=fit))
+    with tested.catalog() as catalog:
+        runs = BlockReducer(catalog, "rate").reduce("U1").runs
+        noise = declared_noise(catalog, runs, ErrorModel.parse("bias"))
+        assert not isinstance(noise, NoEstimate)
+        # the fit of r1 does not describe it; lower quartile of 0.02 to 0.05
+        np.testing.assert_allclose([noise.N, noise.B, noise.K], [0.0275, 0.2, 0.3])
+        assert noise.turn_on == pytest.approx(14.826, rel=0.01)  # of constants 10 apart
+        none = declared_noise(catalog, runs[:1], ErrorModel.parse("bias"))
+        assert isinstance(none, NoEstimate)
+        assert "give --noise" in none.reason
+
+
+def test_a_table_of_means_is_a_block_a_row(gyrofleet: Any, tmp_path: Path) -> None:
+    """The published means of a hemispherical resonator gyro (HIT 2012 table 1): what the paper's model leaves."""
+    table = Path(__file__).parents[1] / "golden" / "hit2012_table1.csv"
+    assert gyrofleet("import", table, "--unit", "HRG", "--store", "store").code == 0
+    from storage.store import Store
+
+    with Catalog(Store.open(tmp_path / "store")) as catalog:
+        reduction = BlockReducer(catalog, "rate", block_s=60.0).reduce("HRG")
+    assert [(run.run, len(run), run.unit_of_measure) for run in reduction.runs] == [
+        (f"speed-{speed}", 10, "V") for speed in (20, 30, 40)
+    ]
+    assert all(np.isnan(run.white_variance).all() for run in reduction.runs)
+    assert "no_scatter" in {note.what for note in reduction.notes}
+    paper = "rate = bias + table_rate + cross_axis_o + cross_axis_s + fixture_cos + fixture_sin"
+    model = ErrorModel.parse(paper, reduction.runs[0].channels)
+    assert rms_mv(reduction, model) == pytest.approx(0.8127, abs=1e-4)
+    found = model.with_term("function_of_position").shaped(reduction.runs)
+    assert rms_mv(reduction, found) == pytest.approx(0.1160, abs=1e-4)
+    # alpha is 0, 90 or 180 deg only: sine, its square and the square of the cosine cannot be told apart
+    same = [
+        rms_mv(reduction, model.with_term(each)) for each in ("gravity_s", "gravity_s_squared", "gravity_o_squared")
+    ]
+    np.testing.assert_allclose(same, 0.2550, atol=1e-4)
+
+
+def rms_mv(reduction: Reduction, model: ErrorModel) -> float:
+    """What least squares leaves, mV."""
+    columns = np.concatenate([model.columns(run) for run in reduction.runs])
+    value = np.concatenate([run.value for run in reduction.runs])
+    columns = columns / np.abs(columns).max(axis=0)
+    found = np.linalg.lstsq(columns, value, rcond=None)[0]
+    return float(1e3 * np.sqrt(np.mean((value - columns @ found) ** 2)))
+
+
+def test_measured_bursts_in_a_cold_chamber(gyrofleet: Any, tmp_path: Path, measured: Path) -> None:
+    file = measured / "psim_cold_chamber.parquet"
+    assert gyrofleet("import", file, "--unit", "PSIM", "--start", "2020-01-01T15:45:00Z", "--store", "s").code == 0
+    from storage.store import Store
+
+    with Catalog(Store.open(tmp_path / "s")) as catalog:
+        (run,) = BlockReducer(catalog, "rate_x").reduce("PSIM").runs
+    assert int(run.n.sum()) == 6250
+    assert 25 <= len(run) <= 50  # 25 bursts of 5 s; the edge of a block may cut one in two
+    assert run.channels["temperature"].unit_of_measure == "count"
+    assert np.isfinite(run.mean("temperature")).all()
+    assert np.isfinite(run.white_variance).all()
