@@ -31,7 +31,7 @@ _QUESTIONS = (
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulation.")
 @reporting
 def demo(folder: Path, hours: float, seed: int, *, as_json: bool) -> None:
-    """Screen eight simulated gyros: bus, log, lake, live estimates, verdicts, a plot; about a minute."""
+    """Screen eight simulated gyros: bus, log, lake, live estimates, verdicts, and what a unit's error model lacks."""
     from rich.live import Live
 
     from analytics.allan_curve import stored_curves
@@ -45,7 +45,8 @@ def demo(folder: Path, hours: float, seed: int, *, as_json: bool) -> None:
     if not as_json:
         console.print(
             f"This input is simulated: eight gyros at 200 Hz for {hours:g} h, three of them planted at or "
-            f"beyond a limit. Everything after the gyros is the real path."
+            f"beyond a limit; then nine short runs, in which one unit has an effect that its model lacks. Everything "
+            f"after the gyros is the real path."
         )
     compile_kernels(quiet=as_json)
     if console.is_terminal and not as_json:
@@ -57,9 +58,13 @@ def demo(folder: Path, hours: float, seed: int, *, as_json: bool) -> None:
         state = run_demo(folder, hours=hours, seed=seed)
     with Catalog(Store.open(folder)) as catalog:
         curves = stored_curves(catalog, state.run, "rate")
-        in_lake = catalog.rows("select coalesce(sum(samples), 0) from signals where run = $run", {"run": state.run})
-    if in_lake[0][0] != state.samples:
-        raise NotFound(f"run {state.run}: {state.samples} samples were sent, the lake holds {in_lake[0][0]}")
+        in_lake = catalog.rows(
+            "select coalesce(sum(samples), 0) from signals where run in (select unnest($runs))",
+            {"runs": [state.run, *state.cycles]},
+        )
+    sent = state.samples + state.cycle_samples
+    if in_lake[0][0] != sent:
+        raise NotFound(f"run {state.run}: {sent} samples were sent, the lake holds {in_lake[0][0]}")
     plot = folder / "plots" / f"{state.run}-allan.png"
     plot.parent.mkdir(exist_ok=True)
     plot_allan(curves, plot, title=f"Simulated fleet, run {state.run}", limits=state.limits.limits)
@@ -67,6 +72,7 @@ def demo(folder: Path, hours: float, seed: int, *, as_json: bool) -> None:
         print_json(_summary(state, folder, plot))
         return
     results().print(fleet_table(state, results().width))
+    _tell_found(state)
     _tell_next(state, folder, plot)
 
 
@@ -79,11 +85,30 @@ def _summary(state: "DemoState", folder: Path, plot: Path) -> dict[str, object]:
         "samples": state.samples,
         "seconds": state.seconds,
         "units": [view.verdict for view in state.units.values()],
+        "found": None if state.found is None else state.found.document(),
         "plot": str(plot),
     }
 
 
+def _tell_found(state: "DemoState") -> None:
+    """What the units' error models lack, in a sentence each."""
+    from analytics.demo_loop import DECLARED_MODEL, told_finding
+
+    assert state.found is not None
+    console = results()
+    console.print(f"\nDeclared error model: {DECLARED_MODEL}. Its residual in {len(state.cycles)} short runs:")
+    silent = [unit for unit, each in state.found.units.items() if not each.diagnosis.effects]
+    for unit, each in state.found.units.items():
+        if each.diagnosis.effects:
+            console.print(told_finding(unit, each.diagnosis), soft_wrap=True)
+    verdicts = sorted({state.found.units[unit].diagnosis.verdict.replace("_", " ") for unit in silent})
+    console.print(f"{', '.join(silent)}: {', '.join(verdicts)}\n", soft_wrap=True)
+
+
 def _tell_next(state: "DemoState", folder: Path, plot: Path) -> None:
+    from analytics.demo_loop import DECLARED_MODEL
+    from ingest.instruments.simulated.cycle_runs import ODD_UNIT
+
     option = "" if str(folder) == "gyrofleet-data" else f" --store {folder}"
     size_mb = {
         part: sum(path.stat().st_size for path in (folder / part).rglob("*") if path.is_file()) / 1e6
@@ -104,3 +129,8 @@ def _tell_next(state: "DemoState", folder: Path, plot: Path) -> None:
     for statement in _QUESTIONS:
         console.print(f'  {program} sql "{statement}"{option}', soft_wrap=True, markup=False)
     console.print(f"  {program} allan --unit {worst} --signal rate --plot allan.png{option}", soft_wrap=True)
+    console.print(
+        f'  {program} diagnose --unit {ODD_UNIT} --model "{DECLARED_MODEL}" --report found.html{option}',
+        soft_wrap=True,
+        markup=False,
+    )

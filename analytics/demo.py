@@ -7,7 +7,10 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
+from analytics.demo_loop import cycle_names, send_cycle, trace_fleet
 from analytics.limits import LimitsTable, demo_limits, judge_unit
+from analytics.unit_diagnosis import UnitsDiagnosis
+from ingest.instruments.simulated.cycle_runs import cycle_runs, cycles_last_s
 from ingest.instruments.simulated.gyro import GyroParameters, demo_fleet, unit_batches
 from ingest.pipeline import EmbeddedPipeline
 from stream.batch import SampleBatch
@@ -27,6 +30,7 @@ from stream.quantities import report_unit
 
 PLACE = Place("simulated", "demo-station")
 ESTIMATE_EVERY_S = 600.0
+_BEFORE_S = 3600.0
 
 
 @dataclass
@@ -55,6 +59,9 @@ class DemoState:
     samples: int = 0
     seconds: float = 0.0
     phase: str = "running"
+    cycles: tuple[str, ...] = ()
+    cycle_samples: int = 0
+    found: UnitsDiagnosis | None = None
 
     def rate(self) -> float:
         """Samples a second since the beginning."""
@@ -140,10 +147,36 @@ def run_demo(
             pipeline.send_event(events, view.verdict)
         pipeline.finish()
     state.seconds = time.monotonic() - state.began
+    _close_the_loop(folder, fleet, state, seed, t0_ns, on_progress)
     state.phase = "done"
     if on_progress is not None:
         on_progress(state)
     return state
+
+
+def _close_the_loop(
+    folder: Path,
+    fleet: tuple[GyroParameters, ...],
+    state: DemoState,
+    seed: int,
+    t0_ns: int,
+    on_progress: Callable[[DemoState], None] | None,
+) -> None:
+    """Nine short runs with temperature cycles and rates, in the days before, and what each unit's model lacks."""
+
+    def tell(phase: str) -> None:
+        state.phase = phase
+        if on_progress is not None:
+            on_progress(state)
+
+    runs = cycle_runs(t0_ns - round((cycles_last_s() + _BEFORE_S) * 1e9))
+    state.cycles = cycle_names(state.run, runs)
+    with EmbeddedPipeline(folder, "gyrofleet demo", estimate_every_s=ESTIMATE_EVERY_S) as pipeline:
+        for run, name in zip(runs, state.cycles, strict=True):
+            tell(f"short runs: {name}")
+            state.cycle_samples += send_cycle(pipeline, PLACE, fleet, run, name, seed)
+        pipeline.finish()
+    state.found = trace_fleet(folder, tuple(each.unit for each in fleet), state.cycles, tell)
 
 
 def _station(

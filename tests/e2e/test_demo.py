@@ -10,6 +10,8 @@ import mcap.reader
 import polars as pl
 import pytest
 
+from ingest.instruments.simulated.cycle_runs import ODD_UNIT
+
 UNITS = [f"FOG-02{n}" for n in range(31, 39)]
 
 
@@ -38,7 +40,7 @@ def test_every_simulated_sample_is_in_the_lake_and_judged(
     assert next(unit["verdict"] for unit in result["units"] if unit["unit"] == "FOG-0234") == "FAIL"
     rows = gyrofleet(
         "sql", "select unit, signal, count(*) as n, count(distinct t_ns) as moments from samples "
-        "group by all order by all",
+        f"where run = '{result['run']}' group by all order by all",
         "--store", store, "--json",
     ).json  # fmt: skip
     assert [(row["unit"], row["signal"], row["n"], row["moments"]) for row in rows] == [
@@ -50,9 +52,25 @@ def test_every_simulated_sample_is_in_the_lake_and_judged(
         "--store", store, "--json",
     ).json  # fmt: skip
     assert stored == [{"unit": unit["unit"], "verdict": unit["verdict"]} for unit in result["units"]]
-    (run,) = gyrofleet("sql", "select * from runs", "--store", store, "--json").json
+    (run,) = gyrofleet("sql", f"select * from runs where run = '{result['run']}'", "--store", store, "--json").json
     assert (run["simulated"], run["date_known"], run["outcome"]) == (True, True, "completed")
     assert Path(result["plot"]).read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_effect_that_nobody_declared_is_found_in_its_unit_and_in_no_other(demo: tuple[Path, Any]) -> None:
+    units = demo[1]["found"]["units"]
+    assert sorted(units) == UNITS
+    assert {unit for unit, found in units.items() if found["effects"]} == {ODD_UNIT}
+    found = units[ODD_UNIT]
+    (effect,) = found["effects"]
+    # planted as 0.25 deg/h per degC/min; a clock offset of the thermometer looks the same, and that is said
+    assert effect["name"] == "temperature_rate"
+    assert effect["lo"] <= 0.25 * 60 <= effect["hi"]
+    assert found["verdict"] == "confounded"
+    assert [each["name"] for each in found["confounded"]] == ["temperature_time_offset"]
+    assert found["holdout"]["accepted"]
+    assert len(found["holdout"]["runs"]) == 3
+    assert found["error"]["after"]["rms_300s"] < found["error"]["before"]["rms_300s"]
 
 
 def test_counts_are_kept_and_values_made_from_them(gyrofleet: Callable[..., Any], demo: tuple[Path, Any]) -> None:

@@ -22,7 +22,7 @@ RUN_S = 1800.0
 TABLE = "table"
 ODD_UNIT = "FOG-0235"
 _KINDS = ("temperature_cycle", "rates", "temperature_cycle", "rest")
-_RUNS = 12
+_RUNS = 9
 _PAUSE_S = 5400.0
 _SAMPLE_NS = 50_000_000
 _SECOND_NS = 1_000_000_000
@@ -53,7 +53,7 @@ class CycleRun(NamedTuple):
 
 
 def cycle_runs(t0_ns: int) -> tuple[CycleRun, ...]:
-    """Twelve runs, one after the other from `t0_ns` on, a pause between them in which the units are off.
+    """Nine runs, one after the other from `t0_ns` on, a pause between them in which the units are off.
 
     Examples
     --------
