@@ -10,9 +10,11 @@ import click
 
 from analytics.allan_cli import allan
 from analytics.cli import demo
+from analytics.diagnose_cli import diagnose
 from analytics.limits_cli import limits
 from analytics.metrics_cli import metrics
 from analytics.spectrum_cli import spectrum
+from analytics.trend_cli import trend
 from analytics.verdicts_cli import verdicts
 from ingest.can_cli import can
 from ingest.cli import import_files
@@ -53,10 +55,12 @@ for command in (
     sql,
     allan,
     spectrum,
+    trend,
     metrics,
     check,
     limits,
     verdicts,
+    diagnose,
 ):
     main.add_command(command)
 

@@ -57,7 +57,10 @@ def in_runs(found: Sequence[str], of: int) -> str:
 
 
 def check_channels(runs: Sequence[RunBlocks]) -> list[Note]:
-    """Notes on channels that are constant, copies of each other, in counts, or missing at times."""
+    """Notes on channels that are constant, copies of each other, in counts, or missing at times.
+
+    What that means for a verdict is said with the verdict.
+    """
     names = sorted({name for run in runs for name in run.channels})
     return [
         *(note for name in names for note in _check_one(runs, name)),
@@ -71,7 +74,7 @@ def _check_one(runs: Sequence[RunBlocks], name: str) -> list[Note]:
     if len(having) < len(runs):
         missing = [run.run for run in runs if name not in run.channels]
         text = f"channel {name} is missing {in_runs(missing, len(runs))}: effects that need it are looked for nowhere"
-        notes.append(Note("missing_channel", text, name, tuple(missing), is_limit=True))
+        notes.append(Note("missing_channel", text, name, tuple(missing)))
     gaps = {run.run: int(np.isnan(run.mean(name)).sum()) for run in having}
     if gone := [run for run, blocks in gaps.items() if blocks]:
         blocks = sum(gaps.values())
@@ -80,7 +83,7 @@ def _check_one(runs: Sequence[RunBlocks], name: str) -> list[Note]:
         notes.append(Note("channel_gap", text, name, tuple(gone)))
     if name in _constant(having, [name]) and name not in _DERIVED:
         text = f"channel {name} never changes: what depends on it cannot be seen, nor told from the bias"
-        notes.append(Note("constant", text, name, tuple(run.run for run in having), is_limit=True))
+        notes.append(Note("constant", text, name, tuple(run.run for run in having)))
     units = sorted({run.channels[name].unit_of_measure for run in having})
     if len(units) > 1:
         text = f"channel {name} is in {' and '.join(units)}, depending on the run: import it in one unit of measure"
@@ -111,7 +114,7 @@ def _check_copies(runs: Sequence[RunBlocks], names: Sequence[str]) -> list[Note]
             text = (
                 f"channels {one} and {other} are copies of each other: an effect of one cannot be told from the other"
             )
-            notes.append(Note("copy", text, other, is_limit=True))
+            notes.append(Note("copy", text, other))
     return notes
 
 

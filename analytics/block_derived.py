@@ -26,6 +26,11 @@ def middle_ns(run: RunBlocks) -> IntArray:
     return run.t0_ns + run.slot * round(run.block_s * SECOND_NS) + half
 
 
+def is_table(run: RunBlocks) -> bool:
+    """Whether it is a table of means, one sample a block: its times say little, its scatter nothing."""
+    return not np.isfinite(run.white_variance).any()
+
+
 def with_times(run: RunBlocks, power_on_ns: Sequence[int], first_day_ns: int | None) -> RunBlocks:
     """The run with ``time_since_power_on`` (of the last power-on; s) and ``day`` (days from `first_day_ns`)."""
     channels = dict(run.channels)

@@ -1,12 +1,12 @@
 """Block means of a stored signal, made in SQL from the rollups, or from the samples where rollups do not fit."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from storage.catalog import Catalog
-from stream.batch import FloatArray, IntArray
+from stream.batch import BoolArray, FloatArray, IntArray
 
 SECOND_NS = 10**9
 LEAST_PAIRS = 8
@@ -26,8 +26,8 @@ class Blocks:
     mean, spread : array
         Mean and standard deviation of the samples in each.
     centre_s, first_s, last_s : array
-        Mean, first and last moment of the samples, seconds from the beginning of slot 0; from rollups the last two are
-        whole seconds around them.
+        Mean, first and last moment of the samples, seconds from the beginning of slot 0; from rollups as of samples
+        that are spread evenly from a whole second on.
     white_variance : array
         Of each mean, by the scatter within the block; NaN where nothing tells.
     """
@@ -41,6 +41,10 @@ class Blocks:
     last_s: FloatArray
     white_variance: FloatArray
 
+    def part(self, rows: BoolArray) -> "Blocks":
+        """Some of the blocks."""
+        return Blocks(**{each.name: getattr(self, each.name)[rows] for each in fields(self)})
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -53,8 +57,8 @@ class Grid:
 
 _PIECES = {
     True: """
-      select r.run, r.t_ns + 500000000 as t_ns, r.t_ns as start_ns, r.t_ns + 1000000000 as end_ns, r.n, r.mean, r.m2,
-        g.t0_ns
+      select r.run, r.t_ns + 500000000 as t_ns, r.t_ns as start_ns, r.t_ns + 1000000000 * (r.n - 1) // r.n as end_ns,
+        r.n, r.mean, r.m2, g.t0_ns
       from rollup_1s r join (select unnest($runs) as run, unnest($t0) as t0_ns, unnest($first) as first_ns,
         unnest($last) as last_ns) g on r.run = g.run
       where r.unit = $unit and r.signal = $signal and list_contains($runs, r.run)

@@ -1,13 +1,14 @@
 """From the store to blocks: runs of a unit as block means of its signal, with the channels of unit and station."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from analytics.block_checks import Note, check_channels, check_clocks, clock_offsets, in_runs
 from analytics.block_derived import (
     commanded_in,
+    is_table,
     source_of_input_rate,
     split_at_power_ons,
     supposed_axis,
@@ -27,6 +28,7 @@ from stream.quantities import report_unit
 
 BLOCK_S = 30.0
 _FEWEST_BLOCKS = 2
+_LEAST_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,7 @@ class BlockReducer:
         records = records_of(self._catalog, unit, self._signal, self._wanted)
         found = self._means(unit, records)
         order = [run for run in records if run in found]
+        whole_time = self._since_ns is None and self._until_ns is None
         if not order:
             raise NotFound(
                 f"unit {unit}, signal {self._signal}: no sample lies in the time that was asked for; the record "
@@ -126,11 +129,14 @@ class BlockReducer:
         if self._clock_offsets is None:
             self._clock_offsets = clock_offsets(self._catalog)
         instruments = sorted({(run, each.unit) for run in order for each in sources[run] if each.unit != unit})
+        notes += _not_finite(found, records) if whole_time else []
         notes += check_clocks(self._clock_offsets, unit, self._signal, instruments)
+        found, partial = _whole(found)
+        notes += partial
+        self._joiner.prepare(sources, {run: records[run].grid(self._since_ns, self._until_ns) for run in order})
         runs = [self._run(unit, run, records[run], found[run], sources[run]) for run in order]
-        if self._since_ns is None and self._until_ns is None:
-            notes += _not_finite(runs, records)
-        runs, more = self._derived(unit, runs, found, sources)
+        self._joiner.forget(unit)
+        runs, more = self._derived(unit, runs, records, found, sources)
         notes += more
         if not runs:
             raise NotFound(
@@ -139,6 +145,12 @@ class BlockReducer:
         return Reduction(tuple(runs), (*notes, *_scatter(runs), *check_channels(runs)))
 
     def _means(self, unit: str, records: Mapping[str, Record]) -> dict[str, Blocks]:
+        gone = [run for run, record in records.items() if record.kept_raw < record.samples]
+        if gone and self._block_s % 1.0:
+            raise BadInput(
+                f"unit {unit}, signal {self._signal}, run {', '.join(gone)}: raw samples were dropped, what is kept "
+                f"are seconds: give blocks of whole seconds, not {self._block_s:g} s"
+            )
         found: dict[str, Blocks] = {}
         for rolled_up in (False, True):
             grids = {
@@ -171,6 +183,7 @@ class BlockReducer:
         self,
         unit: str,
         runs: Sequence[RunBlocks],
+        records: Mapping[str, Record],
         found: Mapping[str, Blocks],
         sources: Mapping[str, Sequence[Source]],
     ) -> tuple[list[RunBlocks], list[Note]]:
@@ -190,14 +203,17 @@ class BlockReducer:
             clean, gone = self._resolved(moving, found[run.run], sources[run.run], own_steps)
             if gone:
                 left_out[run.run] = gone
-            parts = split_at_power_ons(with_times(clean, on_ns, first_day_ns), on_ns, _FEWEST_BLOCKS)
+            counted_from = on_ns or ([] if is_table(run) else [records[run.run].first_ns])
+            parts = split_at_power_ons(with_times(clean, counted_from, first_day_ns), on_ns, _FEWEST_BLOCKS)
             if any(part.run != run.run for part in parts):
                 split.append(run.run)
             done.extend(part for part in parts if len(part) > 0)
         notes += source_of_input_rate(runs, moved)
-        if words := sorted({step.position for run in runs for step in steps.get(run.run, ()) if step.position}):
-            told = ", ".join(f"{numbers[word]:g} {word}" for word in words)
-            notes.append(Note("positions", f"channel position stands for: {told}", "position"))
+        notes += _positions(runs, steps, numbers)
+        if unknown := [run.run for run in runs if run.run not in power_ons and not is_table(run)]:
+            where = in_runs(unknown, len(runs))
+            text = f"no power-on is recorded {where}: time_since_power_on counts from the first sample"
+            notes.append(Note("no_power_on", text, "time_since_power_on", tuple(unknown), is_limit=True))
         if left_out:
             text = (
                 f"{sum(left_out.values()):,} blocks are left out {in_runs(list(left_out), len(runs))}: the reference "
@@ -208,7 +224,7 @@ class BlockReducer:
             where = in_runs(split, len(runs))
             text = f"the unit was powered on several times {where}: each power-on counts as a run, RUN#1, RUN#2, ..."
             notes.append(Note("power_ons", text, runs=tuple(split)))
-        return done, notes
+        return _without_rest(done, sources), notes
 
     def _resolved(
         self, run: RunBlocks, found: Blocks, sources: Sequence[Source], steps: Sequence[Step]
@@ -238,19 +254,57 @@ class BlockReducer:
         return None if rows[0][0] is None else int(rows[0][0])
 
 
-def _not_finite(runs: Sequence[RunBlocks], records: Mapping[str, Record]) -> list[Note]:
-    missing = {run.run: records[run.run].samples - int(run.n.sum()) for run in runs}
+def _not_finite(found: Mapping[str, Blocks], records: Mapping[str, Record]) -> list[Note]:
+    missing = {run: records[run].samples - int(blocks.n.sum()) for run, blocks in found.items()}
     having = [run for run, samples in missing.items() if samples > 0]
     if not having:
         return []
-    text = (
-        f"{sum(missing[run] for run in having):,} samples are no finite numbers {in_runs(having, len(runs))}: left out"
-    )
+    where = in_runs(having, len(found))
+    text = f"{sum(missing[run] for run in having):,} samples are no finite numbers {where}: left out"
     return [Note("not_finite", text, runs=tuple(having))]
 
 
+def _whole(found: Mapping[str, Blocks]) -> tuple[dict[str, Blocks], list[Note]]:
+    """Blocks without those that hold but a few samples, at the edge of a gap."""
+    kept = {run: blocks.part(blocks.n >= _LEAST_SHARE * np.median(blocks.n)) for run, blocks in found.items()}
+    gone = {run: len(blocks.n) - len(kept[run].n) for run, blocks in found.items()}
+    having = [run for run, blocks in gone.items() if blocks]
+    if not having:
+        return kept, []
+    text = (
+        f"{sum(gone.values()):,} blocks are left out {in_runs(having, len(found))}: they hold less than "
+        f"{_LEAST_SHARE:.0%} of the usual number of samples"
+    )
+    return kept, [Note("partial", text, runs=tuple(having))]
+
+
+def _without_rest(runs: Sequence[RunBlocks], sources: Mapping[str, Sequence[Source]]) -> list[RunBlocks]:
+    """Runs without a table's acceleration that was derived, and is nowhere other than 0."""
+    name = "table_acceleration"
+    if any(each.name == name for own in sources.values() for each in own):
+        return list(runs)
+    if any(np.nan_to_num(run.mean(name)).any() for run in runs if name in run.channels):
+        return list(runs)
+    return [replace(run, channels={key: each for key, each in run.channels.items() if key != name}) for run in runs]
+
+
+def _positions(
+    runs: Sequence[RunBlocks], steps: Mapping[str, Sequence[Step]], numbers: Mapping[str, float]
+) -> list[Note]:
+    words = sorted({step.position for run in runs for step in steps.get(run.run, ()) if step.position})
+    if not words:
+        return []
+    text = f"channel position stands for: {', '.join(f'{numbers[word]:g} {word}' for word in words)}"
+    if len(words) > 1:
+        text += (
+            "; what differs between positions is gravity, the earth's rate and field, or the mounting itself: only "
+            "positions that were mounted anew several times tell"
+        )
+    return [Note("positions", text, "position", is_limit=len(words) > 1)]
+
+
 def _scatter(runs: Sequence[RunBlocks]) -> list[Note]:
-    if any(np.isfinite(run.white_variance).any() for run in runs):
+    if not all(is_table(run) for run in runs):
         return []
     text = (
         f"blocks of {runs[0].block_s:g} s hold one sample each: nothing within them tells the noise, which is judged "

@@ -7,7 +7,8 @@ from analytics.block_channels import standard_unit
 from analytics.block_checks import Note
 from analytics.run_blocks import STANDARD_CHANNELS
 from storage.catalog import Catalog
-from stream.quantities import is_angular_rate
+from stream.errors import UnknownUnit
+from stream.quantities import conversion, is_angular_rate
 
 
 class Source(NamedTuple):
@@ -59,24 +60,27 @@ def sources_of(
     """Channels of each run, and what is to be said of them.
 
     Own signals come first. Every other unit of the run that neither has the signal nor was mounted as a unit under
-    test is an instrument. A rate of the unit itself that is called alike (``rate_y`` beside ``rate_x``) is an output
-    like the signal, and no channel. Where several instruments give the same signal, the one that changes most has the
-    name; of the others those that change are called ``INSTRUMENT.SIGNAL``.
+    test is an instrument. What the unit itself measures beside the signal, its rates called alike (``rate_y`` beside
+    ``rate_x``) and its accelerations, are outputs like the signal: they share its temperature and electronics, and
+    are no channels unless they have a standard name. Where several instruments give the same signal, the one that
+    changes most has the name; of the others those that change are called ``INSTRUMENT.SIGNAL``.
     """
     found: dict[str, dict[str, list[Source]]] = {run: {} for run in runs}
     outputs: set[str] = set()
     for run, owner, name, unit_of_measure, interval_s, samples, kept_raw in catalog.rows(
         _CANDIDATES, {"unit": unit, "signal": signal, "runs": list(runs)}
     ):
-        is_like = name.partition("_")[0] == signal.partition("_")[0] and is_angular_rate(unit_of_measure)
-        if owner == unit and is_like and name not in STANDARD_CHANNELS:
+        if owner == unit and name not in STANDARD_CHANNELS and _is_output(name, unit_of_measure, signal):
             outputs.add(name)
             continue
         source = Source(name, owner, name, run, unit_of_measure, float(interval_s), int(samples), int(kept_raw))
         found[run].setdefault(name, []).append(source)
     notes = []
     if outputs:
-        text = f"{', '.join(sorted(outputs))} of {unit} are outputs of the unit like {signal}: not taken as channels"
+        text = (
+            f"{', '.join(sorted(outputs))} of {unit} are outputs of the unit like {signal}: not taken as channels; a "
+            "reference is imported under a standard name, such as gravity_i"
+        )
         notes.append(Note("output", text))
     chosen: dict[str, list[Source]] = {}
     several: dict[tuple[str, str], set[str]] = {}
@@ -97,6 +101,17 @@ def sources_of(
         for (name, of), others in sorted(several.items())
     ]
     return chosen, notes
+
+
+def _is_output(name: str, unit_of_measure: str, signal: str) -> bool:
+    """Whether a signal of the unit itself is an inertial output like the one that is looked at."""
+    if is_angular_rate(unit_of_measure):
+        return name.partition("_")[0] == signal.partition("_")[0]
+    try:
+        conversion(unit_of_measure, "m/s^2")
+    except UnknownUnit:
+        return False
+    return True
 
 
 def _ordered(catalog: Catalog, unit: str, sources: Sequence[Source]) -> tuple[Source, list[Source]]:

@@ -6,7 +6,7 @@ from contextlib import suppress
 import pyarrow as pa
 
 from analytics.metrics.registry import metrics
-from analytics.specification import SpecificationLimit, told_parameter
+from analytics.specification import Parameter, SpecificationLimit, told_parameter
 from analytics.specification_store import Period, periods_of, stored_specifications
 from storage.catalog import Catalog
 from stream.errors import UnknownUnit
@@ -24,6 +24,7 @@ _LIMITS = pa.schema(
         ("metric", pa.string()),
         ("subject", pa.string()),
         ("parameters", pa.string()),
+        ("parameter_count", pa.int64()),
         ("product", pa.string()),
         ("signal", pa.string()),
         ("standard", pa.string()),
@@ -33,7 +34,7 @@ _LIMITS = pa.schema(
     ]
 )
 _PARAMETERS = pa.schema(
-    [("limit_id", pa.int64()), ("path", pa.string()), ("text", pa.string()), ("number", pa.float64())]
+    [("limit_id", pa.int64()), ("metric", pa.string()), ("path", pa.string()), ("key", pa.string())]
 )
 _FACTORS = pa.schema([("source", pa.string()), ("target", pa.string()), ("factor", pa.float64())])
 _NAMES = ("metric", "en", "zh", "unit_of_measure", "better", "standard", "clause", "needs", "equation")
@@ -73,6 +74,7 @@ def _limit_row(limit_id: int, limit: SpecificationLimit, period: Period, revisio
         "metric": limit.metric,
         "subject": limit.subject,
         "parameters": json.dumps(limit.parameters, sort_keys=True, ensure_ascii=False),
+        "parameter_count": len(limit.parameters),
         "product": limit.product,
         "signal": limit.signal,
         "standard": limit.standard,
@@ -84,14 +86,16 @@ def _limit_row(limit_id: int, limit: SpecificationLimit, period: Period, revisio
 
 def _parameter_rows(limit_id: int, limit: SpecificationLimit) -> list[dict[str, object]]:
     return [
-        {
-            "limit_id": limit_id,
-            "path": f"$.{json.dumps(name)}",
-            "text": told_parameter(value),
-            "number": float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None,
-        }
+        {"limit_id": limit_id, "metric": limit.metric, "path": f"$.{json.dumps(name)}", "key": _key(value)}
         for name, value in limit.parameters.items()
     ]
+
+
+def _key(value: Parameter) -> str:
+    """What a value's parameter is compared with: numbers to nine digits, everything else as its text."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return f"number {value:.9g}"
+    return f"text {told_parameter(value)}"
 
 
 def _factors(catalog: Catalog) -> pa.Table:

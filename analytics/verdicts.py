@@ -37,8 +37,8 @@ class Verdicts(NamedTuple):
         return any(row["verdict"] == "FAIL" for row in self.units)
 
 
-def verdicts_of(catalog: Catalog, units: Sequence[str] = ()) -> Verdicts:
-    """Verdicts of these units, or of all.
+def verdicts_of(catalog: Catalog, units: Sequence[str] = (), *, with_values: bool = True) -> Verdicts:
+    """Verdicts of these units, or of all; `with_values` asks for each value too, of which a fleet has many.
 
     Raises
     ------
@@ -52,15 +52,18 @@ def verdicts_of(catalog: Catalog, units: Sequence[str] = ()) -> Verdicts:
     for unit in units:
         if unit not in names:
             raise NotFound(f"nothing was measured of unit {unit!r}; {alike(unit, names, 'units are')}")
-    asked = sorted(set(units)) if units else names
-    return Verdicts(
-        [row for row in known if row["unit"] in asked],
-        rows_of(
+    asked = set(units) if units else set(names)
+    values = []
+    if with_values:
+        values = rows_of(
             catalog,
             "select * replace (day::varchar as day) from verdicts where list_contains($units, unit) "
             "order by unit, metric, signal, t_ns, run, subject, standard, parameters",
-            {"units": asked},
-        ),
+            {"units": sorted(asked)},
+        )
+    return Verdicts(
+        [row for row in known if row["unit"] in asked],
+        values,
         rows_of(catalog, "select * from failure_pareto"),
         [row for row in rows_of(catalog, "select * from unit_warnings") if not units or row["unit"] in asked],
     )

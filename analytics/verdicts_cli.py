@@ -51,7 +51,7 @@ def verdicts(
     if by and units:
         raise BadInput("give --unit or --by, not both: the yield is that of all units")
     with opened_catalog(folder, quiet=as_json) as catalog:
-        found = verdicts_of(catalog, units)
+        found = verdicts_of(catalog, units, with_values=bool(units) or (as_json and not by))
         shares = yield_by(catalog, by) if by else []
     if as_json:
         rest = {"pareto": found.pareto, "warnings": found.warnings}

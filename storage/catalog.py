@@ -45,6 +45,10 @@ class Layer(Protocol):
     examples: Mapping[str, str]
     """Questions and the statements that answer them."""
 
+    @property
+    def columns(self) -> Mapping[str, Mapping[str, str]]:
+        """What the columns of its tables hold: table, column, words; of table ``every`` what means the same in all."""
+
     def fill(self, catalog: "Catalog") -> None:
         """Define the tables in the catalogue, through `Catalog.put` and `Catalog.define`."""
 

@@ -21,7 +21,7 @@ def conversion_macros(units: Iterable[str]) -> str:
 
     Examples
     --------
-    >>> "when 'rpm' then value * 21600.0 + 0.0" in conversion_macros(["rpm"])
+    >>> "when 'rpm' then value * '21600.0'::double + '0.0'::double" in conversion_macros(["rpm"])
     True
     """
     rates: list[tuple[str, float, float]] = []
@@ -42,5 +42,6 @@ def _cases(factors: list[tuple[str, float, float]]) -> str:
     cases = []
     for unit, factor, offset in factors:
         quoted = unit.replace("'", "''")
-        cases.append(f"when '{quoted}' then value * {factor!r} + {offset!r}")
+        # written plainly they were decimals, whose products overflow
+        cases.append(f"when '{quoted}' then value * '{factor!r}'::double + '{offset!r}'::double")
     return f"case unit_of_measure {' '.join(cases)} end"

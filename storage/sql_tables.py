@@ -5,8 +5,9 @@ from pathlib import Path
 import duckdb
 
 from storage.catalog import VIEWS, Catalog, layers
+from storage.sql_columns import column_words, comment_columns
 from storage.store import Store
-from stream.errors import BadInput, NotFound
+from stream.errors import BadInput, GyrofleetError, NotFound
 
 EXAMPLES = {
     "How many samples of what?": "select unit, signal, run, samples, sample_interval_s from signals",
@@ -25,31 +26,37 @@ def examples() -> dict[str, str]:
 
 
 def told_tables(catalog: Catalog) -> list[dict[str, object]]:
-    """Name and comment of every table that is meant to be asked."""
-    catalog.fill()
+    """Name and comment of every table that is meant to be asked; of a layer that cannot be made, why."""
+    failed: dict[str, str] = {}
+    for layer in layers():
+        try:
+            catalog.rows(f"select 1 from {layer.tables[0]} limit 0")  # noqa: S608  a layer's own name
+        except GyrofleetError as error:
+            failed |= dict.fromkeys(layer.tables, f"cannot be made: {error}")
     told = "select view_name, comment from duckdb_views() union all select table_name, comment from duckdb_tables()"
     comments: dict[str, str | None] = {name: comment for name, comment in catalog.rows(told)}  # noqa: C416
-    names = [*VIEWS, *(table for layer in layers() for table in layer.tables)]
-    return [{"table": name, "what": comments.get(name) or ""} for name in names]
+    return [{"table": name, "what": failed.get(name) or comments.get(name) or ""} for name in known_tables()]
+
+
+def known_tables() -> list[str]:
+    """Names of the store's own tables and of those of all layers."""
+    return [*VIEWS, *(table for layer in layers() for table in layer.tables)]
 
 
 def columns_of(catalog: Catalog, name: str) -> list[dict[str, object]]:
-    """Columns of a table: name, type and comment.
+    """Columns of a table: name, type, and what it holds.
 
     Raises
     ------
     NotFound
         If there is no such table.
     """
-    catalog.fill()
-    rows = catalog.rows(
-        "select column_name, data_type, comment from duckdb_columns() where table_name = $name order by column_index",
-        {"name": name},
-    )
-    if not rows:
-        known = ", ".join([*VIEWS, *(table for layer in layers() for table in layer.tables)])
-        raise NotFound(f"there is no table {name!r}; tables are {known}")
-    return [{"column": column, "type": kind, "what": comment or ""} for column, kind, comment in rows]
+    if name not in known_tables():
+        raise NotFound(f"there is no table {name!r}; tables are {', '.join(known_tables())}")
+    words = column_words(name)
+    # it is named, so that it is made
+    rows = catalog.rows(f"select column_name, column_type from (describe {name})")  # noqa: S608  one of ours
+    return [{"column": column, "type": kind, "what": words.get(column, "")} for column, kind in rows]
 
 
 def export_catalogue(store: Store, path: Path) -> None:
@@ -67,6 +74,7 @@ def export_catalogue(store: Store, path: Path) -> None:
     try:
         with Catalog(store, fresh) as catalog:
             catalog.fill()
+            comment_columns(catalog)
         fresh.replace(path)
     except (OSError, duckdb.IOException) as error:
         raise BadInput(f"cannot write {path}: {error}; give --catalogue a file in a folder you can write") from error

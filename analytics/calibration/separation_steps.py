@@ -65,5 +65,5 @@ def _angles(found: Separation, common: Mapping[str, Any], words: Mapping[str, An
             "hi": angle.hi,
             "standard_uncertainty": angle.standard_error,
             "freedom": float(found.freedom),
-            "parameters": json.dumps({"angle": name} | words | {"rms": float(f"{found.rms:.4g}")}),
+            "parameters": json.dumps({"angle": name, **words, "rms": float(f"{found.rms:.4g}")}),
         }

@@ -17,10 +17,10 @@ HEADER = """\
 -- better:    lower
 -- grain:     unit, signal, run, angle
 -- source:    HIT 2012 (10)-(13)
--- needs:     procedure accelerometer_separation: four angles about the input axis; an output in V needs its product's
---            nominal scale_factor, which for a unit without a gyro is taken per g
+-- needs:     procedure accelerometer_separation: four angles about the input axis
 -- limits:    given
 -- equation:  y2 = (V(180) - V(0))/2k, z2 = (V(90) - V(270))/2k, gamma = hypot(y2, z2)
+-- k of an output in V is the nominal scale_factor of the product, which for a unit without a gyro is taken per g.
 """
 _POSITIONS = {"beta0": 0.0, "beta90": 90.0, "beta180": 180.0, "beta270": 270.0}
 _STEPS = """

@@ -6,13 +6,12 @@ from typing import Any
 import numpy as np
 
 from analytics.metrics.largest_magnitude import json_text
-from analytics.metrics.variance_components import deviation
+from analytics.metrics.limits_of_value import chi_square_limits, deviation_uncertainty
 from storage.catalog import Catalog
 from storage.reading import stored_between
 from stream.batch import FloatArray
 from stream.errors import NotFound
 from stream.estimators.base import NoEstimate
-from stream.estimators.noise_model import ANGLE_RANDOM_WALK
 from stream.estimators.random_walk_normalised import angle_random_walk_normalised
 
 HEADER = """\
@@ -28,18 +27,27 @@ HEADER = """\
 -- equation:  RWC = sqrt(A_-1), sigma^2(tau) = sum A_m tau^m; normalised RWC = Bs(1 s) sqrt(1 s)
 """
 
-# The fit of the whole run's Allan curve, else the white part of the step's own.
+# The fit of the whole run's Allan curve, else the white part of the step's own, whose limits come after.
 _ALLAN = """
-select s.unit, s.signal, s.run, s."index", s.n, s.duration_s, s.lack, s.white * s.deg_per_h ** 2 as white,
+select s.unit, s.signal, s.run, s.n, [s.run] as runs, [s."index"] as steps,
+  case when s.lack is null then
+    case when c.run is not null then c.value else sqrt(nullif(s.white, 0)) * abs(s.deg_per_h) / 60 end end as value,
+  c.lo, c.hi, c.standard_uncertainty,
   -- white noise is told by the shortest averaging times; long steps are reduced from means of 1 s
-  greatest(case when s.n > 20000 then s.duration_s else s.n end / 1.5, 1) as freedom,
-  c.run is not null as is_fitted, c.value, c.lo, c.hi, c.standard_uncertainty, c.reason
+  case when c.run is null then greatest(case when s.n > 20000 then s.duration_s else s.n end / 1.5, 1) end as freedom,
+  to_json({
+    method: 'allan', duration_s: round(s.duration_s), record: case when c.run is not null then 'run' else 'step' end
+  })::varchar as parameters,
+  case when s.lack is not null then s.lack when c.run is not null then c.reason when coalesce(s.white, 0) = 0 then
+    'the record shows no angle random walk: other noise covers it at every averaging time' end as reason
 from bias_steps s
 left join noise_coefficients c
   on c.run = s.run and c.unit = s.unit and c.signal = s.signal and c."index" = s."index"
   and c.coefficient = 'angle_random_walk' and (c.value is not null or s.white is null)
 order by s.unit, s.signal, s.run, s."index"
 """
+
+_LIMITS = ("lo", "hi", "standard_uncertainty")
 
 _SHORT = """
 select s.unit, s.signal, s.run, s."index", s.n, s.duration_s, s.t_from_ns, s.t_to_ns, abs(s.deg_per_h) as deg_per_h,
@@ -52,28 +60,25 @@ order by s.unit, s.signal, s.run, s."index"
 
 def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     """Rows of the metric; the normalised method reads the samples of its steps, which are short."""
-    for row in catalog.reader(_ALLAN).read_all().to_pylist():
-        yield _told(row, "allan", {"record": "run" if row["is_fitted"] else "step"}) | _of_allan(row)
+    rows = catalog.reader(_ALLAN).read_all().to_pylist()
+    value, freedom = (
+        np.array([np.nan if row[name] is None else row[name] for row in rows], np.float64)
+        for name in ("value", "freedom")
+    )
+    lo, hi = chi_square_limits(value, np.nan_to_num(freedom, nan=1.0))
+    uncertainty = deviation_uncertainty(value, np.nan_to_num(freedom, nan=1.0))
+    for row, *limits in zip(rows, lo.tolist(), hi.tolist(), uncertainty.tolist(), strict=True):
+        yield row if row["freedom"] is None else row | dict(zip(_LIMITS, limits, strict=True))
     for row in catalog.reader(_SHORT).read_all().to_pylist():
         clause = {"standard": "GJB2426A", "clause": "5.12.5.4.1 (23)(24)"}
-        yield _told(row, "normalised", {"sample_interval_s": row["sample_interval_s"]}) | clause | _short(catalog, row)
+        yield _told(row) | clause | _short(catalog, row)
 
 
-def _told(row: Mapping[str, Any], method: str, more: Mapping[str, Any]) -> dict[str, Any]:
+def _told(row: Mapping[str, Any]) -> dict[str, Any]:
     told = {name: row[name] for name in ("unit", "signal", "run", "n")}
-    parameters = {"method": method, "duration_s": round(row["duration_s"]), **more}
+    parameters = {"method": "normalised", "duration_s": round(row["duration_s"])}
+    parameters |= {"sample_interval_s": row["sample_interval_s"]}
     return told | {"runs": [row["run"]], "steps": [row["index"]], "parameters": json_text(parameters)}
-
-
-def _of_allan(row: Mapping[str, Any]) -> dict[str, Any]:
-    if row["lack"] is not None:
-        return {"reason": row["lack"]}
-    if row["is_fitted"]:
-        return {name: row[name] for name in ("value", "lo", "hi", "standard_uncertainty", "reason")}
-    if not row["white"]:
-        return {"reason": "the record shows no angle random walk: other noise covers it at every averaging time"}
-    found = deviation(row["white"] * ANGLE_RANDOM_WALK.per_si**2, row["freedom"])
-    return found._asdict()
 
 
 def _short(catalog: Catalog, row: Mapping[str, Any]) -> dict[str, Any]:

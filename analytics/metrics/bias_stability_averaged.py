@@ -1,12 +1,10 @@
 """Bias stability over averages: of 1, 10 and 100 s, and of the product's own averaging time."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from analytics.metrics.largest_magnitude import json_text
 from analytics.metrics.product_files import products_of
 from analytics.step_records.series_statistics import AVERAGES_S, LEAST_SHARE, bartlett_freedom
 from storage.catalog import Catalog
@@ -26,11 +24,33 @@ HEADER = """\
 """
 
 _SQL = """
-select unit, signal, run, "index", t_from_ns, t_to_ns, duration_s, product, position, repeat, scale_source, lack,
-  abs(deg_per_h) as deg_per_h, n as samples,
-  [n_1s, n_10s, n_100s] as n, [sd_1s, sd_10s, sd_100s] as sd, [freedom_1s, freedom_10s, freedom_100s] as freedom
-from bias_steps
-order by unit, signal, run, "index"
+with step as materialized (select * from bias_steps),
+average as (
+  select step.*, unnest([1.0, 10.0, 100.0]::double[]) as average_s, unnest([n_1s, n_10s, n_100s]) as averages,
+    unnest([sd_1s, sd_10s, sd_100s]) as sd_of, unnest([freedom_1s, freedom_10s, freedom_100s]) as freedom_of
+  from step
+  union all
+  select step.*, own.average_s, own.n, own.sd, own.freedom
+  from product_averages own join step
+    on own.run = step.run and own.unit = step.unit and own.signal = step.signal and own."index" = step."index"
+)
+select unit, signal, run,
+  case when lack is null then sd_of * abs(deg_per_h) end as value,
+  freedom_of as freedom,
+  coalesce(averages, 0) as n,
+  to_json({average_s: average_s, position: position, repeat: repeat, scale_factor: scale_source})::varchar
+    as parameters,
+  [run] as runs, ["index"] as steps,
+  coalesce(lack, case when sd_of is null then coalesce(averages, 0) || ' averages of '
+    || replace(average_s::varchar, '.0', '') || ' s in the record, at least 2 are needed' end) as reason
+from average
+order by unit, signal, run, "index", average_s
+"""
+
+_ASKED = """
+select s.run, s.unit, s.signal, s."index", s.t_from_ns, s.t_to_ns, s.product from bias_steps s
+where s.lack is null and s.product in (select unnest($products))
+order by s.unit, s.signal, s.run, s."index"
 """
 
 # Means of what the store keeps make up means over the product's time, on the grid of the source's clock.
@@ -51,56 +71,42 @@ select which, list(number order by number) as numbers, list(value order by numbe
 from mean where whole >= 1 and n >= {share} * whole
 group by which order by which
 """
+_AVERAGES = pa.schema(
+    [(name, pa.string()) for name in ("unit", "signal", "run")]
+    + [("index", pa.int64()), ("average_s", pa.float64()), ("n", pa.int64())]
+    + [(name, pa.float64()) for name in ("sd", "freedom")]
+)
 _SAMPLES = "(select run, unit, signal, t_ns, 1 as n, value as mean from samples)"
 _SOURCES = {10 * 10**9: "rollup_10s", 10**9: "rollup_1s", 1: _SAMPLES}
 
-_Found = tuple[float, int, float | None, float | None]
 
-
-def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
+def compute(catalog: Catalog) -> list[dict[str, Any]]:
     """Rows of the metric; degrees of freedom are fewer than N/P - 1 as far as neighbouring averages correlate."""
-    steps = catalog.reader(_SQL).read_all().to_pylist()
-    own = _products_averages(catalog, steps)
+    catalog.put("product_averages", _products_averages(catalog))
+    rows: list[dict[str, Any]] = catalog.reader(_SQL).read_all().to_pylist()
+    return rows
+
+
+def _products_averages(catalog: Catalog) -> pa.Table:
+    """Averages over the time that a step's product asks for: how many, their deviation, its degrees of freedom."""
+    asked = {
+        name: round(each.average_s * 1e9)
+        for name, each in products_of(catalog.store).by_name.items()
+        if each.average_s is not None and each.average_s not in AVERAGES_S
+    }
+    steps = catalog.reader(_ASKED, {"products": list(asked)}).read_all().to_pylist() if asked else []
     for which, step in enumerate(steps):
-        found = list(zip(AVERAGES_S, step["n"], step["sd"], step["freedom"], strict=True))
-        for average_s, n, sd, freedom in [*found, *own.get(which, ())]:
-            parameters = {"average_s": average_s} | {name: step[name] for name in ("position", "repeat")}
-            row = {name: step[name] for name in ("unit", "signal", "run")} | {
-                "runs": [step["run"]],
-                "steps": [step["index"]],
-                "n": n or 0,
-                "parameters": json_text(parameters | {"scale_factor": step["scale_source"]}),
-            }
-            reason = step["lack"]
-            if reason is None and sd is None:
-                reason = f"{n or 0} averages of {average_s:g} s in the record, at least 2 are needed"
-            if reason is None:
-                yield row | {"value": sd * step["deg_per_h"], "freedom": freedom}
-            else:
-                yield row | {"reason": reason}
-
-
-def _products_averages(catalog: Catalog, steps: list[dict[str, Any]]) -> dict[int, list[_Found]]:
-    """By step: time, number, deviation and its degrees of freedom of the averages that its product asks for."""
-    asked = {name: each.average_s for name, each in products_of(catalog.store).by_name.items()}
-    wanted = [
-        {**{name: step[name] for name in ("run", "unit", "signal", "t_from_ns", "t_to_ns")}, "which": which}
-        | {"average_ns": average_ns, "base_ns": next(base for base in _SOURCES if average_ns % base == 0)}
-        for which, step in enumerate(steps)
-        if step["lack"] is None and (average_ns := round((asked.get(step["product"]) or 0.0) * 1e9)) > 0
-        if average_ns / 1e9 not in AVERAGES_S
-    ]
-    if not wanted:
-        return {}
-    catalog.put("averages_wanted", pa.Table.from_pylist(wanted))
-    found: dict[int, list[_Found]] = {row["which"]: [(row["average_ns"] / 1e9, 0, None, None)] for row in wanted}
-    for base_ns in {row["base_ns"] for row in wanted}:
+        average_ns = asked[step["product"]]
+        base_ns = next(base for base in _SOURCES if average_ns % base == 0)
+        step |= {"which": which, "average_ns": average_ns, "base_ns": base_ns, "average_s": average_ns / 1e9, "n": 0}
+    if steps:
+        catalog.put("averages_wanted", pa.Table.from_pylist(steps))
+    for base_ns in sorted({step["base_ns"] for step in steps}):
         sql = _MEANS.format(source=_SOURCES[base_ns], base_ns=base_ns, share=LEAST_SHARE)
         for row in catalog.reader(sql).read_all().to_pylist():
-            average_s = found[row["which"]][0][0]
-            scatter = _scatter(np.array(row["numbers"], np.int64), np.array(row["means"], np.float64))
-            found[row["which"]] = [(average_s, len(row["means"]), *scatter)]
-    return found
+            sd, freedom = _scatter(np.array(row["numbers"], np.int64), np.array(row["means"], np.float64))
+            steps[row["which"]] |= {"n": len(row["means"]), "sd": sd, "freedom": freedom}
+    return pa.Table.from_pylist(steps, schema=_AVERAGES)
 
 
 def _scatter(numbers: IntArray, means: FloatArray) -> tuple[float | None, float | None]:

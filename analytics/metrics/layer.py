@@ -7,6 +7,7 @@ from analytics.metrics.evaluation import unit_metrics
 from analytics.specification_tables import put_specifications
 from analytics.step_records.step_table import FOLDER
 from storage.catalog import Catalog
+from storage.sql_columns import Words, read_words
 
 
 class MetricsLayer:
@@ -33,11 +34,21 @@ class MetricsLayer:
         "What do units fail by?": "select metric, subject, failed, judged, cumulative_share from failure_pareto",
     }
 
+    @property
+    def columns(self) -> Words:
+        """What the columns of its tables hold."""
+        return read_words(files("analytics.metrics").joinpath("tables", "columns.toml"))
+
     def fill(self, catalog: Catalog) -> None:
         """Bring the metrics up to date, and define the tables."""
         unit_metrics(catalog, catalog.told)
-        put_specifications(catalog)
-        folder = files("analytics.metrics").joinpath("tables")
-        for script in sorted(folder.iterdir(), key=lambda each: each.name):
-            if script.name.endswith(".sql"):
-                catalog.define(script.read_text(encoding="utf-8"))
+        define_tables(catalog)
+
+
+def define_tables(catalog: Catalog) -> None:
+    """Define what stands on the step records and metrics of a catalogue, and on the specifications of its store."""
+    put_specifications(catalog)
+    folder = files("analytics.metrics").joinpath("tables")
+    for script in sorted(folder.iterdir(), key=lambda each: each.name):
+        if script.name.endswith(".sql"):
+            catalog.define(script.read_text(encoding="utf-8"))

@@ -8,11 +8,11 @@
 -- needs:     rates as of a scale factor, and the product's limit nonlinearity_ppm
 -- limits:    given
 -- equation:  the largest tested rate up to which every point meets the limit of the nonlinearity
--- The line is fitted anew to the rates up to each one: a rate beyond the range bends the line of all. Its limits are tested
--- rates too: up to the lower one every point lies within the limit with its uncertainty (Bonferroni), at the upper one a
--- point is surely out of it; none where no rate is, then the range was not reached.
+-- The line is fitted anew to the rates up to each one: a rate beyond the range bends the line of all. Its limits are
+-- tested rates too: up to the lower one every point lies within the limit with its uncertainty (Bonferroni), at the
+-- upper one a point is surely out of it; none where no rate is, then the range was not reached.
 with judged as (
-  select r.* exclude (points, k), r.k as slope, f.standard, f.lack, f.words, f.product, f.temperature, f.n, f.nonlinearity_ppm,
+  select r.* exclude (points, k), r.k as slope, f.standard, f.nonlinearity_ppm,
     case f.standard when 'GJB2426A'
       then list_max([abs(p.output - (r.rest_before.output + r.rest_after.output) / 2) for p in r.points])
       else abs(r.k) * (list_max(r.x) - list_min(r.x)) end as full_scale,
@@ -39,7 +39,8 @@ with judged as (
       when f.product is null then 'no product is named for the unit, so no limit of its nonlinearity is known'
       when f.nonlinearity_ppm is null then
         'no limit of the nonlinearity: give nonlinearity_ppm of product ' || f.product || ' in a specification'
-      when r.value is null then format('no rate meets the limit of {:g} ppm of product {}', f.nonlinearity_ppm, f.product)
+      when r.value is null then
+        format('no rate meets the limit of {:g} ppm of product {}', f.nonlinearity_ppm, f.product)
     end) as missing
   from scale_results('scale_fits') f left join reached r using (run, unit, signal, steps, standard)
   where f.standard <> 'JJF1536' and f.phase is null

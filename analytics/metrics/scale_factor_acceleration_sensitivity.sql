@@ -8,15 +8,16 @@
 -- needs:     scale factors with the input reference axis up and down, at least 11 rates in each direction
 -- limits:    t
 -- equation:  (K(IRA up) - K(IRA down))/2 g
--- The clause compares magnitudes: where the rate is counted about the table's axis, which the IRA points against when it is
--- down, that scale factor has the other sign.
+-- The clause compares magnitudes: where the rate is counted about the table's axis, which the IRA points against when
+-- it is down, that scale factor has the other sign.
 with placed as (
   select *, regexp_extract(position, '_(up|down)$', 1) as pointing,
     {k: k, u_k: u_k, freedom_k: freedom_k, residuals: residuals, slope_weights: slope_weights, u: u,
       freedoms: freedoms, points: points} as line
   from scale_results('scale_fits')
   where standard = 'JJF2014' and phase is null
-    and (regexp_matches(position, '^(IRA|vertical)_(up|down)$') or starts_with("procedure", 'scale_factor_acceleration'))
+    and (regexp_matches(position, '^(IRA|vertical)_(up|down)$')
+      or starts_with("procedure", 'scale_factor_acceleration'))
 ), paired as (
   select run, unit, signal, "procedure", repeat, k_unit,
     arg_min(line, steps) filter (pointing = 'up') as up,
@@ -28,7 +29,8 @@ with placed as (
 ), turned as (
   select *, slope_difference(up, struct_pack(k := down.k * sign(up.k * down.k), u_k := down.u_k,
       freedom_k := down.freedom_k, residuals := [r * sign(up.k * down.k) for r in down.residuals],
-      slope_weights := down.slope_weights, u := down.u, freedoms := down.freedoms, points := down.points), 1) as difference,
+      slope_weights := down.slope_weights, u := down.u, freedoms := down.freedoms, points := down.points), 1)
+      as difference,
     case
       when up is null then 'not measured with the IRA up: the clause asks for up and down (7.2.6.1 c)'
       when down is null then 'not measured with the IRA down: the clause asks for up and down (7.2.6.1 c)'

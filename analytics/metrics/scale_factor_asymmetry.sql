@@ -8,8 +8,8 @@
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    given
 -- equation:  K_a = |K+ - K-|/((K+ + K-)/2); JJF 2014: over K of the line through all rates
--- K+ and K- are slopes of lines with zeros of their own. The rates are the same in both directions, so that what bends both
--- lines alike (v+ = -v-) drops out of the difference and out of its uncertainty.
+-- K+ and K- are slopes of lines with zeros of their own. The rates are the same in both directions, so that what bends
+-- both lines alike (v+ = -v-) drops out of the difference and out of its uncertainty.
 with sides as (
   select *, slope_difference(plus, minus, -1) as difference,
     case standard when 'GJB2426A' then (plus.k + minus.k) / 2 else k end as reference

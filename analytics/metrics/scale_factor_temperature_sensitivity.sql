@@ -8,10 +8,10 @@
 -- needs:     scale factors at room temperature and at other temperatures
 -- limits:    given
 -- equation:  K_t = max|(K_i - K_m)/(K_m (T_i - T_m))|
--- Erratum: GJB (13) prints max under the quotient only; meant is the largest quotient.
--- Room temperature is what says so, else the one set nearest to 20 degC, at most 10 degC from it; points nearer to it than
--- 1 degC are no points. A maximum of noisy values is too large by nature: its limits are those that hold for all points
--- together (Bonferroni), the largest of the lower and the largest of the upper ones.
+-- Erratum: GJB (13) prints max under the quotient only; meant is the largest quotient. Room temperature is what says
+-- so, else the one set nearest to 20 degC, at most 10 degC from it; points nearer to it than 1 degC are no points. A
+-- maximum of noisy values is too large by nature: its limits are those that hold for all points together (Bonferroni),
+-- the largest of the lower and the largest of the upper ones.
 with tested as (
   select *, count(distinct coalesce(temperature_command, 1e9)) over test as temperatures,
     bool_or(room) over test as says_room,
@@ -20,7 +20,8 @@ with tested as (
   window test as (partition by run, unit, signal, "procedure", position, repeat, standard)
 ), marked as (
   select *, case when says_room then room
-    else coalesce(abs(coalesce(temperature_command, temperature) - 20) = nearest and nearest <= 10, false) end as is_room
+    else coalesce(abs(coalesce(temperature_command, temperature) - 20) = nearest and nearest <= 10, false) end
+      as is_room
   from tested
   where regexp_matches("procedure", '^scale_factor_temperature') or (temperatures > 1
     and not regexp_matches(coalesce("procedure", ''), '^(scale_factor_(acc|shock|vib)|threshold|resolution)'))
@@ -49,7 +50,8 @@ with tested as (
   select *, list_sort(points, 'desc')[1] as worst,
     case
       when len(lacks) > 0 then array_to_string(lacks, '; ')
-      when rooms is null then 'the room-temperature point is missing: nothing is marked room, and the nearest to 20 degC'
+      when rooms is null then
+        'the room-temperature point is missing: nothing is marked room, and the nearest to 20 degC'
         || coalesce(format(' is {:.1f} degC from it, at most 10 are allowed', nearest), ' is unknown')
       when len(rooms) > 1 then len(rooms) || ' scale factors at room temperature; say which is meant by the word repeat'
       when room.temperature is null then

@@ -19,7 +19,9 @@ LEAST_STAY = 0.1
 _TAIL = 0.25
 _SIGMAS = 1.959963984540054
 
-# Tests of the procedure with what is known of the unit before: its last bias without the Earth's rate, its scale factor.
+# Tests of the procedure, with what is known of the unit before: its last bias without the Earth's rate, and its scale
+# factor. In a rate test a unit's own error of scale is no matter of starting: without its measured scale factor the end
+# of the record is what the output settles to.
 _TESTS = """
 with zero as (
   select unit, signal, run, t_to_ns, mean_deg_per_h - earth_deg_per_h as bias, u_deg_per_h
@@ -31,9 +33,8 @@ with zero as (
 )
 select s.unit, s.signal, s.run, s."index", s.position, s.rate_command, s.is_rate, s.on_ns, s.t_to_ns, s.n, s.product,
   s.unit_of_measure, s.time_since_power_on_s is not null as is_powered, g.kept_raw < g.samples as is_dropped,
-  -- in a rate test a unit's own error of scale is no matter of starting: its measured scale factor counts
   coalesce(case when s.is_rate then 3600 / f.value end, s.deg_per_h) as deg_per_h,
-  case when s.is_rate then s.input_rate * 3600 else 0 end
+  case when not s.is_rate then 0 when f.value is not null then s.input_rate * 3600 end
     -- the axis of a rate table stands upright
     + case when s.is_rate and s.position is null then earth_projection('IRA_up', s.latitude_deg)
       else earth_projection(s.position, s.latitude_deg) end + z.bias as expected,
@@ -75,9 +76,9 @@ def settling_times(catalog: Catalog, procedure: str) -> Iterator[dict[str, Any]]
 
     Notes
     -----
-    The error is the output less the table's rate, the Earth's rate and the unit's last bias measured before; where there
-    is none, less the mean over the last quarter of the record (`reference` in the parameters). The time is that of the
-    first sample after the last one outside the band: it is known to a sample interval. The limits say also what the
+    The error is the output less the table's rate, the Earth's rate and the unit's last bias measured before; where that
+    is unknown, less the mean over the last quarter of the record (`reference` in the parameters). The time is that of
+    the first sample after the last one outside the band: it is known to a sample interval. The limits say also what the
     reference's uncertainty does: they are the times for a band that is wider and narrower by 1.96 times that.
     """
     tests = catalog.reader(_TESTS.format(procedure=procedure)).read_all().to_pylist()
@@ -124,8 +125,9 @@ def _row(test: Mapping[str, Any], band: float | None, series: tuple[IntArray, Fl
     if reason is not None or series is None or band is None:
         return row | {"reason": reason}
     t_ns, output = series[0], series[1] * test["deg_per_h"]
-    expected, u = (test["expected"], test["expected_u"]) if known else _end_of(t_ns, output)
-    settled = settling(np.abs(output - expected), (t_ns - test["on_ns"]) / 1e9, band, u)
+    mean, mean_u, noise = _end_of(t_ns, output)
+    expected, u = (test["expected"], test["expected_u"]) if known else (mean, mean_u)
+    settled = settling(np.abs(output - expected), (t_ns - test["on_ns"]) / 1e9, band, u, noise)
     return row | (settled._asdict() if isinstance(settled, Settled) else {"reason": f"{what}: {settled}"})
 
 
@@ -146,12 +148,12 @@ def _lack(test: Mapping[str, Any], band: float | None, series: object) -> str | 
     return None
 
 
-def _end_of(t_ns: IntArray, output: FloatArray) -> tuple[float, float]:
-    """Mean over the end of a record, and its standard uncertainty."""
+def _end_of(t_ns: IntArray, output: FloatArray) -> tuple[float, float, float]:
+    """Mean over the end of a record, its standard uncertainty, and the farthest sample from it."""
     start = int(len(t_ns) * (1 - _TAIL))
     t_ns, output = t_ns[start:], output[start:]
     if len(t_ns) < 2:
-        return float(output.mean()), 0.0
+        return float(output.mean()), 0.0, 0.0
     dt_ns = int(np.median(np.diff(t_ns)))
     found = series_statistics(
         t_ns,
@@ -162,10 +164,10 @@ def _end_of(t_ns: IntArray, output: FloatArray) -> tuple[float, float]:
         samples_per_block=1.0,
         window_ns=(int(t_ns[0]), int(t_ns[-1])),
     )
-    return found.mean, found.standard_uncertainty
+    return found.mean, found.standard_uncertainty, float(np.max(np.abs(output - found.mean)))
 
 
-def settling(error: FloatArray, time_s: FloatArray, band: float, u: float) -> Settled | str:
+def settling(error: FloatArray, time_s: FloatArray, band: float, u: float, noise: float) -> Settled | str:
     """First time from which an error stays within a band, or why there is none.
 
     Parameters
@@ -178,12 +180,14 @@ def settling(error: FloatArray, time_s: FloatArray, band: float, u: float) -> Se
         In the error's unit.
     u : float
         Standard uncertainty of what the error is counted from.
+    noise : float
+        How far noise takes a sample at most.
 
     Examples
     --------
-    >>> settling(np.array([9.0, 5.0, 2.0, 0.5, 0.4, 0.5]), np.arange(6.0), 1.0, 0.0).value
+    >>> settling(np.array([9.0, 5.0, 2.0, 0.5, 0.4, 0.5]), np.arange(6.0), 1.0, 0.0, 0.1).value
     3.0
-    >>> settling(np.array([9.0, 5.0, 2.0]), np.arange(3.0), 1.0, 0.0)
+    >>> settling(np.array([9.0, 5.0, 2.0]), np.arange(3.0), 1.0, 0.0, 0.1)
     'the output is outside +-1 deg/h to the end of the record, at 2 s by 2 deg/h'
     """
     after = _after(error, band)
@@ -192,13 +196,13 @@ def settling(error: FloatArray, time_s: FloatArray, band: float, u: float) -> Se
         last = after - 1
         stay = "to the end of the record" if kept == 0 else f"until {LEAST_STAY:.0%} of the record were left"
         return f"the output is outside +-{band:g} deg/h {stay}, at {time_s[last]:g} s by {error[last]:.3g} deg/h"
-    interval_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else float(time_s[0])
-    wide, narrow = (_after(error, band + sign * _SIGMAS * u) for sign in (1, -1))
+    gap_s = float(time_s[after] - (time_s[after - 1] if after else 0.0))
+    wide, narrow = _after(error, band + _SIGMAS * u + noise), _after(error, band - _SIGMAS * u)
     lo = float(time_s[wide - 1]) if wide else 0.0
     hi = float(time_s[narrow]) if narrow < len(error) else np.nan
     spread = (hi - float(time_s[wide])) / (2 * _SIGMAS)
     value = float(time_s[after])
-    return Settled(value, lo, hi, float(np.hypot(interval_s / np.sqrt(12), spread)))
+    return Settled(value, lo, hi, float(np.hypot(gap_s / np.sqrt(12), spread)))
 
 
 def _after(error: FloatArray, band: float) -> int:
@@ -218,5 +222,5 @@ def _largest(rows: list[dict[str, Any]]) -> dict[str, Any]:
     if reason is not None:
         return told | {"reason": reason}
     largest = max(rows, key=lambda row: row["value"])
-    limits = {name: max(row[name] for row in rows) for name in ("lo", "hi")}
+    limits = {name: float(np.max([row[name] for row in rows])) for name in ("lo", "hi")}
     return told | limits | {name: largest[name] for name in ("value", "standard_uncertainty")}

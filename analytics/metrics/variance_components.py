@@ -7,7 +7,6 @@ import math
 from collections.abc import Hashable, Sequence
 from typing import NamedTuple
 
-import numpy as np
 from scipy import special
 
 from analytics.metrics.limits_of_value import CONFIDENCE
@@ -64,22 +63,26 @@ def scatter(values: Sequence[float], groups: Sequence[Hashable]) -> Scatter:
     told: dict[Hashable, list[float]] = {}
     for value, group in zip(values, groups, strict=True):
         told.setdefault(group, []).append(value)
-    parts = [np.array(each) for each in told.values()]
+    parts = list(told.values())
+    means = [math.fsum(part) / len(part) for part in parts]
     freedom = len(values) - len(parts)
-    inside = sum(float(((part - part.mean()) ** 2).sum()) for part in parts)
+    inside = math.fsum((value - mean) ** 2 for part, mean in zip(parts, means, strict=True) for value in part)
     return Scatter(
         values=len(values),
-        square=_variance(list(values)),
+        square=_variance(values),
         within=inside / freedom if freedom else math.nan,
         within_freedom=freedom,
         groups=len(parts),
-        of_means=_variance([float(part.mean()) for part in parts]),
-        size=len(parts) / sum(1 / len(part) for part in parts),
+        of_means=_variance(means),
+        size=len(parts) / math.fsum(1 / len(part) for part in parts),
     )
 
 
-def _variance(values: list[float]) -> float:
-    return float(np.var(values, ddof=1)) if len(values) > 1 else math.nan
+def _variance(values: Sequence[float]) -> float:
+    if len(values) < 2:
+        return math.nan
+    mean = math.fsum(values) / len(values)
+    return math.fsum((value - mean) ** 2 for value in values) / (len(values) - 1)
 
 
 def deviation(variance: float, freedom: float) -> Deviation:

@@ -8,9 +8,10 @@ import numpy as np
 from analytics.effects.base import Effect, Kind, Shape
 from analytics.error_model import ErrorModel
 from analytics.tracing.record import Record
+from analytics.tracing.stack import Stack
 from stream.batch import FloatArray
 
-_CACHE_BYTES = 400_000_000
+_CACHE_BYTES = 200_000_000
 FLAT = 1e-9  # a column that varies by less than this part of its size is constant
 
 
@@ -74,12 +75,12 @@ class Candidates:
         """Columns of one candidate on one record, in natural units."""
         if number in self._cache:
             return self._cache[number][:, candidate.columns] * self.scale[candidate.columns]
-        return effect_columns(self.records[number], candidate.effect, candidate.shape)
+        return effect_columns(self.records[number].stack, candidate.effect, candidate.shape)
 
 
-def effect_columns(record: Record, effect: Effect, shape: Shape) -> FloatArray:
-    """Columns of an effect on a record, in natural units."""
-    return record.stack.column(lambda run: effect.regressors(run, shape))
+def effect_columns(stack: Stack, effect: Effect, shape: Shape) -> FloatArray:
+    """Columns of an effect on the blocks of a unit, in natural units."""
+    return stack.column(lambda run: effect.regressors(run, shape))
 
 
 def candidates_for(
@@ -130,7 +131,7 @@ def _spread(records: Sequence[Record], effect: Effect, shape: Shape) -> FloatArr
     """Spread of each column over all records, or why the effect cannot be tried."""
     n, total, squares = 0, 0.0, 0.0
     for record in records:
-        columns = effect_columns(record, effect, shape)
+        columns = effect_columns(record.stack, effect, shape)
         if not np.isfinite(columns).all():
             bad = int(np.count_nonzero(~np.isfinite(columns).all(axis=1)))
             return f"no value in {bad} of {len(record)} blocks of unit {record.unit}"
@@ -148,4 +149,4 @@ def _spread(records: Sequence[Record], effect: Effect, shape: Shape) -> FloatArr
 def _columns(record: Record, items: Sequence[Candidate]) -> FloatArray:
     if not items:
         return np.empty((len(record), 0))
-    return np.column_stack([effect_columns(record, each.effect, each.shape) for each in items])
+    return np.column_stack([effect_columns(record.stack, each.effect, each.shape) for each in items])

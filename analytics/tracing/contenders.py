@@ -9,7 +9,7 @@ from scipy import stats
 
 from analytics.effects.base import Kind, Role
 from analytics.tracing.candidates import Candidate, Candidates
-from analytics.tracing.evidence import Replication, evidence, leave_one_out, one_degree
+from analytics.tracing.evidence import PRICE, Replication, evidence, leave_one_out, one_degree
 from analytics.tracing.joint_fit import JointFit, fit_jointly
 from analytics.tracing.jump_scan import jump_column, scan_jumps
 from analytics.tracing.line_scan import line_columns, scan_lines
@@ -27,6 +27,8 @@ UNMASKED = 1e-4
 MOST_UNMASKED = 8
 SWALLOWED = 0.25
 """Logarithm by which a fitted noise coefficient exceeds the declared one when it may have swallowed an effect."""
+EXCESS_AVERAGE_S, GROSS_EXCESS = 3600.0, 4.0
+"""Ratio of variances of hourly averages, fitted over declared, beyond which the noise model is not trusted."""
 LINE, JUMP = "periodic_line", "jump"
 LINE_MOST_FROM_ONE = 0.9
 
@@ -166,7 +168,6 @@ def _fitted(
         if family_p_value(p_value, screened.tests) >= ALPHA or (best and ratio <= best.likelihood_ratio):
             continue
         degrees = result.degrees + (len(group) > 1)
-        is_function = item.effect.kind is Kind.FUNCTION
         best = Contender(
             name=item.effect.name,
             kind=item.effect.kind,
@@ -177,24 +178,36 @@ def _fitted(
             joint=joint,
             likelihood_ratio=ratio,
             degrees=degrees,
-            evidence=evidence(ratio, degrees, is_function=is_function),
+            evidence=_evidence(records, joint, ratio, degrees, item.effect.kind),
         )
     return best
 
 
+def _evidence(records: Sequence[Record], joint: JointFit, ratio: float, degrees: int, kind: Kind) -> float:
+    """Evidence of a fit; it pays twice where its noise is far from the declared one, whose model is not trusted then."""
+    excess = [
+        record.noise_model.average_variance(noise, EXCESS_AVERAGE_S)
+        / record.noise_model.average_variance(record.prior.center, EXCESS_AVERAGE_S)
+        for record, noise in zip(records, joint.noises, strict=True)
+    ]
+    price = PRICE if max(excess) > GROSS_EXCESS else 0.0
+    return evidence(ratio, degrees, is_function=kind is Kind.FUNCTION) - price
+
+
 def _discounted(records: Sequence[Record], contender: Contender) -> Contender:
-    """Take back what noise at the pace of the effect can explain, and see whether the replicates bear it out."""
+    """See whether the replicates bear an effect out; take back what noise at its pace can explain."""
     replicates = [record.stack.replicate for record in records]
     runs = [record.stack.run_number for record in records]
     width = contender.columns[0].shape[1]
-    ratio = contender.likelihood_ratio / noise_inflation(contender.joint, replicates, runs, width)
     replication = leave_one_out(contender.joint, replicates, width)
+    if not replication.replicates:
+        return replace(contender, replication=replication, replicates=False)
+    ratio = contender.likelihood_ratio / noise_inflation(contender.joint, replicates, runs, width)
     return replace(
         contender,
         likelihood_ratio=ratio,
-        evidence=evidence(ratio, contender.degrees, is_function=contender.kind is Kind.FUNCTION),
+        evidence=_evidence(records, contender.joint, ratio, contender.degrees, contender.kind),
         replication=replication,
-        replicates=replication.replicates,
     )
 
 
@@ -202,13 +215,14 @@ def _line(records: Sequence[Record], base: JointFit) -> Contender | None:
     line = scan_lines(records, base.residuals)
     if line is None or line.family_p_value >= ALPHA:
         return None
-    blocks = sum(map(len, records))
-    strength = float(stats.chi2.isf(max(line.p_value, 1e-300), 1))
-    gain = strength - 2 * np.log(blocks)
-    if gain <= 0:
-        return None
     columns = tuple(line_columns(record, line.frequency_hz) for record in records)
     joint = fit_jointly(records, base.hypothesis.with_own(columns), base.noises)
+    ratio = 2 * (joint.log_likelihood - base.log_likelihood)
+    fitted_p_value = float(stats.chi2.sf(max(ratio, 0.0), 2 * line.powers.size))
+    strength = float(stats.chi2.isf(max(line.p_value, fitted_p_value, 1e-300), 1))
+    gain = strength - 2 * np.log(sum(map(len, records)))
+    if gain <= 0:
+        return None
     return Contender(
         name=LINE,
         kind=Kind.LINE,

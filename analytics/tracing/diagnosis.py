@@ -25,7 +25,7 @@ from analytics.tracing.result import Diagnosis, FoundEffect, Holdout, NoiseCoeff
 from analytics.tracing.screening import screen
 from analytics.tracing.selection import Search, Selected, hypothesis_of, search
 from analytics.tracing.stack import Stack, StackReport, in_segments, stacked
-from analytics.tracing.white_variance import record_of
+from analytics.tracing.white_variance import has_outliers, record_of
 from stream.errors import BadInput
 
 FEWEST_BLOCKS = 20
@@ -92,6 +92,7 @@ def diagnose(
         If the runs are not of one signal of one unit on one grid, or a run of `holdout` is not among them.
     """
     _check(runs, holdout)
+    model = model.shaped(runs)
     stack, report = stacked(runs, model)
     if missing := _missing(stack, model):
         return _not_enough(runs, missing, report)
@@ -99,6 +100,9 @@ def diagnose(
     available = effects_for(stack.runs) if effects is None else effects
     rng = np.random.default_rng(seed)
     candidates, found = _searched(case, available, model, rng)
+    if better := _without_false_outliers(case, found, declared_noise):
+        case = better
+        candidates, found = _searched(case, available, model, rng)
     return _concluded(case, candidates, found, model, declared_noise, rng)
 
 
@@ -109,7 +113,7 @@ def case_of(
     holdout: Sequence[str] | None = None,
 ) -> Case:
     """Runs of one unit, split into training and lockbox."""
-    stack, report = stacked(runs, model)
+    stack, report = stacked(runs, model.shaped(runs))
     return _split(stack, report, declared, holdout)
 
 
@@ -174,6 +178,15 @@ def _searched(
     if any(each.contender.kind is Kind.SECOND_TIER for each in again.selected):
         return more, again
     return candidates, found
+
+
+def _without_false_outliers(case: Case, found: Search, declared: NoiseCoefficients | None) -> Case | None:
+    """Return the case with blocks back in that a found effect explains; None where there are none."""
+    columns = found.joint.hypothesis.common[0]
+    if not columns.shape[1] or not has_outliers(case.training):
+        return None
+    record = record_of(case.training.stack, declared, columns)
+    return None if np.array_equal(record.white, case.training.white) else replace(case, training=record)
 
 
 def _leaves_structure(records: Sequence[Record], candidates: Candidates, found: Search) -> bool:
@@ -242,7 +255,7 @@ def _without(records: Sequence[Record], found: Search, names: Sequence[str]) -> 
     if not names:
         return found
     kept: tuple[Selected, ...] = tuple(each for each in found.selected if each.contender.name not in names)
-    joint = fit_jointly(records, hypothesis_of(records, kept), found.joint.noises)
+    joint = fit_jointly(records, hypothesis_of(records, kept), found.joint.noises, restricted=True)
     return replace(found, selected=kept, joint=joint)
 
 

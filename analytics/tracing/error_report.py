@@ -41,7 +41,8 @@ def error_table(box: Lockbox, found: Search, names: Sequence[str], *, is_held_ou
     noise = found.joint.noises[0]
     block_s = record.noise_model.block_s
     left, error = _noise_alone(box, found)
-    runs = np.unique(record.stack.run_number[rows]).size
+    trained = np.unique(record.stack.run_number[~box.held_out]).size if is_held_out else 1
+    runs = np.unique(record.stack.run_number[rows]).size, trained
     times = [block_s, *(each for each in AVERAGING_S if each > block_s)]
     table, fractions = [], {}
     for seconds in times:
@@ -78,11 +79,11 @@ def _noise_alone(box: Lockbox, found: Search) -> tuple[FloatArray, FloatArray]:
 
 
 def _floor(
-    averages: Averages, left: FloatArray, error: FloatArray, box: Lockbox, allowed: FloatArray, runs: int
+    averages: Averages, left: FloatArray, error: FloatArray, box: Lockbox, allowed: FloatArray, runs: tuple[int, int]
 ) -> FloatArray:
     predictions = averages.of(box.predictions)
     there = averages.of(left) ** 2 + np.einsum("ij,jk,ik->i", predictions, error, predictions)
-    most = float(stats.chi2.ppf(MOST_BY_CHANCE, runs)) / runs
+    most = float(stats.f.ppf(MOST_BY_CHANCE, *runs))
     return np.asarray(there * min(1.0, most * allowed.sum() / max(float(there.sum()), 1e-300)))
 
 

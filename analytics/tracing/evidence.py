@@ -14,7 +14,7 @@ PRICE = 9.0
 """What a candidate pays for being one of many, in units of chi-square."""
 FUNCTION_PRICE = 9.2
 """What a general function pays beside that: a named effect with the same fit is a hundred times likelier."""
-LEAST_GAIN = 2.0  # nats
+LEAST_GAIN, LEAST_GAIN_OF_OTHERS = 2.0, 1.0  # nats
 MOST_FROM_ONE = 0.98
 _SMALLEST = 1e-12
 
@@ -68,7 +68,8 @@ class Replication:
     @property
     def replicates(self) -> bool:
         """Whether other replicates are predicted better with the effect, and not one alone."""
-        return self.total > LEAST_GAIN and self.largest_share < MOST_FROM_ONE
+        others = self.total - float(self.gains.max())
+        return self.total > LEAST_GAIN and others > LEAST_GAIN_OF_OTHERS and self.largest_share < MOST_FROM_ONE
 
 
 def leave_one_out(joint: JointFit, replicates: Sequence[IntArray], tried: int) -> Replication:

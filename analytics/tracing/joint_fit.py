@@ -89,27 +89,38 @@ class JointFit:
 
 
 def fit_jointly(
-    records: Sequence[Record], hypothesis: Hypothesis, start: Sequence[NoiseCoefficients | None] | None = None
+    records: Sequence[Record],
+    hypothesis: Hypothesis,
+    start: Sequence[NoiseCoefficients | None] | None = None,
+    *,
+    restricted: bool = False,
 ) -> JointFit:
-    """Fit a hypothesis: the common coefficients to all records, the rest to each."""
+    """Fit a hypothesis: the common coefficients to all records, the rest to each.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        One for each unit.
+    hypothesis : Hypothesis
+        What is fitted.
+    start : sequence of NoiseCoefficients, optional
+        Where the noise of each record starts.
+    restricted : bool
+        By restricted likelihood: for the numbers that are given out, not for comparing hypotheses.
+    """
     begin: Sequence[NoiseCoefficients | None] = [None] * len(records) if start is None else start
     if len(records) == 1:
-        one = fit_noise(records[0], hypothesis.designs[0], begin[0])
+        one = fit_noise(records[0], hypothesis.designs[0], begin[0], restricted=restricted)
         return _joined(hypothesis, [one.noise], one.log_likelihood, [one.whitened])
     noises = [record.prior.center if noise is None else noise for record, noise in zip(records, begin, strict=True)]
-    fits = (
-        [fit_noise(record, own, noise) for record, own, noise in zip(records, hypothesis.own, noises, strict=True)]
-        if not hypothesis.common[0].shape[1]
-        else []
-    )
-    for _ in range(_ALTERNATIONS if not fits else 0):
+    has_common = hypothesis.common[0].shape[1] > 0
+    for _ in range(_ALTERNATIONS if has_common else 1):
         theta = _common(_whitened(records, hypothesis, noises), hypothesis).coefficients
         fits = [
-            fit_noise(record.less(columns @ theta), own, noise)
+            fit_noise(record.less(columns @ theta), own, noise, restricted=restricted)
             for record, columns, own, noise in zip(records, hypothesis.common, hypothesis.own, noises, strict=True)
         ]
         noises = [each.noise for each in fits]
-    noises = [each.noise for each in fits]
     return _joined(
         hypothesis, noises, sum(each.log_likelihood for each in fits), _whitened(records, hypothesis, noises)
     )

@@ -35,6 +35,16 @@ def solve(normal: FloatArray, right: FloatArray) -> Solution:
     return Solution(covariance @ right, covariance)
 
 
+def log_determinant(normal: FloatArray) -> float:
+    """Logarithm of the determinant, of the combinations of columns that the data say something of."""
+    if not normal.shape[0]:
+        return 0.0
+    scale = np.sqrt(np.diag(normal))
+    scale = np.where(scale > 0, scale, 1.0)
+    eigenvalues = np.linalg.eigvalsh(normal / np.outer(scale, scale))
+    return float(np.sum(np.log(eigenvalues[eigenvalues > LEAST_EIGENVALUE])) + 2 * np.sum(np.log(scale)))
+
+
 def fit(columns: FloatArray, value: FloatArray) -> Solution:
     """Least squares of whitened columns on whitened values."""
     return solve(columns.T @ columns, columns.T @ value)

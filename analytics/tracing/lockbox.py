@@ -10,6 +10,7 @@ from analytics.effects.base import Kind
 from analytics.tracing.candidates import effect_columns
 from analytics.tracing.least_squares import solve
 from analytics.tracing.line_scan import powers_at
+from analytics.tracing.misfit import redness
 from analytics.tracing.record import Record
 from analytics.tracing.result import Holdout, HoldoutSlope
 from analytics.tracing.selection import Search, Selected
@@ -22,6 +23,7 @@ IS_THERE = 1.64
 SAME_SIZE = 2.58
 """Standard errors by which the slope may differ from one: of true effects 1 % are refused for their size."""
 LINE_P_VALUE = 0.05
+LEAST_POWER = 0.1  # of a line above noise: less cannot be told from none
 
 
 @dataclass(frozen=True)
@@ -76,8 +78,9 @@ def open_lockbox(stack: Stack, held_out: BoolArray, training: Record, found: Sea
     number : int
         Which of its records the training is.
     """
-    record = record_of(stack, training.prior.center)
     common = [each for each in found.selected if each.is_common]
+    effects = [_columns_on(stack, each) for each in common]
+    record = record_of(stack, training.prior.center, np.column_stack(effects) if effects else None)
     p = training.design.shape[1]
     whitened = found.joint.whitened[number]
     trained = whitened[:, 1 : 1 + p]
@@ -90,10 +93,7 @@ def open_lockbox(stack: Stack, held_out: BoolArray, training: Record, found: Sea
         theta = found.joint.common.coefficients[at]
         driven = whitened[:, first + at.start : first + at.stop] @ theta
         taken = solve(normal, trained.T @ driven).coefficients
-        candidate = each.contender.candidate
-        assert candidate is not None
-        columns = effect_columns(record, candidate.effect, candidate.shape)
-        predictions[:, column] = columns @ theta - record.design @ taken
+        predictions[:, column] = effects[column] @ theta - record.design @ taken
         declared += taken
     before = record.value - record.design @ declared
     data = np.column_stack([before, predictions, record.design])
@@ -105,6 +105,12 @@ def open_lockbox(stack: Stack, held_out: BoolArray, training: Record, found: Sea
         covariance=solve(normal, np.zeros(p)).covariance,
         whitened=record.whitener(found.joint.noises[number])(data)[held_out],
     )
+
+
+def _columns_on(stack: Stack, which: Selected) -> FloatArray:
+    candidate = which.contender.candidate
+    assert candidate is not None
+    return effect_columns(stack, candidate.effect, candidate.shape)
 
 
 def judge(boxes: Sequence[Lockbox], trainings: Sequence[Record], found: Search, names: Sequence[str]) -> Holdout | None:
@@ -137,6 +143,9 @@ def _slopes(
     for box, (_, predicted, design) in zip(boxes, parts, strict=True):
         through_declared = solution.covariance @ predicted.T @ design
         variance += through_declared @ box.covariance @ through_declared.T
+    left = [residual - predicted @ solution.coefficients for residual, predicted, _ in parts]
+    runs = [box.record.stack.run_number[box.held_out] for box in boxes]
+    variance *= redness([predicted for _, predicted, _ in parts], left, runs)
     strength = np.array([_relative_error(found, each) ** -2 for each in common]) @ sums
     errors = np.sqrt(np.maximum(np.diag(variance), 1e-300))
     return [
@@ -161,9 +170,9 @@ def _line_slope(boxes: Sequence[Lockbox], trainings: Sequence[Record], found: Se
     blocks_there = sum(map(len, records)) / there.size
     blocks_trained = sum(map(len, trainings)) / trained.size
     power_there = max(float(there.mean()) - 2.0, 0.0)
-    power_trained = max(float(trained.mean()) - 2.0, 1e-6)
+    power_trained = max(float(trained.mean()) - 2.0, LEAST_POWER)
     slope = float(np.sqrt(power_there / blocks_there / (power_trained / blocks_trained)))
-    slope_se = float(np.sqrt((1 + power_there) / there.size) / max(np.sqrt(power_there * power_trained), 1e-6))
+    slope_se = float(np.sqrt((1 + power_there) / there.size) / np.sqrt(max(power_there, LEAST_POWER) * power_trained))
     training_se = float(np.sqrt((1 + power_trained) / trained.size) / power_trained)
     accepted = float(stats.chi2.sf(there.sum(), 2 * there.size)) < LINE_P_VALUE
     return HoldoutSlope(which.contender.name, slope, slope_se, training_se, accepted)

@@ -14,6 +14,7 @@ from analytics.tracing.least_squares import orthonormal
 from stream.batch import FloatArray, IntArray
 
 BY_CHANCE = 0.01
+TRUST = 4
 _LEAST_SHARE = 0.01
 """Part of all information that a replicate must have to have an opinion."""
 
@@ -31,7 +32,7 @@ def noise_inflation(joint: JointFit, replicates: Sequence[IntArray], runs: Seque
         How many of the common columns, counted from the end, are tried.
     """
     alone = [_alone(whitened, tried) for whitened in joint.whitened]
-    return max(_disagreement(alone, replicates), _redness(alone, joint.residuals, runs))
+    return max(_disagreement(alone, replicates), redness([driver for driver, _ in alone], joint.residuals, runs))
 
 
 def _alone(whitened: FloatArray, tried: int) -> tuple[FloatArray, FloatArray]:
@@ -65,13 +66,11 @@ def _explained(normal: FloatArray, right: FloatArray) -> tuple[float, int]:
     return float(np.sum((vectors[:, told].T @ right) ** 2 / eigenvalues[told])), int(np.count_nonzero(told))
 
 
-def _redness(
-    alone: Sequence[tuple[FloatArray, FloatArray]], residuals: Sequence[FloatArray], runs: Sequence[IntArray]
-) -> float:
-    """Power of the residual in octaves of frequency, weighed by where the columns have theirs."""
+def redness(drivers: Sequence[FloatArray], residuals: Sequence[FloatArray], runs: Sequence[IntArray]) -> float:
+    """Power of whitened residuals in octaves of frequency, weighed by where the columns have theirs; at least 1."""
     octaves = 1 + int(np.log2(max(max(np.bincount(number)) for number in runs)))
     residual_power, driver_power, count = np.zeros(octaves), np.zeros(octaves), np.zeros(octaves, dtype=np.int64)
-    for (driver, _), residual, number in zip(alone, residuals, runs, strict=True):
+    for driver, residual, number in zip(drivers, residuals, runs, strict=True):
         basis = orthonormal(driver)
         for run in np.unique(number):
             of_run = number == run
@@ -90,7 +89,10 @@ def _power(values: FloatArray) -> FloatArray:
 
 
 def _excess(chi_square: float, degrees: int) -> float:
-    """Chi-square over its degrees of freedom where chance does not explain it, else 1."""
+    """Chi-square over its degrees of freedom where chance does not explain it, else 1.
+
+    The noise model counts as so many degrees that agree: one or two that do not are no reason to give it up.
+    """
     if degrees < 1 or chi_square < float(stats.chi2.isf(BY_CHANCE, degrees)):
         return 1.0
-    return chi_square / degrees
+    return (chi_square + TRUST) / (degrees + TRUST)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analytics.tracing.least_squares import Solution, fit
+from analytics.tracing.least_squares import Solution, fit, log_determinant
 from analytics.tracing.record import Record, as_array, from_array
 from analytics.tracing.result import NoiseCoefficients
 from stream.batch import FloatArray, IntArray
@@ -43,6 +43,15 @@ class NoiseFit:
 
 
 @dataclass(frozen=True)
+class _Data:
+    """Value and columns of a record, and which likelihood of them is meant."""
+
+    record: Record
+    columns: FloatArray
+    restricted: bool
+
+
+@dataclass(frozen=True)
 class _At:
     """One evaluation of the likelihood."""
 
@@ -50,7 +59,9 @@ class _At:
     innovation: FloatArray
 
 
-def fit_noise(record: Record, columns: FloatArray, start: NoiseCoefficients | None = None) -> NoiseFit:
+def fit_noise(
+    record: Record, columns: FloatArray, start: NoiseCoefficients | None = None, *, restricted: bool = False
+) -> NoiseFit:
     """Fit the noise and the coefficients of columns to a record.
 
     Parameters
@@ -61,18 +72,21 @@ def fit_noise(record: Record, columns: FloatArray, start: NoiseCoefficients | No
         All columns of the regression.
     start : NoiseCoefficients, optional
         Where to start; by default where the prior has its centre.
+    restricted : bool
+        Whether the likelihood is that of what the columns cannot explain (REML): its noise is not too small, but
+        likelihoods of different columns do not compare.
     """
-    data = np.column_stack([record.value, columns])
+    data = _Data(record, np.column_stack([record.value, columns]), restricted)
     active = np.flatnonzero(record.prior.values > 0).astype(np.int64)
     begin = record.prior.center if start is None else start
-    current = _evaluate(record, data, begin)
+    current = _evaluate(data, begin)
     for _ in range(_MOST_STEPS):
-        score, information = _derivatives(record, data, current, active)
+        score, information = _derivatives(data, current, active)
         step = np.asarray(np.linalg.solve(information, score), dtype=np.float64)
         if 0.5 * float(score @ step) < _ENOUGH:
             break
         step = step * min(1.0, _LONGEST_STEP / float(np.abs(step).max()))
-        better = _climb(record, data, current, active, step)
+        better = _climb(data, current, active, step)
         if better is None:
             break
         current = better
@@ -81,44 +95,48 @@ def fit_noise(record: Record, columns: FloatArray, start: NoiseCoefficients | No
 
 def evaluate(record: Record, columns: FloatArray, noise: NoiseCoefficients) -> NoiseFit:
     """Regression at a given noise."""
-    return _evaluate(record, np.column_stack([record.value, columns]), noise).fit
+    return _evaluate(_Data(record, np.column_stack([record.value, columns]), restricted=False), noise).fit
 
 
-def _evaluate(record: Record, data: FloatArray, noise: NoiseCoefficients) -> _At:
-    whitener = record.whitener(noise)
-    whitened = whitener(data)
+def _evaluate(data: _Data, noise: NoiseCoefficients) -> _At:
+    whitener = data.record.whitener(noise)
+    whitened = whitener(data.columns)
     solution = fit(whitened[:, 1:], whitened[:, 0])
     residual = whitened[:, 0] - whitened[:, 1:] @ solution.coefficients
-    log_likelihood = -0.5 * (whitener.log_determinant + float(residual @ residual)) + record.prior.log_density(noise)
+    log_likelihood = -0.5 * (whitener.log_determinant + float(residual @ residual)) + data.record.prior.log_density(
+        noise
+    )
+    if data.restricted:
+        log_likelihood -= 0.5 * log_determinant(whitened[:, 1:].T @ whitened[:, 1:])
     return _At(NoiseFit(noise, log_likelihood, solution, whitened), whitener.innovation)
 
 
-def _derivatives(record: Record, data: FloatArray, at: _At, active: IntArray) -> tuple[FloatArray, FloatArray]:
+def _derivatives(data: _Data, at: _At, active: IntArray) -> tuple[FloatArray, FloatArray]:
     """Gradient of the log likelihood and its expected curvature, in logarithms of the active coefficients."""
     values = as_array(at.fit.noise)
     with_coefficients = np.concatenate([[1.0], -at.fit.solution.coefficients])
     scale = np.sqrt(at.innovation)
     residual = at.fit.residual * scale
     score = np.empty(active.size)
-    change = np.empty((2, len(record), active.size))
+    change = np.empty((2, len(data.record), active.size))
     for number, which in enumerate(active):
         nudged = values.copy()
         nudged[which] *= np.exp(_DIFFERENCE)
-        near = _evaluate(record, data, from_array(nudged))
+        near = _evaluate(data, from_array(nudged))
         score[number] = (near.fit.log_likelihood - at.fit.log_likelihood) / _DIFFERENCE
         change[0, :, number] = np.log(near.innovation / at.innovation) / np.sqrt(2)
         change[1, :, number] = (near.fit.whitened @ with_coefficients * np.sqrt(near.innovation) - residual) / scale
     flat = change.reshape(-1, active.size) / _DIFFERENCE
-    return score, flat.T @ flat + np.diag(record.prior.spread[active] ** -2.0)
+    return score, flat.T @ flat + np.diag(data.record.prior.spread[active] ** -2.0)
 
 
-def _climb(record: Record, data: FloatArray, at: _At, active: IntArray, step: FloatArray) -> _At | None:
+def _climb(data: _Data, at: _At, active: IntArray, step: FloatArray) -> _At | None:
     """The first point along a step, halved up to four times, that is better."""
     values = as_array(at.fit.noise)
     for _ in range(5):
         moved = values.copy()
         moved[active] *= np.exp(step)
-        trial = _evaluate(record, data, from_array(moved))
+        trial = _evaluate(data, from_array(moved))
         if trial.fit.log_likelihood > at.fit.log_likelihood:
             return trial
         step = step / 2

@@ -13,7 +13,7 @@ from analytics.tracing.least_squares import Projected, project
 from analytics.tracing.result import NoiseCoefficients
 from stream.batch import BoolArray, FloatArray, IntArray
 
-DRAWS = 1000
+DRAWS = 500
 LEAST_LEFT = 1e-3
 """Part of a column's squared length that must be left beside the columns of the model; else it cannot be told apart."""
 
@@ -107,7 +107,7 @@ def screen(
     left = _left(total)
     null = _draws(total.normal, left, rng)
     results: list[Screened] = []
-    best_null: dict[str, FloatArray] = {}
+    best_null: dict[tuple[str, int], FloatArray] = {}
     seen: dict[str, bool] = {}
     for item in candidates.items:
         name = item.effect.name
@@ -119,10 +119,11 @@ def screen(
             continue
         results.append(test.screened)
         chi_square = np.sum((test.whiten @ null[test.own]) ** 2, axis=0)
-        null_p = special.gammaincc(test.screened.degrees / 2, chi_square / 2)
-        best_null[name] = np.minimum(best_null.get(name, 1.0), null_p)
+        family = name, test.screened.degrees
+        best_null[family] = np.maximum(best_null.get(family, 0.0), chi_square)
     blind = tuple(name for name, told in seen.items() if not told)
-    return Screen(tuple(results), _effective_tests(list(best_null.values())), blind)
+    null_p = [special.gammaincc(degrees / 2, best / 2) for (_, degrees), best in best_null.items()]
+    return Screen(tuple(results), _effective_tests(null_p), blind)
 
 
 def tests_of_kind(

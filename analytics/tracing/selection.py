@@ -112,6 +112,7 @@ def search(records: Sequence[Record], candidates: Candidates, rng: np.random.Gen
         joint = best.contender.joint
     if sum(each.is_common for each in selected) >= 2:
         selected, joint = _refined(records, candidates, selected, joint, rng)
+    joint = fit_jointly(records, hypothesis_of(records, selected), joint.noises, restricted=True)
     return Search(tuple(selected), null, joint, unreplicated)
 
 
@@ -121,6 +122,8 @@ def _chosen(found: Sequence[Contender]) -> Selected | None:
     if not usable:
         return None
     best, leading = usable[0], None
+    if best.kind is Kind.EVENT and _rivals(best, found):
+        return None
     causes = [each for each in usable if each.role is Role.CAUSE and each.candidate is not None]
     if best.role is Role.PROXY and causes:
         leading = best.name if best.evidence - causes[0].evidence > PRICE else None
@@ -134,6 +137,11 @@ def _chosen(found: Sequence[Contender]) -> Selected | None:
         companions=tuple(each.name for each in near if each.role is Role.PROXY),
         leading_proxy=leading,
     )
+
+
+def _rivals(jump: Contender, found: Sequence[Contender]) -> list[Contender]:
+    """Effects that explain the one run as well as a jump does, though no other run bears them out."""
+    return [each for each in found if not each.replicates and jump.evidence - each.evidence < PRICE]
 
 
 def _contains(function: Contender, effect: Contender) -> bool:

@@ -1,6 +1,7 @@
 """White variance of each block as its neighbours tell it, by run and rate; outliers; a guess of the noise."""
 
 import numpy as np
+from scipy import ndimage
 
 from analytics.tracing.least_squares import fit
 from analytics.tracing.noise_model import NoiseModel
@@ -14,14 +15,25 @@ RATE_CLASSES = (0.0005, 0.1, 0.4)
 FEWEST_PAIRS = 40
 LIKELY_CHANCE = 0.25  # logarithm of a ratio of variances that 40 pairs can show by chance; such ratios are halved
 LEAST_RATIO, LARGEST_RATIO = 0.3, 50.0
+BURST_BLOCKS, LEAST_BURST = 5, 2.0
 OUTLIER = 4.5
 OUTLIER_RATIO = 1e3
 MOST_OUTLIERS = 0.02
 MAD_TO_SIGMA = 1.4826
 
 
-def record_of(stack: Stack, declared: NoiseCoefficients | None) -> Record:
-    """Return the blocks with the white variance of each; without a declared noise it is guessed from the blocks."""
+def record_of(stack: Stack, declared: NoiseCoefficients | None, beside: FloatArray | None = None) -> Record:
+    """Return the blocks with the white variance of each.
+
+    Parameters
+    ----------
+    stack : Stack
+        The blocks.
+    declared : NoiseCoefficients, optional
+        Their noise; else it is guessed from the blocks.
+    beside : array of shape (n, columns), optional
+        Effects: what they can explain is no outlier.
+    """
     residual = _ordinary_residual(stack)
     steps, noise_model = stack.steps, stack.noise_model
     if declared is None:
@@ -31,8 +43,13 @@ def record_of(stack: Stack, declared: NoiseCoefficients | None) -> Record:
     expected = noise_model.space(prior.center).white
     white = _relative_white(stack, residual, steps, expected)
     record = Record(stack, stack.value, stack.design, steps, noise_model, prior, white)
-    white[_outliers(record)] *= OUTLIER_RATIO
+    white[_outliers(record, beside)] *= OUTLIER_RATIO
     return record
+
+
+def has_outliers(record: Record) -> bool:
+    """Whether blocks were taken for outliers."""
+    return bool(np.any(record.white >= OUTLIER_RATIO * LEAST_RATIO))
 
 
 def _ordinary_residual(stack: Stack) -> FloatArray:
@@ -79,12 +96,29 @@ def _relative_white(stack: Stack, residual: FloatArray, steps: IntArray, expecte
             if np.count_nonzero(of_class & same) >= FEWEST_PAIRS:
                 ratio[of_class] = _pair_variance(difference[of_class & same]) / expected
     logarithm = np.log(np.clip(ratio, LEAST_RATIO, LARGEST_RATIO))
-    return np.exp(np.where(np.abs(logarithm) < LIKELY_CHANCE, logarithm / 2, logarithm))
+    return np.exp(np.where(np.abs(logarithm) < LIKELY_CHANCE, logarithm / 2, logarithm)) * _bursts(stack, rate_class)
 
 
-def _outliers(record: Record) -> BoolArray:
-    """Blocks far from what those before them let expect; at most 2 % of all."""
-    whitened = record.whitener(record.prior.center)(np.column_stack([record.value, record.design]))
+def _bursts(stack: Stack, rate_class: IntArray) -> FloatArray:
+    """By how much the scatter inside the blocks of a stretch exceeds that of its run and class; 1 but in bursts."""
+    scatter = stack.column(lambda run: run.white_variance)
+    factor = np.ones(len(stack))
+    number = stack.run_number
+    for run in range(len(stack.runs)):
+        for each in np.unique(rate_class[number == run]):
+            own = (number == run) & (rate_class == each)
+            if np.count_nonzero(own) < FEWEST_PAIRS or not np.all(np.isfinite(scatter[own])):
+                continue
+            usual = float(np.median(scatter[own]))
+            if usual > 0:
+                factor[own] = ndimage.median_filter(scatter[own], BURST_BLOCKS, mode="nearest") / usual
+    return np.where(factor > LEAST_BURST, np.minimum(factor, LARGEST_RATIO), 1.0)
+
+
+def _outliers(record: Record, beside: FloatArray | None) -> BoolArray:
+    """Blocks far from what those before them let expect; none where they are more than 2 % of all."""
+    columns = record.design if beside is None else np.column_stack([record.design, beside])
+    whitened = record.whitener(record.prior.center)(np.column_stack([record.value, columns]))
     residual = whitened[:, 0] - whitened[:, 1:] @ fit(whitened[:, 1:], whitened[:, 0]).coefficients
     far = np.zeros(len(record), dtype=bool)
     number = record.stack.run_number

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analytics.trends.mixed_model import Deviation, Effect, MixedModel, holm, paired_difference
+from analytics.trends.mixed_model import Effect, MixedModel, holm, paired_difference
 from analytics.trends.series import GROUPS, Series
 from analytics.trends.words import Refused, Words
 from stream.batch import FloatArray, IntArray
@@ -15,6 +15,7 @@ LEAST_VALUES = 8
 LEAST_PER_LEVEL = 2
 LEAST_PAIRS = 3
 _MOST_LEVELS = 200
+_DEPENDENT = 1e-9
 
 
 class Difference(NamedTuple):
@@ -62,16 +63,12 @@ class Comparison(NamedTuple):
         Of all groups with more than one level.
     pairs : tuple of Pairs
         Of levels with units in common.
-    components : dict of Deviation
-        Standard deviations: `unit` from unit to unit, `residual` from one measurement of a unit to the next, and of
-        each group from level to level. Where no unit was measured twice `residual` is both.
     left_out : tuple of Words
         Groups that were not compared, and why.
     """
 
     differences: tuple[Difference, ...]
     pairs: tuple[Pairs, ...]
-    components: dict[str, Deviation]
     left_out: tuple[Words, ...]
 
 
@@ -109,15 +106,11 @@ def compare_groups(series: Series, groups: tuple[str, ...] = GROUPS) -> Comparis
         )
     found, left_out = _groups(series, groups)
     unit = _codes(series.unit)[1]
-    differences, models = [], {}
+    differences = []
     for group in found:
         confounded = _confounded(group, found)
         others = [each for each in found if each is not group and each.name not in confounded]
-        names = (group.name, *sorted(each.name for each in others))
-        key = frozenset(names)
-        if key not in models:
-            models[key] = _Fit.of(series.value, [group, *others], unit)
-        fit = models[key]
+        fit = _Fit.of(series.value, [group, *others], unit)
         if not fit.has_freedom:
             left_out.append(
                 Words(
@@ -129,22 +122,18 @@ def compare_groups(series: Series, groups: tuple[str, ...] = GROUPS) -> Comparis
     adjusted = holm([each.effect.chance for each in differences])
     differences = [each._replace(adjusted=p) for each, p in zip(differences, adjusted, strict=True)]
     pairs = [pair for group in found for pair in _pairs(group, series)]
-    return Comparison(tuple(differences), tuple(pairs), _components(series.value, found, unit), tuple(left_out))
+    return Comparison(tuple(differences), tuple(pairs), tuple(left_out))
 
 
 class _Fit(NamedTuple):
+    """The model of one group, whose columns come first after the constant, beside others."""
+
     model: MixedModel
-    first: dict[str, int]
-    """At which column each group begins."""
 
     @classmethod
     def of(cls, values: FloatArray, groups: list[_Group], unit: IntArray) -> "_Fit":
-        first, at = {}, 1
-        for group in groups:
-            first[group.name] = at
-            at += group.columns.shape[1]
         fixed = np.column_stack([np.ones(values.size), *(group.columns for group in groups)])
-        return cls(MixedModel(values, fixed, unit), first)
+        return cls(MixedModel(values, fixed[:, _independent(fixed)], unit))
 
     @property
     def has_freedom(self) -> bool:
@@ -181,29 +170,40 @@ def _zh(name: str) -> str:
     return {"station": "测试站", "fixture": "夹具", "lot": "批次"}.get(name, name)
 
 
-def _rank(groups: list[_Group], values: int) -> int:
-    columns = [np.ones((values, 1)), *(group.columns for group in groups)]
-    joined = np.column_stack(columns)
-    return int(np.linalg.matrix_rank(joined.T @ joined))
+def _independent(columns: FloatArray) -> list[int]:
+    """Columns that do not depend on those before them, by Gauss elimination in their cross products."""
+    products = columns.T @ columns
+    own = np.maximum(np.diag(products).copy(), 1e-300)
+    kept = []
+    for at in range(columns.shape[1]):
+        if products[at, at] > _DEPENDENT * own[at]:
+            kept.append(at)
+            products = products - np.outer(products[:, at], products[at]) / products[at, at]
+    return kept
+
+
+def _is_estimable(group: _Group, others: list[_Group]) -> bool:
+    ones = np.ones((group.code.size, 1))
+    columns = np.column_stack([ones, *(each.columns for each in others), group.columns])
+    first = columns.shape[1] - group.columns.shape[1]
+    return sum(at >= first for at in _independent(columns)) == group.columns.shape[1]
 
 
 def _confounded(group: _Group, groups: list[_Group]) -> tuple[str, ...]:
     """Which other groups must be left out for all levels of this one to be estimable."""
     others = [each for each in groups if each is not group]
-    n = group.code.size
-    own = len(group.levels) - 1
-    alone = [each for each in others if _rank([each, group], n) < len(each.levels) + own]
-    rest = [each for each in others if each not in alone] if alone else others
-    if _rank([*rest, group], n) - _rank(rest, n) == own and _rank(rest, n) == 1 + sum(len(e.levels) - 1 for e in rest):
-        return tuple(each.name for each in others if each not in rest)
-    return tuple(each.name for each in others)
+    if _is_estimable(group, others):
+        return ()
+    alone = [each for each in others if not _is_estimable(group, [each])]
+    rest = [each for each in others if each not in alone]
+    left_out = alone if alone and _is_estimable(group, rest) else others
+    return tuple(each.name for each in left_out)
 
 
 def _differences(group: _Group, fit: _Fit, series: Series) -> list[Difference]:
     k = len(group.levels)
-    first = fit.first[group.name]
     contrasts = np.zeros((1 if k == 2 else k, fit.model.fixed.shape[1]))
-    own = contrasts[:, first : first + k - 1]
+    own = contrasts[:, 1:k]
     if k == 2:
         own[0, 0] = 1.0
     else:
@@ -236,16 +236,3 @@ def _pairs(group: _Group, series: Series) -> list[Pairs]:
             differences = np.array([by_level[two][unit] - by_level[one][unit] for unit in both])
             found.append(Pairs(group.name, two, one, len(both), paired_difference(differences)))
     return found
-
-
-def _components(values: FloatArray, groups: list[_Group], unit: IntArray) -> dict[str, Deviation]:
-    """Of units and measurements beside all groups as they are; of each group as a random effect by itself."""
-    model = MixedModel(values, np.ones((values.size, 1)), unit)
-    found = {}
-    for group in groups:
-        random = (group.code[:, None] == np.arange(len(group.levels))).astype(np.float64)
-        parts = MixedModel(values, np.ones((values.size, 1)), unit, random).deviations()
-        found[group.name] = parts["random"]
-        if group is groups[0]:
-            found |= {name: each for name, each in parts.items() if name != "random"}
-    return found if groups else model.deviations()

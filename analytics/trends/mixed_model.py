@@ -118,10 +118,11 @@ class MixedModel:
 
     def deviations(self) -> dict[str, Deviation]:
         """Standard deviations of `unit`, `residual` and, where there is one, the second random effect (`random`)."""
-        at = self._optimum
-        names = self._names
-        values = dict(zip(names, np.exp(at / 2), strict=True))
-        return {name: self._profile(index, float(values[name])) for index, name in enumerate(names)}
+        return {name: self.deviation(name) for name in self._names}
+
+    def deviation(self, name: str) -> Deviation:
+        """One of the `deviations`."""
+        return self._profile(self._names.index(name))
 
     @property
     def _names(self) -> list[str]:
@@ -220,7 +221,7 @@ class MixedModel:
             freedom = 2 * variances(at) ** 2 / wobble
         return np.clip(np.where(wobble > 0, freedom, residual), 1.0, residual)
 
-    def _profile(self, index: int, value: float) -> Deviation:
+    def _profile(self, index: int) -> Deviation:
         at = self._optimum
         rise = float(chi2.ppf(_CONFIDENCE, 1))
         least = self._deviance(at)
@@ -234,7 +235,7 @@ class MixedModel:
         hi = _crossing(above, float(at[index]), 1.0, _MOST)
         zero = index > 0 and at[index] - at.max() < _LEAST / 2
         return Deviation(
-            0.0 if zero else value,
+            0.0 if zero else float(np.exp(at[index] / 2)),
             0.0 if lo is None else float(np.exp(lo / 2)),
             float("inf") if hi is None else float(np.exp(hi / 2)),
         )

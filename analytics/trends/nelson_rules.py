@@ -91,13 +91,13 @@ def points_of(flags: BoolArray, z: FloatArray) -> dict[int, list[int]]:
 
 
 def _of_last(condition: BoolArray, least: int, of: int) -> BoolArray:
-    """Whether at least so many of the last `of` are true; patterns that begin before the first point are not."""
-    met = np.zeros(condition.shape, bool)
-    short = min(of, condition.shape[-1])
-    if least == of or short < of:
+    """Whether at least so many of the last `of` are true; before the first point nothing is."""
+    if least == of:
+        met = np.zeros(condition.shape, bool)
         if condition.shape[-1] >= of:
             met[..., of - 1 :] = sliding_window_view(condition, of, axis=-1).all(axis=-1)
         return met
+    if condition.shape[-1] == 0:
+        return condition.copy()
     padded = np.concatenate([np.zeros((*condition.shape[:-1], of - 1), bool), condition], axis=-1)
-    met[...] = sliding_window_view(padded, of, axis=-1).sum(axis=-1) >= least
-    return met
+    return np.asarray(sliding_window_view(padded, of, axis=-1).sum(axis=-1) >= least)

@@ -79,7 +79,11 @@ def _of_charts(trend: Trend) -> Iterator[Words]:
         en = f"{trend.by} {chart.name}: " if trend.by is not None else ""
         zh = f"{_GROUP_NAMES[trend.by]} {chart.name}：" if trend.by is not None else ""
         for each in _of_chart(chart):
-            yield Words(f"{en}{each.en}", f"{zh}{each.zh}")
+            yield Words(_begun(f"{en}{each.en}"), f"{zh}{each.zh}")
+
+
+def _begun(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
 
 
 def _of_chart(chart: Chart) -> Iterator[Words]:
@@ -90,12 +94,13 @@ def _of_chart(chart: Chart) -> Iterator[Words]:
     if chart.drifts and isinstance(chart.drift, Drift):
         per = ("per day", "每天") if chart.series.dated else ("per point", "每点")
         told = interval(chart.drift.slope, chart.drift.lo, chart.drift.hi, unit)
-        yield Words(f"it drifts by {told} {per[0]}.", f"存在漂移，{per[1]} {told}。")
+        yield Words(f"it drifts by {told.en} {per[0]}.", f"存在漂移，{per[1]} {told.zh}。")
     if isinstance(chart.limits, Refused):
         return
     if chart.wild_point is not None:
         yield _wild(chart, chart.limits, chart.wild_point)
-    if chart.too_many is not None:
+    # where the level moves, rules are met because of it
+    if chart.too_many is not None and not chart.has_changed and not chart.drifts:
         yield _signals(chart, chart.too_many)
 
 
@@ -104,8 +109,8 @@ def _change(series: Series, change: ChangePoint) -> Words:
     before, after = moment(series, change.first - 1), moment(series, change.last)
     here = f"{series.unit[change.at]}, {moment(series, change.at)}"
     return Words(
-        f"the level changes by {told} between {before} and {after} (most likely at {here}).",
-        f"水平在 {before} 与 {after} 之间改变 {told}（最可能始于 {here}）。",
+        f"the level changes by {told.en} between {before} and {after} (most likely at {here}).",
+        f"水平在 {before} 与 {after} 之间改变 {told.zh}（最可能始于 {here}）。",
     )
 
 
@@ -154,10 +159,10 @@ def _difference(found: Difference, comparison: Comparison, unit: str) -> Words:
     against_en = f"{found.group} {found.against}" if found.against else f"the other {found.group}s on average"
     against_zh = f"{group_zh} {found.against}" if found.against else f"其他{group_zh}平均值"
     why = _attribution(found, comparison, unit)
+    way, way_zh = ("higher", "高") if higher else ("lower", "低")
     return Words(
-        f"{found.group} {found.level} gives values {told} {'higher' if higher else 'lower'} than {against_en}"
-        f" (95 % interval){why.en}.",
-        f"{group_zh} {found.level} 的值比{against_zh}{'高' if higher else '低'} {told}（95 % 区间）{why.zh}。",
+        f"{_begun(found.group)} {found.level} gives values {told.en} {way} than {against_en} (95 % interval){why.en}.",
+        f"{group_zh} {found.level} 的值比{against_zh}{way_zh} {told.zh}，95 % 区间{why.zh}。",
     )
 
 
@@ -185,12 +190,12 @@ def _attribution(found: Difference, comparison: Comparison, unit: str) -> Words:
     told = interval(sign * pair.effect.value, lo, hi, unit)
     if lo > 0 or hi < 0:
         return Words(
-            f"; the {pair.units} units measured on both show {told}: it is the {found.group}, not its units",
-            f"；两处都测量过的 {pair.units} 个样品相差 {told}：差异来自{group_zh}，而非样品",
+            f"; the {pair.units} units measured on both show {told.en}: it is the {found.group}, not its units",
+            f"；两处都测量过的 {pair.units} 个样品相差 {told.zh}：差异来自{group_zh}，而非样品",
         )
     return Words(
-        f"; the {pair.units} units measured on both show {told}, which alone would not prove it",
-        f"；两处都测量过的 {pair.units} 个样品相差 {told}，单凭这些样品不足以证明",
+        f"; the {pair.units} units measured on both show {told.en}, which alone would not prove it",
+        f"；两处都测量过的 {pair.units} 个样品相差 {told.zh}，单凭这些样品不足以证明",
     )
 
 
@@ -222,9 +227,20 @@ def _of_capability(trend: Trend) -> Iterator[Words]:
         en = f"{trend.by} {chart.name}: " if trend.by is not None else ""
         zh = f"{_GROUP_NAMES[trend.by]} {chart.name}：" if trend.by is not None else ""
         if isinstance(found, Refused):
-            yield Words(f"{en}No capability: {found.why.en}.", f"{zh}无过程能力指数：{found.why.zh}。")
+            yield Words(_begun(f"{en}no capability: {found.why.en}."), f"{zh}无过程能力指数：{found.why.zh}。")
             continue
-        yield Words(f"{en}{_capable(found, chinese=False)}", f"{zh}{_capable(found, chinese=True)}")
+        against = _specification(trend)
+        yield Words(
+            _begun(f"{en}{_capable(found, chinese=False)}{against.en}."),
+            f"{zh}{_capable(found, chinese=True)}{against.zh}。",
+        )
+
+
+def _specification(trend: Trend) -> Words:
+    limits, unit = trend.specification, trend.series.unit_of_measure
+    sides = [f"{sign} {side:.6g}" for sign, side in (("≥", limits.lower), ("≤", limits.upper)) if side is not None]
+    told = f"{' , '.join(sides)} {unit}".replace(" ,", ",")
+    return Words(f"; limits {told} ({limits.source})", f"；限值 {told}（{limits.source}）")
 
 
 def _capable(found: Capability, *, chinese: bool) -> str:
@@ -236,10 +252,10 @@ def _capable(found: Capability, *, chinese: bool) -> str:
     if chinese:
         noise = f"；测量不确定度占方差的 {share}" if share else ""
         normal = "" if found.is_normal else "；数值不服从正态分布，指数不能换算为不合格率"
-        return f"{told}，{found.n} 个值{noise}{normal}。"
+        return f"{told}，{found.n} 个值{noise}{normal}"
     noise = f"; the uncertainty of measurement is {share} of the variance" if share else ""
     normal = "" if found.is_normal else "; the values are not normal, so the indices do not say how many units fail"
-    return f"{told}, of {found.n} values{noise}{normal}."
+    return f"{told}, of {found.n} values{noise}{normal}"
 
 
 def _left_out(trend: Trend) -> Iterator[Words]:

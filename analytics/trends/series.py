@@ -11,7 +11,7 @@ import numpy as np
 
 from analytics.metrics_selection import check_metrics
 from storage.catalog import Catalog
-from stream.batch import BoolArray, FloatArray, IntArray
+from stream.batch import FloatArray, IntArray
 from stream.errors import NotFound
 
 GROUPS = ("station", "fixture", "lot")
@@ -95,7 +95,7 @@ class Series:
     run : list of str
         In which run.
     groups : dict of list of str
-        Of each value, for `GROUPS` and `product`.
+        Of each value, for `GROUPS`, `product` and `signal`.
     variant : Variant
         Which kind of values.
     others : tuple of Variant
@@ -119,11 +119,9 @@ class Series:
     without_value: int
     dated: bool
 
-    def where(self, chosen: BoolArray | Iterable[int]) -> "Series":
-        """Only some of the values, in the same order."""
-        at = (
-            np.flatnonzero(chosen) if isinstance(chosen, np.ndarray) and chosen.dtype == bool else np.array(chosen, int)
-        )
+    def where(self, chosen: Iterable[int]) -> "Series":
+        """Only some of the values, by their numbers."""
+        at = np.array(list(chosen), np.int64)
         return replace(
             self,
             value=self.value[at],
@@ -160,6 +158,7 @@ class Choice(NamedTuple):
     lot: str | None = None
     station: str | None = None
     fixture: str | None = None
+    product: str | None = None
     since_ns: int | None = None
 
 
@@ -199,8 +198,11 @@ def _is_wanted(row: Mapping[str, Any], choice: Choice) -> bool:
         choice.signal in {None, row["signal"]},
         choice.standard is None or choice.standard in (row["standard"] or "").split(", "),
         choice.since_ns is None or (_moment(row) or 0) >= choice.since_ns,
-        *(wanted in {None, row[name]} for name, wanted in choice._asdict().items() if name in GROUPS),
-        *(_text(row["parameters"].get(name)) == _text(value) for name, value in choice.parameters.items()),
+        *(wanted in {None, row[name]} for name, wanted in choice._asdict().items() if name in (*GROUPS, "product")),
+        *(
+            parameter_text(row["parameters"].get(name)) == parameter_text(value)
+            for name, value in choice.parameters.items()
+        ),
     )
     return all(asked)
 
@@ -210,8 +212,14 @@ def _moment(row: Mapping[str, Any]) -> int | None:
     return found
 
 
-def _text(value: object) -> str:
-    """A parameter so that 100, 100.0 and '100' are the same."""
+def parameter_text(value: object) -> str:
+    """A parameter so that 100, 100.0 and '100' are the same.
+
+    Examples
+    --------
+    >>> parameter_text(100.0), parameter_text("100"), parameter_text("X")
+    ('100', '100', 'X')
+    """
     try:
         return f"{float(str(value)):g}"
     except ValueError:
@@ -240,11 +248,11 @@ def _settings(rows: list[dict[str, Any]]) -> set[str]:
     for group in same.values():
         if len(group) > 1:
             names = {name for each in group for name in each}
-            named |= {name for name in names if len({_text(each.get(name)) for each in group}) > 1}
+            named |= {name for name in names if len({parameter_text(each.get(name)) for each in group}) > 1}
     few = {
         name
         for name in named
-        if len({_text(row["parameters"].get(name)) for row in rows}) <= max(_FEW, len(rows) // 20)
+        if len({parameter_text(row["parameters"].get(name)) for row in rows}) <= max(_FEW, len(rows) // 20)
     }
     return (few - _FOUND) | {_TEMPERATURE}
 
@@ -267,7 +275,9 @@ def _kinds(rows: list[dict[str, Any]]) -> dict[Variant, list[dict[str, Any]]]:
     kinds: defaultdict[Variant, list[dict[str, Any]]] = defaultdict(list)
     for row in rows:
         told = {
-            name: _text(value) for name, value in row["parameters"].items() if name in settings and value is not None
+            name: parameter_text(value)
+            for name, value in row["parameters"].items()
+            if name in settings and value is not None
         }
         if (temperature := row["parameters"].get(_TEMPERATURE)) in classes:
             told[_TEMPERATURE] = classes[temperature]
@@ -307,7 +317,7 @@ def _series(
         t_ns=np.array([_moment(row) or 0 for row in rows], np.int64),
         unit=[f"{row['unit']} {row['signal']}" if several else row["unit"] for row in rows],
         run=[row["run"] or "" for row in rows],
-        groups={name: [row[name] or UNGIVEN for row in rows] for name in (*GROUPS, "product")},
+        groups={name: [row[name] or UNGIVEN for row in rows] for name in (*GROUPS, "product", "signal")},
         variant=variant,
         others=others,
         without_value=without_value,

@@ -11,8 +11,10 @@ from analytics.trends.chart_chance import ChartChance, chart_chance, wild_point_
 from analytics.trends.control_chart import IndividualsChart, Spread, individuals_chart
 from analytics.trends.drift import Drift, drift
 from analytics.trends.ewma import EwmaChart, ewma_chart
+from analytics.trends.mixed_model import Deviation
 from analytics.trends.nelson_rules import points_of, rule_flags
 from analytics.trends.series import GROUPS, Series
+from analytics.trends.variance_components import components
 from analytics.trends.words import Refused, Words
 from stream.batch import FloatArray
 
@@ -105,6 +107,8 @@ class Trend(NamedTuple):
         In order of their names.
     comparison : Comparison or Refused
         Between stations, fixtures and lots.
+    components : dict of Deviation
+        Scatter of units, of measurements, and of groups.
     specification : Limits
         What the values are held against.
     capabilities : tuple of Capability or Refused
@@ -115,6 +119,7 @@ class Trend(NamedTuple):
     by: str | None
     charts: tuple[Chart, ...]
     comparison: Comparison | Refused
+    components: dict[str, Deviation]
     specification: Limits
     capabilities: tuple[Capability | Refused, ...]
 
@@ -157,6 +162,7 @@ def trend_of(
         by=by,
         charts=charts,
         comparison=compare_groups(series, GROUPS),
+        components=components(series, GROUPS),
         specification=specification,
         capabilities=tuple(_capability(chart, by, specification) for chart in charts),
     )

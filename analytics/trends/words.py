@@ -37,17 +37,18 @@ def figures(value: float, half_width: float) -> str:
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
-def interval(value: float, lo: float, hi: float, unit: str) -> str:
+def interval(value: float, lo: float, hi: float, unit: str) -> Words:
     """A value with its limits and unit.
 
     Examples
     --------
     >>> interval(0.049531, 0.0412, 0.0578, "deg/h")
-    '0.0495 deg/h (0.0412 to 0.0578)'
+    Words(en='0.0495 deg/h (0.0412 to 0.0578)', zh='0.0495 deg/h（0.0412 至 0.0578）')
     """
     half = (hi - lo) / 2
     name = "" if unit in {"", "1"} else f" {unit}"
-    return f"{figures(value, half)}{name} ({figures(lo, half)} to {figures(hi, half)})"
+    shown, least, most = (figures(each, half) for each in (value, lo, hi))
+    return Words(f"{shown}{name} ({least} to {most})", f"{shown}{name}（{least} 至 {most}）")
 
 
 def listed(names: list[str], most: int = 5) -> Words:

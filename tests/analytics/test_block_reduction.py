@@ -6,20 +6,25 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analytics.block_checks import check_clocks
 from analytics.block_reduction import BlockReducer, Reduction
 from analytics.declared_noise import declared_noise
 from analytics.error_model import ErrorModel
 from storage.catalog import Catalog
+from storage.lake import Lake, builder_lock
+from storage.retention import Rule, apply_rule
+from storage.store import Store
 from stream.batch import FloatArray
 from stream.errors import BadInput, NotFound
 from stream.estimators.base import NoEstimate
 from stream.events import NoiseFitted, PowerOn
+from tests.analytics.conftest import TestedUnits
 
 START_NS = 1_763_683_200 * 10**9
 SECOND_NS = 10**9
 
 
-def reduced(tested: Any, unit: str = "U1", signal: str = "rate", **options: Any) -> Reduction:
+def reduced(tested: TestedUnits, unit: str = "U1", signal: str = "rate", **options: Any) -> Reduction:
     with tested.catalog() as catalog:
         return BlockReducer(catalog, signal, **options).reduce(unit)
 
@@ -31,7 +36,7 @@ def white_variance(values: FloatArray, per_piece: int) -> float:
 
 
 @pytest.mark.parametrize("block_s", [30.0, 10.0, 0.8])
-def test_means_and_scatter_are_those_of_numpy(tested: Any, block_s: float) -> None:
+def test_means_and_scatter_are_those_of_numpy(tested: TestedUnits, block_s: float) -> None:
     rng = np.random.default_rng(1)
     tested.run("r1")
     rate = 5.0 + rng.normal(0.0, 2.0, 6000) + np.linspace(0.0, 3.0, 6000)
@@ -50,7 +55,7 @@ def test_means_and_scatter_are_those_of_numpy(tested: Any, block_s: float) -> No
     assert np.median(run.white_variance) == pytest.approx(4.0 / per_block, rel=0.25)
 
 
-def test_slow_change_hardly_counts_as_white_noise(tested: Any) -> None:
+def test_slow_change_hardly_counts_as_white_noise(tested: TestedUnits) -> None:
     tested.run("r1")
     ramp = np.linspace(0.0, 36.0, 36_000)  # deg/h over an hour: 0.3 in a block
     noise = np.random.default_rng(2).normal(0.0, 1.0, 36_000)
@@ -60,21 +65,25 @@ def test_slow_change_hardly_counts_as_white_noise(tested: Any) -> None:
     assert run.white_variance.mean() == pytest.approx(1.0 / 300.0, rel=0.12)
 
 
-def test_gaps_leap_and_a_short_block_takes_the_scatter_of_its_run(tested: Any) -> None:
+def test_gaps_leap_and_a_short_block_takes_the_scatter_of_its_run(tested: TestedUnits) -> None:
     rng = np.random.default_rng(3)
     tested.run("r1")
-    first, second = rng.normal(0.0, 1.0, 3000), rng.normal(0.0, 1.0, 35)
+    first, second, third = rng.normal(0.0, 1.0, 3000), rng.normal(0.0, 1.0, 65), rng.normal(0.0, 1.0, 35)
     tested.samples("r1", "U1", "rate", first, t0_ns=START_NS)
     tested.samples("r1", "U1", "rate", second, t0_ns=START_NS + 600 * SECOND_NS)
-    (run,) = reduced(tested).runs
+    tested.samples("r1", "U1", "rate", third, t0_ns=START_NS + 900 * SECOND_NS)
+    (run,) = (reduction := reduced(tested)).runs
     assert run.slot.tolist() == [*range(10), 20]
-    assert run.n[-1] == 35
+    assert [note.text for note in reduction.notes if note.what == "partial"] == [
+        "1 blocks are left out in run r1: they hold less than 20% of the usual number of samples"
+    ]
+    assert run.n[-1] == 65
     assert run.value[-1] == pytest.approx(second.mean())
     # the median of some 290 squares of normal deviates: sd 0.14 of it
-    assert run.white_variance[-1] * 35 == pytest.approx(1.0, rel=0.5)
+    assert run.white_variance[-1] * 65 == pytest.approx(1.0, rel=0.5)
 
 
-def test_channels_of_unit_and_station_are_joined_by_time(tested: Any) -> None:
+def test_channels_of_unit_and_station_are_joined_by_time(tested: TestedUnits) -> None:
     tested.run("r1")
     tested.mount("r1", "U1")
     tested.mount("r1", "U2")
@@ -98,6 +107,7 @@ def test_channels_of_unit_and_station_are_joined_by_time(tested: Any) -> None:
         "temperature": "degC",
         "chamber_temperature": "degC",
         "supply_voltage": "V",
+        "time_since_power_on": "s",
         "day": "day",
     }
     np.testing.assert_allclose(run.mean("temperature"), 25.0 + centre_s / 100.0, rtol=1e-12)
@@ -105,9 +115,11 @@ def test_channels_of_unit_and_station_are_joined_by_time(tested: Any) -> None:
     np.testing.assert_allclose(run.mean("chamber_temperature"), 20.0 + 0.01 * (run.time_s - 2.5), rtol=1e-9)
     np.testing.assert_allclose(run.mean("supply_voltage"), 5.0 + (run.time_s - 15.0 + 15.0) / 1000.0, atol=1e-3)
     np.testing.assert_allclose(run.mean("day"), run.time_s / 86_400.0)
+    np.testing.assert_allclose(run.mean("time_since_power_on"), run.time_s)
+    assert reduction.limits == ("no power-on is recorded in run r1: time_since_power_on counts from the first sample",)
 
 
-def test_a_channel_that_stops_is_nan_beyond_the_tolerance(tested: Any) -> None:
+def test_a_channel_that_stops_is_nan_beyond_the_tolerance(tested: TestedUnits) -> None:
     tested.run("r1")
     tested.samples("r1", "U1", "rate", np.zeros(18_000) + np.arange(18_000) % 2, t0_ns=START_NS)
     readings = np.arange(6.0)  # every 100 s until 500 s of 1800 s
@@ -122,10 +134,11 @@ def test_a_channel_that_stops_is_nan_beyond_the_tolerance(tested: Any) -> None:
     assert np.isfinite(strict.mean("temperature")).tolist() == near.tolist()
 
 
-def test_bad_channels_are_told(tested: Any) -> None:
+def test_bad_channels_are_told(tested: TestedUnits) -> None:
     rng = np.random.default_rng(4)
     for run in ("r1", "r2"):
         tested.run(run)
+        tested.power_on(run, "U1", START_NS)
         warm = 30.0 + np.cumsum(rng.normal(0.0, 0.01, 6000))
         signals = {
             "temperature": (warm, "degC"),
@@ -144,11 +157,10 @@ def test_bad_channels_are_told(tested: Any) -> None:
     assert told["constant"].channel == "supply_voltage"
     assert told["missing_channel"].text.startswith("channel fan is missing in 1 of 2 runs (r2)")
     assert told["counts"].text == "channel fan is in count: coefficients are per count"
-    assert len(reduction.limits) == 3
     assert all("rate_y" not in run.channels for run in reduction.runs)
 
 
-def test_samples_that_are_no_numbers_are_left_out_and_counted(tested: Any) -> None:
+def test_samples_that_are_no_numbers_are_left_out_and_counted(tested: TestedUnits) -> None:
     tested.run("r1")
     rate = np.random.default_rng(5).normal(10.0, 1.0, 6000)
     rate[450:750] = np.nan
@@ -157,14 +169,15 @@ def test_samples_that_are_no_numbers_are_left_out_and_counted(tested: Any) -> No
     (run,) = reduction.runs
     assert run.n.tolist() == [300, 150, 150, *([300] * 17)]
     np.testing.assert_allclose(run.value[1], rate[300:450].mean())
-    (note,) = reduction.notes
+    (note,) = [note for note in reduction.notes if note.what == "not_finite"]
     assert note.text == "300 samples are no finite numbers in run r1: left out"
 
 
-def rate_test(tested: Any, *, table_s: float, position: str | None = None, signal: str = "rate") -> None:
+def rate_test(tested: TestedUnits, *, table_s: float, position: str | None = None, signal: str = "rate") -> None:
     """Six rates of 40 s each, with the table's readings every `table_s`; gyro of 3600.36 deg/h for 1 deg/s."""
     rng = np.random.default_rng(6)
     tested.run("r1")
+    tested.power_on("r1", "U1", START_NS)
     t_ns = START_NS
     for rate in (0.0, 10.0, -10.0, 100.0, -100.0, 0.0):
         gyro = 3600.36 * rate + rng.normal(0.0, 1.0, 400)
@@ -179,7 +192,7 @@ def rate_test(tested: Any, *, table_s: float, position: str | None = None, signa
 
 
 @pytest.mark.parametrize("table_s", [1.0, 5.0, 20.0])
-def test_blocks_across_an_edge_that_the_table_does_not_show_are_left_out(tested: Any, table_s: float) -> None:
+def test_blocks_across_an_edge_that_the_table_does_not_show_are_left_out(tested: TestedUnits, table_s: float) -> None:
     rate_test(tested, table_s=table_s)
     reduction = reduced(tested, block_s=15.0)
     (run,) = reduction.runs
@@ -199,7 +212,9 @@ def test_blocks_across_an_edge_that_the_table_does_not_show_are_left_out(tested:
     ("position", "signal", "turned"),
     [("IRA_up", "rate", 1.0), ("IRA_down", "rate", -1.0), ("IRA_east_west", "rate", 0.0), ("X_down", "rate_x", -1.0)],
 )
-def test_a_known_position_says_how_the_input_axis_lies(tested: Any, position: str, signal: str, turned: float) -> None:
+def test_a_known_position_says_how_the_input_axis_lies(
+    tested: TestedUnits, position: str, signal: str, turned: float
+) -> None:
     rate_test(tested, table_s=1.0, position=position, signal=signal)
     (run,) = reduced(tested, block_s=20.0, signal=signal).runs
     np.testing.assert_allclose(run.mean("gravity_i"), turned)
@@ -207,7 +222,7 @@ def test_a_known_position_says_how_the_input_axis_lies(tested: Any, position: st
     assert set(run.mean("position")) == {1.0}
 
 
-def test_several_positions_that_say_nothing_give_no_input_rate(tested: Any) -> None:
+def test_several_positions_that_say_nothing_give_no_input_rate(tested: TestedUnits) -> None:
     tested.run("r1")
     t_ns = START_NS
     for position in ("left", "right"):
@@ -221,7 +236,7 @@ def test_several_positions_that_say_nothing_give_no_input_rate(tested: Any) -> N
     assert "position stands for: 1 left, 2 right" in " ".join(note.text for note in reduction.notes)
 
 
-def test_a_rate_command_serves_where_no_table_was_recorded(tested: Any) -> None:
+def test_a_rate_command_serves_where_no_table_was_recorded(tested: TestedUnits) -> None:
     tested.run("r1")
     t_ns = START_NS
     for rate in (10.0, -10.0):
@@ -231,7 +246,7 @@ def test_a_rate_command_serves_where_no_table_was_recorded(tested: Any) -> None:
     assert "taken from the steps' rate commands in run r1" in reduction.limits[0]
 
 
-def test_an_angle_is_unwrapped_and_keeps_its_phasors(tested: Any) -> None:
+def test_an_angle_is_unwrapped_and_keeps_its_phasors(tested: TestedUnits) -> None:
     tested.run("r1")
     t_s = np.arange(0.0, 600.0, 0.1)
     degrees = 300.0 + 0.5 * t_s
@@ -246,7 +261,7 @@ def test_an_angle_is_unwrapped_and_keeps_its_phasors(tested: Any) -> None:
         np.testing.assert_allclose(angle.phasors[k - 1], expected, atol=1e-12)
 
 
-def test_an_angle_that_turns_too_fast_for_its_readings_says_nothing(tested: Any) -> None:
+def test_an_angle_that_turns_too_fast_for_its_readings_says_nothing(tested: TestedUnits) -> None:
     tested.run("r1")
     t_s = np.arange(0.0, 600.0, 0.1)
     tested.samples("r1", "U1", "rate", np.sin(t_s), t0_ns=START_NS)
@@ -263,7 +278,7 @@ def test_an_angle_that_turns_too_fast_for_its_readings_says_nothing(tested: Any)
     assert not phasors[1:].any()
 
 
-def test_power_ons_give_time_since_and_runs_of_their_own(tested: Any) -> None:
+def test_power_ons_give_time_since_and_runs_of_their_own(tested: TestedUnits) -> None:
     for run, t0_ns in (("r1", START_NS), ("r2", START_NS + 86_400 * SECOND_NS)):
         tested.run(run, t_ns=t0_ns)
         tested.power_on(run, "U1", t0_ns - 60 * SECOND_NS)
@@ -280,7 +295,7 @@ def test_power_ons_give_time_since_and_runs_of_their_own(tested: Any) -> None:
     assert "powered on several times in 1 of 2 runs (r2)" in " ".join(note.text for note in reduction.notes)
 
 
-def test_runs_and_time_are_chosen(tested: Any) -> None:
+def test_runs_and_time_are_chosen(tested: TestedUnits) -> None:
     for run, t0_ns in (("r1", START_NS), ("r2", START_NS + 3600 * SECOND_NS)):
         tested.run(run, t_ns=t0_ns)
         tested.samples(run, "U1", "rate", np.arange(6000.0) % 5, t0_ns=t0_ns)
@@ -296,13 +311,67 @@ def test_runs_and_time_are_chosen(tested: Any) -> None:
 
 
 @pytest.mark.parametrize("options", [{"block_s": 0.0}, {"block_s": np.nan}, {"tolerance_s": -1.0}])
-def test_lengths_that_are_none_are_refused(tested: Any, options: dict[str, Any]) -> None:
+def test_lengths_that_are_none_are_refused(tested: TestedUnits, options: dict[str, Any]) -> None:
     tested.run("r1")
     with pytest.raises(BadInput, match="give a positive number of seconds"):
         reduced(tested, **options)
 
 
-def test_runs_in_units_that_do_not_go_together_are_refused(tested: Any) -> None:
+def test_of_two_instruments_the_one_that_moves_has_the_name(tested: TestedUnits) -> None:
+    tested.run("r1")
+    t_s = np.arange(0.0, 600.0, 0.1)
+    tested.samples("r1", "U1", "rate", np.sin(t_s), t0_ns=START_NS)
+    for unit, rates in (
+        ("angular", np.zeros(600)),
+        ("table", np.where(np.arange(600) < 300, 0.0, 5.0)),
+        ("other", np.linspace(0.0, 0.1, 600)),
+    ):
+        tested.samples("r1", unit, "table_rate", rates, t0_ns=START_NS, dt_ns=SECOND_NS, unit_of_measure="deg/s")
+    reduction = reduced(tested, block_s=20.0)
+    (run,) = reduction.runs
+    assert run.mean("table_rate").tolist() == [0.0] * 14 + [5.0] * 14  # beside the edge it may have been either
+    assert run.mean("other.table_rate")[-1] == pytest.approx(0.1, rel=0.05)
+    assert "angular.table_rate" not in run.channels
+    told = "channel table_rate is that of table; angular, other give one of that name as well"
+    assert told in [note.text for note in reduction.notes]
+
+
+def test_dropped_samples_leave_the_rollups(tmp_path: Path) -> None:
+    tested = TestedUnits(tmp_path / "store")
+    rng = np.random.default_rng(8)
+    tested.run("r1")
+    tested.power_on("r1", "U1", START_NS)
+    rate = rng.normal(0.0, 1.0, 6000)
+    tested.samples("r1", "U1", "rate", rate, t0_ns=START_NS)
+    tested.samples("r1", "U1", "table_angle", np.arange(6000.0) % 360.0, t0_ns=START_NS, unit_of_measure="deg")
+    before = reduced(tested).runs[0]
+    tested.release()
+    with builder_lock(tested.store):
+        apply_rule(Lake(tested.store), Rule(older_than_s=0.0), now_ns=START_NS + 10**15)
+    with Catalog(tested.store) as catalog:
+        (after,) = BlockReducer(catalog, "rate").reduce("U1").runs
+        with pytest.raises(BadInput, match=r"give blocks of whole seconds, not 7\.5 s"):
+            BlockReducer(catalog, "rate", block_s=7.5).reduce("U1")
+    np.testing.assert_array_equal(after.value, before.value)
+    np.testing.assert_array_equal(after.white_variance, before.white_variance)
+    assert np.isnan(after.mean("table_angle")).all()
+
+
+def test_a_clock_that_is_off_is_told() -> None:
+    offsets = {
+        ("r1", "U1"): {"rate": 0.02, "temperature": 9.0},
+        ("r1", "chamber"): {"chamber_temperature": 3.5},
+        ("r2", "U1"): {"rate": 0.03},
+        ("r2", "chamber"): {"chamber_temperature": 0.9},
+        ("r2", "table"): {"table_rate": 0.0, "table_angle": 0.1},
+    }
+    beside = [("r1", "chamber"), ("r2", "chamber"), ("r2", "table"), ("r3", "table")]
+    (note,) = check_clocks(offsets, "U1", "rate", beside)
+    assert note.text.startswith("the clock of chamber is -3.5 s off that of U1 in run r1")
+    assert note.is_limit
+
+
+def test_runs_in_units_that_do_not_go_together_are_refused(tested: TestedUnits) -> None:
     for run, unit in (("r1", "deg/s"), ("r2", "V")):
         tested.run(run)
         tested.samples(run, "U1", "rate", np.arange(600.0), t0_ns=START_NS, unit_of_measure=unit)
@@ -310,7 +379,7 @@ def test_runs_in_units_that_do_not_go_together_are_refused(tested: Any) -> None:
         reduced(tested)
 
 
-def test_noise_comes_from_the_allan_fits_of_the_unit(tested: Any) -> None:
+def test_noise_comes_from_the_allan_fits_of_the_unit(tested: TestedUnits) -> None:
     rng = np.random.default_rng(7)
     for at, run in enumerate(("r1", "r2", "r3", "r4", "r5")):
         tested.run(run)
@@ -339,8 +408,6 @@ def test_a_table_of_means_is_a_block_a_row(gyrofleet: Any, tmp_path: Path) -> No
     """The published means of a hemispherical resonator gyro (HIT 2012 table 1): what the paper's model leaves."""
     table = Path(__file__).parents[1] / "golden" / "hit2012_table1.csv"
     assert gyrofleet("import", table, "--unit", "HRG", "--store", "store").code == 0
-    from storage.store import Store
-
     with Catalog(Store.open(tmp_path / "store")) as catalog:
         reduction = BlockReducer(catalog, "rate", block_s=60.0).reduce("HRG")
     assert [(run.run, len(run), run.unit_of_measure) for run in reduction.runs] == [
@@ -372,12 +439,10 @@ def rms_mv(reduction: Reduction, model: ErrorModel) -> float:
 def test_measured_bursts_in_a_cold_chamber(gyrofleet: Any, tmp_path: Path, measured: Path) -> None:
     file = measured / "psim_cold_chamber.parquet"
     assert gyrofleet("import", file, "--unit", "PSIM", "--start", "2020-01-01T15:45:00Z", "--store", "s").code == 0
-    from storage.store import Store
-
     with Catalog(Store.open(tmp_path / "s")) as catalog:
         (run,) = BlockReducer(catalog, "rate_x").reduce("PSIM").runs
-    assert int(run.n.sum()) == 6250
-    assert 25 <= len(run) <= 50  # 25 bursts of 5 s; the edge of a block may cut one in two
+    assert len(run) == 25  # bursts of 5 s
+    assert int(run.n.sum()) >= 0.99 * 6250  # the edge of a block cuts a few
     assert run.channels["temperature"].unit_of_measure == "count"
     assert np.isfinite(run.mean("temperature")).all()
     assert np.isfinite(run.white_variance).all()

@@ -1,12 +1,16 @@
 """The error model: text and JSON both ways, columns, prediction, and what it refuses."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from analytics.error_model import ErrorModel, ModelTerm
 from analytics.run_blocks import Channel, RunBlocks
+from analytics.tracing.noise_model import NoiseModel
+from analytics.tracing.result import NoiseCoefficients
+from analytics.whitened_residual import whitened_residual
 from stream.batch import FloatArray
 from stream.errors import BadInput
 
@@ -34,11 +38,11 @@ def run(channels: Mapping[str, tuple[FloatArray, str]], value: FloatArray | None
 @pytest.fixture
 def cycled() -> RunBlocks:
     """A run with a temperature, an input rate, and time since power-on."""
-    t_s = (np.arange(BLOCKS) + 0.5) * 30.0
+    t_s = np.asarray((np.arange(BLOCKS) + 0.5) * 30.0, np.float64)
     return run(
         {
             "temperature": (25.0 + 20.0 * np.sin(t_s / 2000.0), "degC"),
-            "input_rate": (np.asarray(np.copysign(10.0, np.sin(t_s / 300.0)), np.float64), "deg/s"),
+            "input_rate": (np.copysign(10.0, np.sin(t_s / 300.0)), "deg/s"),
             "time_since_power_on": (t_s, "s"),
             "compressor": (np.cos(t_s / 700.0), "count"),
         }
@@ -174,3 +178,27 @@ def _shapes(name: str, of: RunBlocks) -> list[dict[str, float]]:
 def test_a_document_that_is_no_model_is_refused(document: str) -> None:
     with pytest.raises(BadInput):
         ErrorModel.from_json(document)
+
+
+def test_the_whitened_residual_is_that_of_the_dense_covariance(cycled: RunBlocks) -> None:
+    rng = np.random.default_rng(9)
+    noise = NoiseCoefficients(N=0.2, B=1.0, K=2.0, turn_on=3.0)
+    kept = np.sort(rng.choice(BLOCKS, 150, replace=False))
+    white = rng.uniform(0.5, 2.0, 150)
+    channels = {
+        name: Channel(each.mean[kept], each.spread[kept], each.unit_of_measure)
+        for name, each in cycled.channels.items()
+    }
+    gappy = replace(
+        cycled,
+        slot=kept,
+        value=rng.normal(0.0, 1.0, 150),
+        n=np.full(150, 9),
+        white_variance=white,
+        channels=channels,
+    )
+    fitted = ErrorModel.parse("bias + temperature").fitted([1.0, 0.1])
+    model = NoiseModel(30.0, float(kept[-1] + 1 - kept[0]) * 30.0)
+    covariance = model.covariance(noise, kept.astype(np.float64), white / model.space(noise).white)
+    expected = np.linalg.solve(np.linalg.cholesky(covariance), fitted.residual(gappy))
+    np.testing.assert_allclose(whitened_residual(fitted, gappy, noise), expected, rtol=1e-8, atol=1e-10)

@@ -13,48 +13,68 @@ left join (select unit, arg_max(product, t_start_ns) as product from unit_runs w
   on p.unit = u.unit
 qualify row_number() over (partition by u.unit order by u.date_known desc, u.t_start_ns desc, u.run) = 1;
 
--- The last of the runs that a value rests on; the unit's last run where it rests on none.
+-- The values of metrics that have limits, with the run that each is of: the last of those that it rests on; the unit's
+-- last run where it rests on none.
 create or replace view metric_runs as
-with behind as (
-  select r.row, u.* exclude (unit)
-  from (select rowid as row, unit, unnest(runs) as run from unit_metrics) r
+with limited as (
+  select rowid as row, * from unit_metrics where metric in (select metric from specification_limits)
+), over_several as (
+  select r.row, arg_max(u.run, (u.date_known, u.t_start_ns, u.run)) as run
+  from (select row, unit, unnest(runs) as run from limited where run is null) r
   join unit_runs u on u.run = r.run and u.unit = r.unit
-  qualify row_number() over (partition by r.row order by u.date_known desc, u.t_start_ns desc, u.run) = 1
+  group by r.row
 )
-select m.rowid as row, m.*,
-  coalesce(b.product, l.product) as product, coalesce(b.lot, l.lot) as lot, coalesce(b.station, l.station) as station,
-  coalesce(b.fixture, l.fixture) as fixture,
-  case when b.row is null then l.day else b.day end as day,
-  coalesce(b.date_known, l.date_known, false) as date_known,
-  coalesce(b.t_start_ns, l.t_start_ns) as t_ns
-from unit_metrics m left join behind b on b.row = m.rowid left join unit_last_run l on l.unit = m.unit;
+select m.*,
+  coalesce(u.product, l.product) as product, coalesce(u.lot, l.lot) as lot, coalesce(u.station, l.station) as station,
+  coalesce(u.fixture, l.fixture) as fixture,
+  case when u.run is null then l.day else u.day end as day,
+  coalesce(u.date_known, l.date_known, false) as date_known,
+  coalesce(u.t_start_ns, l.t_start_ns) as t_ns
+from limited m
+left join over_several o on o.row = m.row
+left join unit_runs u on u.unit = m.unit and u.run = coalesce(m.run, o.run)
+left join unit_last_run l on l.unit = m.unit;
+
+-- Which values have the parameters that a limit names. Numbers are alike to nine digits.
+create or replace view parameters_met as
+with said as (
+  select row, metric, path, parameters->>path as text
+  from metric_runs join (select distinct metric, path from specification_parameters) using (metric)
+), keyed as (
+  select row, metric, path, 'text ' || text as key from said where text is not null
+  union all
+  select row, metric, path, 'number ' || printf('%.9g', try_cast(text as double)) from said
+  where try_cast(text as double) is not null
+)
+select k.row, p.limit_id, count(*) as met
+from keyed k join specification_parameters p on p.metric = k.metric and p.path = k.path and p.key = k.key
+group by k.row, p.limit_id;
 
 -- Every value with every limit that could be meant, whether or not it was valid then.
 create or replace view limit_candidates as
+with meant as (
+  select m.row, s.limit_id from metric_runs m join specification_limits s using (metric) where s.parameter_count = 0
+  union all
+  select p.row, p.limit_id from parameters_met p join specification_limits s using (limit_id)
+  where p.met = s.parameter_count
+)
 select m.*, s.* exclude (limit_id, metric, product, signal, standard, parameters, unit_of_measure),
-  s.limit_id, s.product as limit_product, s.standard as limit_standard, s.parameters as limit_parameters,
-  s.unit_of_measure as limit_unit,
+  s.limit_id, s.unit_of_measure as limit_unit,
   -- where the date is not known, a specification that has never changed is the one that held
   case when m.date_known then m.t_ns >= s.from_ns and m.t_ns < s.until_ns else s.revisions = 1 end as is_valid
-from metric_runs m
-join specification_limits s on s.metric = m.metric
-  and (s.product is null or s.product = m.product)
+from meant
+join metric_runs m using (row)
+join specification_limits s using (limit_id)
+where (s.product is null or s.product = m.product)
   and (s.signal is null or s.signal = m.signal)
-  and (s.standard is null or list_contains(string_split(m.standard, ', '), s.standard))
-where (m.row, s.limit_id) not in (
-  select (o.rowid, p.limit_id)
-  from unit_metrics o
-  join specification_limits q on q.metric = o.metric
-  join specification_parameters p on p.limit_id = q.limit_id
-  where case when p.number is null then o.parameters->>p.path is distinct from p.text
-    else coalesce(abs(try_cast(o.parameters->>p.path as double) - p.number) > 1e-9 * abs(p.number), true) end
-);
+  and (s.standard is null or list_contains(string_split(m.standard, ', '), s.standard));
 
 create or replace view verdicts as
-with converted as (                     -- in the unit of the limit
-  select c.*, c.value * f.factor as v, c.lo * f.factor as v_lo, c.hi * f.factor as v_hi,
-    f.factor is not null as is_comparable
-  from limit_candidates c
+with candidate as materialized (
+  select * from limit_candidates
+), converted as (                       -- in the unit of the limit
+  select c.*, c.value * f.factor as v, c.lo * f.factor as v_lo, c.hi * f.factor as v_hi
+  from candidate c
   left join result_factors f on f.source = c.unit_of_measure and f.target = c.limit_unit
   where c.is_valid
 ), judged as (
@@ -89,7 +109,7 @@ with converted as (                     -- in the unit of the limit
     end || ': there is ' || string_agg(distinct revision || ' ' || valid, ', ' order by revision || ' ' || valid) as reason,
     any_value(product) as product, any_value(lot) as lot, any_value(station) as station,
     any_value(fixture) as fixture, any_value(day) as day, any_value(t_ns) as t_ns
-  from limit_candidates
+  from candidate
   group by row, unit, signal, run, metric, specification
   having not bool_or(is_valid)
 ), asked as (                           -- what is asked of a unit since the specification of its last run
@@ -108,7 +128,7 @@ with converted as (                     -- in the unit of the limit
   from asked a
   left join metric_names n on n.metric = a.metric
   left join (select distinct unit, metric from unit_metrics) h on h.unit = a.unit and h.metric = a.metric
-  anti join (select distinct unit, specification, subject from limit_candidates) c
+  anti join (select distinct unit, specification, subject from candidate) c
     on c.unit = a.unit and c.specification = a.specification and c.subject = a.subject
 ), entered as (
   select e.unit, null::varchar as signal, nullif(e.run, '') as run,

@@ -23,7 +23,7 @@ with judged as (
     coalesce(list(distinct metric order by metric) filter (verdict = 'NO_DATA'), []) as lacking
   from limit_verdicts group by unit
 ), known as (
-  select unit from unit_last_run union select unit from unit_metrics union select unit from verdicts
+  select unit from unit_last_run union select unit from unit_metrics union select unit from lake_documents where kind = 'CheckEntered'
 )
 select k.unit, u.product, u.lot, coalesce(j.verdict, 'NO_DATA') as verdict,
   coalesce(j.latest_verdict, 'NO_DATA') as latest_verdict,

@@ -1,11 +1,13 @@
 -- How many units of a lot, station, fixture or day are good. Each group judges a unit by what was measured in it. The
 -- yield is of the units that are decided or marginal; its 95 % interval is Wilson's.
 create or replace view yield_by as
-with placed as (
-  select 'lot' as kind, lot as name, * from verdicts
-  union all select 'station', station, * from verdicts
-  union all select 'fixture', fixture, * from verdicts
-  union all select 'day', day::varchar, * from verdicts
+with judged as materialized (
+  select unit, signal, metric, subject, standard, specification, verdict, lot, station, fixture, day from verdicts
+), placed as (
+  select 'lot' as kind, lot as name, * from judged
+  union all select 'station', station, * from judged
+  union all select 'fixture', fixture, * from judged
+  union all select 'day', day::varchar, * from judged
 ), each_limit as (                      -- as in unit_verdicts
   select kind, name, unit,
     coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3) as rank

@@ -1,6 +1,6 @@
 -- Steps in which a unit stands still and records: the ground of the bias family, in deg/h. Where no rate was commanded
--- the table tells: above 0.01 deg/s it turns, and what the unit gives is no bias. `turns` says whether the unit turns or
--- vibrates in another step of the same procedure, whose steps at rest then belong to that.
+-- the table tells: above 0.01 deg/s it turns, and what the unit gives is no bias. `turns` says whether the unit turns
+-- or vibrates in another step of the same procedure, whose steps at rest then belong to that.
 create or replace view still_steps as
 with moving as (
   select *,

@@ -3,7 +3,8 @@
 create or replace view bias_steps as
 with told as (
   select *,
-    count(distinct coalesce(temperature_command, 1e9)) over (partition by run, unit, signal, "procedure") as temperatures
+    count(distinct coalesce(temperature_command, 1e9)) over (partition by run, unit, signal, "procedure")
+      as temperatures
   from still_steps
 )
 select *,

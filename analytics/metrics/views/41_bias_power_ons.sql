@@ -1,6 +1,7 @@
--- One bias for each power-on of a unit and attitude: the mean over its static steps, deg/h. A power-on is an epoch; where
--- none was recorded, as in files, it is a repeat, else a step of a procedure for repeatability, else the run. The Earth's
--- rate is removed where it is known for all power-ons in that attitude, so that stations of different latitudes compare.
+-- One bias for each power-on of a unit and attitude: the mean over its static steps, deg/h. A power-on is an epoch;
+-- where none was recorded, as in files, it is a repeat, else a step of a procedure for repeatability, else the run.
+-- The Earth's rate is removed where it is known for all power-ons in that attitude, so that stations of different
+-- latitudes compare.
 create or replace view bias_power_ons as
 with known as (
   select *,

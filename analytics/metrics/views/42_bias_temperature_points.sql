@@ -1,7 +1,7 @@
--- Bias against temperature as a difference from room temperature: a row for each step of a test at several temperatures,
--- grouped by where the unit pointed (`lack` says why a group gives none). A curve that was measured again (`again`) is a
--- group of its own. Room temperature is the step that says so, else the one set nearest to 20 degC, at most 10 degC from
--- it; points nearer to it than 1 degC are no points, their quotient would be noise.
+-- Bias against temperature as a difference from room temperature: a row for each step of a test at several
+-- temperatures, grouped by where the unit pointed (`lack` says why a group gives none). A curve that was measured
+-- again (`again`) is a group of its own. Room temperature is the step that says so, else the one set nearest to 20
+-- degC, at most 10 degC from it; points nearer to it than 1 degC are no points, their quotient would be noise.
 create or replace view bias_temperature_points as
 with told as (
   select *,
@@ -19,7 +19,8 @@ with told as (
       else coalesce(from_20 = min(from_20) filter (n > 0) over curve and from_20 <= 10, false) end as is_room
   from told
   where regexp_matches("procedure", '^bias_temperature|零偏温度') or temperatures > 1
-    and not regexp_matches(coalesce("procedure", ''), '^(scale_factor|attitude_unit|misalignment|bias_(shock|vibration))')
+    and not regexp_matches(coalesce("procedure", ''),
+      '^(scale_factor|attitude_unit|misalignment|bias_(shock|vibration))')
   window curve as (partition by run, unit, signal, "procedure", position, again)
 ), room as (                            -- measured before and after the others, it is the mean of both
   select run, unit, signal, "procedure", position, again,
@@ -51,8 +52,8 @@ with told as (
       when not is_scaled then 'no scale factor for an output in ' || unit_of_measure
         || ': measure it or give the nominal one of the product'
       when room_mean is null then
-        'the room-temperature point is missing: none of ' || known || ' steps is marked room, and the nearest to 20 degC'
-        || coalesce(' is ' || round(nearest, 1) || ' degC from it, at most 10', ' has no known temperature, 10')
+        'the room-temperature point is missing: none of ' || known || ' steps is marked room, and the nearest to 20 '
+        || 'degC' || coalesce(' is ' || round(nearest, 1) || ' degC from it, at most 10', ' has no known temperature, 10')
         || ' are allowed'
       when room_temperature is null then
         'the temperature of the room-temperature step is unknown: record one, or say temperature_command'

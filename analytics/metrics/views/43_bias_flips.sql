@@ -1,6 +1,6 @@
--- How the bias differs between +1 g and -1 g along an axis, half of it, deg/h/g: a row for each axis of a test, as it was
--- measured and, where the flipped axis is the input axis, without the Earth's rate, which flips with it. Across the
--- input axis the flip leaves it level, and what the Earth's rate adds depends on a heading that no word tells.
+-- How the bias differs between +1 g and -1 g along an axis, half of it, deg/h/g: a row for each axis of a test, as it
+-- was measured and, where the flipped axis is the input axis, without the Earth's rate, which flips with it. Across
+-- the input axis the flip leaves it level, and what the Earth's rate adds depends on a heading that no word tells.
 create or replace view bias_flips as
 with flip as (
   select *,

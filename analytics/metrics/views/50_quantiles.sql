@@ -1,5 +1,5 @@
--- Quantiles for limits that a statement gives itself, as those of the largest of several values.
--- (Parameters of lambdas are called something_ in macros, since the name of a table of the statement would win over them.)
+-- Quantiles for limits that a statement gives itself, as those of the largest of several values. (Parameters of lambdas
+-- are called something_ in macros, since the name of a table of the statement would win over them.)
 
 -- Lower quantile of the normal distribution, p below 1/2 (P. J. Acklam's rational approximation, error below 1.2e-9).
 create or replace macro normal_quantile(p) as
@@ -22,19 +22,20 @@ create or replace macro student_quantile(tail, freedom) as
   case when freedom <= 1 then 1 / tan(pi() * tail / 2) else
   list_transform(list_transform(list_transform(list_transform(list_transform(
     [{p: tail::double, n: least(freedom, 1e9)::double}],
-    lambda known_: struct_insert(known_, a := 1 / (known_.n - 0.5), b := 48 * (known_.n - 0.5) ** 2)),
-    lambda known_: struct_insert(known_, c := ((20700 * known_.a / known_.b - 98) * known_.a - 16) * known_.a + 96.36)),
-    lambda known_: struct_insert(known_, d := ((94.5 / (known_.b + known_.c) - 3) / known_.b + 1) * sqrt(known_.a * pi() / 2) * known_.n)),
-    lambda known_: struct_insert(known_, x := normal_quantile(known_.p / 2), y := (known_.d * known_.p) ** (2 / known_.n))),
-    lambda known_: sqrt(known_.n * case when known_.y > 0.05 + known_.a then student_near(known_.n, known_.a, known_.b, known_.c, known_.d, known_.x)
-      else student_far(known_.n, known_.d, known_.y) end))[1]
+    lambda k_: struct_insert(k_, a := 1 / (k_.n - 0.5), b := 48 * (k_.n - 0.5) ** 2)),
+    lambda k_: struct_insert(k_, c := ((20700 * k_.a / k_.b - 98) * k_.a - 16) * k_.a + 96.36)),
+    lambda k_: struct_insert(k_, d := ((94.5 / (k_.b + k_.c) - 3) / k_.b + 1) * sqrt(k_.a * pi() / 2) * k_.n)),
+    lambda k_: struct_insert(k_, x := normal_quantile(k_.p / 2), y := (k_.d * k_.p) ** (2 / k_.n))),
+    lambda k_: sqrt(k_.n * case when k_.y > 0.05 + k_.a
+      then student_near(k_.n, k_.a, k_.b, k_.c, k_.d, k_.x) else student_far(k_.n, k_.d, k_.y) end))[1]
   end;
 
 create or replace macro student_near(n, a, b, c, d, x) as
   list_transform(list_transform(
     [{x: x, y: x * x, c: c + case when n < 5 then 0.3 * (n - 4.5) * (x + 0.6) else 0 end}],
-    lambda near_: {x: near_.x, y: near_.y, c: (((0.05 * d * near_.x - 5) * near_.x - 7) * near_.x - 2) * near_.x + b + near_.c}),
-    lambda near_: exp(a * ((((((0.4 * near_.y + 6.3) * near_.y + 36) * near_.y + 94.5) / near_.c - near_.y - 3) / b + 1) * near_.x) ** 2) - 1)[1];
+    lambda n_: {x: n_.x, y: n_.y, c: (((0.05 * d * n_.x - 5) * n_.x - 7) * n_.x - 2) * n_.x + b + n_.c}),
+    lambda n_:
+      exp(a * ((((((0.4 * n_.y + 6.3) * n_.y + 36) * n_.y + 94.5) / n_.c - n_.y - 3) / b + 1) * n_.x) ** 2) - 1)[1];
 
 create or replace macro student_far(n, d, y) as
   ((1 / (((n + 6) / (n * y) - 0.089 * d - 0.822) * (n + 2) * 3) + 0.5 / (n + 4)) * y - 1) * (n + 1) / (n + 2) + 1 / y;

@@ -1,33 +1,35 @@
--- Least-squares lines F = K Omega + F0 + v (GJB 2426A-2004 (4)-(6), JJF 2014-2022 (3)-(5), JJF 1536-2015 (13)-(15)) through
--- the lists `points` of {rate, output, u, freedom} of any table or view, whose other columns stay as they are.
+-- Least-squares lines F = K Omega + F0 + v (GJB 2426A-2004 (4)-(6), JJF 2014-2022 (3)-(5), JJF 1536-2015 (13)-(15))
+-- through the lists `points` of {rate, output, u, freedom} of any table or view, whose other columns stay as they are.
 --
 -- A number made of the outputs with the weights w, such as K or F0, has the variance sum(w^2 u^2) with the degrees of
 -- freedom of Welch and Satterthwaite; where the points lie off the line by more than their uncertainty, it is
 -- sum(w^2) sum(v^2)/(n - 2) with n - 2 degrees of freedom: the larger of the two.
+create or replace macro sum_of_products(a, b) as list_sum([z[1] * z[2] for z in list_zip(a, b)]);
+
 create or replace macro weighted_variance(weights, u, freedoms, residuals) as
   list_transform(list_transform(
     [{
-      told: list_sum([(z[1] * z[2]) ** 2 for z in list_zip(weights, u)]),
+      told: case when list_count(u) = len(u) then list_sum([(z[1] * z[2]) ** 2 for z in list_zip(weights, u)]) end,
       fourth: list_sum([(z[1] * z[2]) ** 4 / greatest(z[3], 1) for z in list_zip(weights, u, freedoms)]),
       seen: case when len(residuals) > 2
-        then list_dot_product(weights, weights) * list_dot_product(residuals, residuals) / (len(residuals) - 2) end,
+        then sum_of_products(weights, weights) * sum_of_products(residuals, residuals) / (len(residuals) - 2) end,
       spare: len(residuals) - 2
     }],
-    lambda sums_: {told: sums_.told, nu: case when sums_.fourth > 0 then sums_.told ** 2 / sums_.fourth else 1e9 end, seen: sums_.seen,
-      spare: sums_.spare}),
-    lambda sums_: case when sums_.seen > coalesce(sums_.told, 0) then {variance: sums_.seen, freedom: sums_.spare::double}
-      else {variance: sums_.told, freedom: sums_.nu} end)[1];
+    lambda q_: {told: q_.told, nu: case when q_.fourth > 0 then q_.told ** 2 / q_.fourth else 1e9 end, seen: q_.seen,
+      spare: q_.spare}),
+    lambda q_: case when q_.seen > coalesce(q_.told, 0) then {variance: q_.seen, freedom: q_.spare::double}
+      else {variance: q_.told, freedom: q_.nu} end)[1];
 
 -- Standard uncertainties of the residuals: sqrt(sum_k (delta_jk - H_jk)^2 u_k^2), H the hat matrix of the line.
 create or replace macro residual_uncertainties(dx, sxx, u) as
   list_transform([{
-      n: len(dx), sum_u2: list_dot_product(u, u),
+      n: len(dx), sum_u2: sum_of_products(u, u),
       sum_dx_u2: list_sum([z[1] * z[2] ** 2 for z in list_zip(dx, u)]),
       sum_dx2_u2: list_sum([(z[1] * z[2]) ** 2 for z in list_zip(dx, u)])
     }],
-    lambda sums_: [
-      sqrt(greatest(0, z[2] ** 2 * (1 - 2 * (1 / sums_.n + z[1] ** 2 / sxx))
-        + sums_.sum_u2 / sums_.n ** 2 + 2 * z[1] * sums_.sum_dx_u2 / (sums_.n * sxx) + (z[1] / sxx) ** 2 * sums_.sum_dx2_u2))
+    lambda q_: [
+      sqrt(greatest(0, z[2] ** 2 * (1 - 2 * (1 / q_.n + z[1] ** 2 / sxx))
+        + q_.sum_u2 / q_.n ** 2 + 2 * z[1] * q_.sum_dx_u2 / (q_.n * sxx) + (z[1] / sxx) ** 2 * q_.sum_dx2_u2))
       for z in list_zip(dx, u)])[1];
 
 create or replace macro line_fits(source) as table
@@ -40,10 +42,9 @@ with given as (
 ), centred as (
   select *, [e - x_mean for e in x] as dx, [e - y_mean for e in y] as dy from means
 ), spread as (
-  select *, list_dot_product(dx, dx) as sxx from centred
+  select *, sum_of_products(dx, dx) as sxx from centred
 ), sloped as (
-  select *, [e / sxx for e in dx] as slope_weights, list_dot_product(dx, dy) / sxx as k
-  from spread where n_points >= 2 and sxx > 0
+  select *, [e / nullif(sxx, 0) for e in dx] as slope_weights, sum_of_products(dx, dy) / nullif(sxx, 0) as k from spread
 ), fitted as (
   select *, y_mean - k * x_mean as zero, [z[2] - k * z[1] for z in list_zip(dx, dy)] as residuals,
     [1 / n_points - x_mean * w for w in slope_weights] as zero_weights

@@ -1,7 +1,8 @@
--- One row for each scale factor that was measured: the points of its rates, the rests around them, what is asked of them
--- by each standard, and the least-squares lines through all points, the forward ones and the backward ones. Planning the
--- lines takes longer than computing them: the metric scale_factor, which comes first, keeps them as the table scale_fits.
--- (They are macros of a table that is named later, since a view would be planned when it is defined.)
+-- One row for each scale factor that was measured: the points of its rates, the rests around them, what is asked of
+-- them by each standard, and the least-squares lines through all points, the forward ones and the backward ones.
+-- Planning the lines takes longer than computing them: the metric scale_factor, which comes first, keeps them as the
+-- table scale_fits. (They are macros of a table that is named later, since a view would be planned when it is defined.)
+-- It also fills the table products.
 create table if not exists products (
   product varchar, max_rate_deg_per_s double, nonlinearity_ppm double, expected_threshold_deg_per_h double
 );
@@ -12,10 +13,10 @@ with measured as (
     run, unit, signal, "procedure", repeat, temperature_command, room, position, axis, phase, output_unit,
     min(product) as product, min(station) as station, min(time_zone) as time_zone, bool_and(date_known) as date_known,
     min(t_from_ns) as t_from_ns, max(t_to_ns) as t_to_ns,
-    list({
+    coalesce(list({
       "index": "index", command: rate_command, rate: input_rate, output: output, u: u, freedom: coalesce(freedom, 1),
       temperature: temperature
-    } order by "index") filter (not at_rest) as points,
+    } order by "index") filter (not at_rest), []) as points,
     list({"index": "index", output: output, u: u, freedom: coalesce(freedom, 1)} order by "index")
       filter (at_rest) as rests,
     sum(n)::bigint as n
@@ -28,7 +29,6 @@ with measured as (
     [r for r in rests if r."index" < points[1]."index"][-1] as rest_before,
     [r for r in rests if r."index" > points[-1]."index"][1] as rest_after
   from measured
-  where len(points) > 0
 )
 select c.*,
   list_max(list_concat(forwards, backwards)) as largest_rate,
@@ -53,8 +53,8 @@ create or replace macro listed(rates) as
 create or replace macro lack_of_directions(forwards, backwards, clause) as
   nullif(concat_ws('; ',
     case when least(len(forwards), len(backwards)) < 11 then
-      len(forwards) || ' rates measured forwards and ' || len(backwards) || ' backwards, 11 in each direction are asked for ('
-      || clause || ')' end,
+      len(forwards) || ' rates measured forwards and ' || len(backwards)
+      || ' backwards, 11 in each direction are asked for (' || clause || ')' end,
     case when forwards <> backwards then 'the rates are not symmetric: '
       || concat_ws(' and ',
         nullif(listed(list_filter(forwards, lambda r: not list_contains(backwards, r))), '') || ' deg/s forwards only',
@@ -64,7 +64,8 @@ create or replace macro lack_of_directions(forwards, backwards, clause) as
 
 create or replace macro lack_of_range(largest, asked, product) as
   case when largest < asked * (1 - 1e-6) then
-    format('the largest rate is {:g} deg/s, that of product {} is {:g} deg/s and must be among them', largest, product, asked)
+    format('the largest rate is {:g} deg/s, that of product {} is {:g} deg/s and must be among them', largest, product,
+      asked)
   end;
 
 create or replace macro scale_lines(source) as table
@@ -108,16 +109,19 @@ select *,
   } as words
 from lacks;
 
--- The scale factor of each standard that the measurement can serve, with the reason where something it asks for is missing.
+-- The scale factor of each standard that the measurement can serve, with the reason where something it asks for is
+-- missing.
 create or replace macro scale_results(source) as table
 select * exclude (form), form.standard as standard, form.reason as lack
 from (
   select *, unnest(list_filter([
     {standard: 'GJB2426A', reason: gjb_reason,
-      applies: not regexp_matches(coalesce("procedure", ''), '^(attitude_unit|rates_jjf|scale_factor_(jjf|acc|shock|vib))')},
+      applies: not regexp_matches(coalesce("procedure", ''),
+        '^(attitude_unit|rates_jjf|scale_factor_(jjf|acc|shock|vib))')},
     {standard: 'JJF2014', reason: jjf_reason, applies: not starts_with(coalesce("procedure", ''), 'attitude_unit')},
     {standard: 'JJF1536', reason: jjf1536_reason, applies: starts_with(coalesce("procedure", ''), 'attitude_unit')
-      or (not starts_with(coalesce("procedure", ''), 'scale_factor') and len(forwards) + len(backwards) between 7 and 11)}
+      or (not starts_with(coalesce("procedure", ''), 'scale_factor')
+        and len(forwards) + len(backwards) between 7 and 11)}
   ], lambda f: f.applies)) as form
   from query_table(source)
 );

@@ -1,7 +1,7 @@
 -- What two scale factors differ by, with its uncertainty: two structs {k, u_k, freedom_k, residuals, slope_weights, u,
--- freedoms, points} of lines. Where both were measured at the same rates, the points' scatter about both lines counts only
--- as far as it differs: a nonlinearity that both have in common moves both alike. `mirror` is -1 where the rates of one are
--- the negative ones of the other.
+-- freedoms, points} of lines. Where both were measured at the same rates, the points' scatter about both lines counts
+-- only as far as it differs: a nonlinearity that both have in common moves both alike. `mirror` is -1 where the rates
+-- of one are the negative ones of the other.
 create or replace macro slope_difference(a, b, mirror) as
   list_transform([
     {

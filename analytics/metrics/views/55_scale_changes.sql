@@ -1,6 +1,6 @@
--- How the scale factor has changed from before a shock or vibration to after it, along each axis and as the largest of X, Y
--- and Z. A change is a magnitude: its lower limit is not below 0. The limits of the largest hold for all axes together
--- (Bonferroni).
+-- How the scale factor has changed from before a shock or vibration to after it, along each axis and as the largest of
+-- X, Y and Z. A change is a magnitude: its lower limit is not below 0. The limits of the largest hold for all axes
+-- together (Bonferroni).
 create or replace macro scale_changes(source, cause) as table
 with phased as (
   select *, upper(coalesce(axis, 'unnamed')) as along,

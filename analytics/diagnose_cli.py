@@ -1,0 +1,264 @@
+"""The command `gyrofleet diagnose`: what a declared error model lacks, with what certainty, and what it would win."""
+
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from rich.markup import escape
+from rich.table import Table
+
+from analytics.metrics_cli import language_option, opened_catalog
+from stream.console import notes, print_json, reporting, results, store_option
+from stream.errors import BadInput
+
+if TYPE_CHECKING:
+    from analytics.report.report_tables import TextTable
+    from analytics.report.wording import Language
+    from analytics.tracing.result import NoiseCoefficients
+    from analytics.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
+
+_SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
+_NOISE_TERMS = ("N", "B", "K", "turn_on")
+
+
+@click.command("diagnose")
+@store_option
+@click.option("--unit", "units", multiple=True, help="Which unit; may be given several times.")
+@click.option("--fleet", is_flag=True, help="Search for what units have in common as well; all units if none is named.")
+@click.option("--signal", help="Which signal, as rate; left out where the model names it.")
+@click.option(
+    "--model", required=True, help="The declared error model: 'rate = bias + scale_factor*input_rate + temperature'."
+)
+@click.option("--block", default="30s", show_default=True, help="Length of the blocks that are averaged: 10s, 1min.")
+@click.option(
+    "--noise",
+    metavar="N=..,B=..,K=..,turn_on=..",
+    help="Declared noise in deg/sqrt(h), deg/h, deg/h/sqrt(h), deg/h; from each unit's own Allan fits if left out.",
+)
+@click.option(
+    "--holdout",
+    default="last-third",
+    show_default=True,
+    metavar="last-third|none|runs=A,B",
+    help="Runs that take no part in the fit and confirm what was found.",
+)
+@click.option("--run", "runs", multiple=True, help="Only this run; may be given several times.")
+@click.option("--since", help="Only samples from then on: 2026-11-21, or with time and zone.")
+@click.option("--report", "report_path", type=click.Path(path_type=Path), help="Write a report: FILE.html.")
+@click.option("--plot", "plot_folder", type=click.Path(path_type=Path), help="Write the pictures to this folder, PNG.")
+@language_option
+@reporting
+def diagnose(
+    folder: Path,
+    units: tuple[str, ...],
+    signal: str | None,
+    model: str,
+    block: str,
+    noise: str | None,
+    holdout: str,
+    runs: tuple[str, ...],
+    since: str | None,
+    report_path: Path | None,
+    plot_folder: Path | None,
+    language: "Language",
+    *,
+    fleet: bool,
+    as_json: bool,
+) -> None:
+    """Find what a declared error model lacks, or say that nothing is missing, or that the data cannot tell.
+
+    Verdicts: nothing_missing, effect_found, confounded, unreplicated, unknown_function, unexplained, not_enough_data.
+    The exit code is 0 with any of them, and 1 where a unit could not be diagnosed.
+
+    \b
+    gyrofleet diagnose --unit FOG-0235 --model 'rate = bias + scale_factor*input_rate + temperature'
+    gyrofleet diagnose --fleet --signal rate --model 'bias + temperature' --report november.html
+    """  # noqa: D301  click's mark for lines that are not to be joined
+    from analytics.metrics_selection import dated
+    from analytics.unit_diagnosis import Question, diagnose_units, units_with
+
+    if not units and not fleet:
+        raise BadInput("which units? give --unit, once or several times, or --fleet for all that have the signal")
+    if report_path is not None and report_path.suffix.lower() not in (".html", ".htm"):
+        raise BadInput(f"report {report_path}: reports are written as .html; pictures alone with --plot FOLDER")
+    question = Question(
+        model=model,
+        signal=signal,
+        block_s=block_seconds(block),
+        noise=None if noise is None else noise_of(noise),
+        holdout=holdout_of(holdout),
+        runs=runs or None,
+        since_ns=None if since is None else dated(since),
+    )
+    if fleet and question.holdout is not None:
+        raise BadInput("--fleet holds out the last third of each unit's runs: leave --holdout out")
+    with opened_catalog(folder, quiet=as_json) as catalog:
+        chosen = list(dict.fromkeys(units)) or units_with(catalog, question.signal_name)
+        with notes().status("starting") as status:
+            found = diagnose_units(catalog, chosen, question, is_pooled=fleet, told=status.update)
+    is_one = len(chosen) == 1 and not fleet
+    _write(found, report_path, plot_folder, language)
+    if as_json:
+        print_json(next(iter(found.units.values())).document() if is_one else found.document())
+    elif is_one:
+        _tell_unit(next(iter(found.units.values())), language)
+    else:
+        _tell_units(found, language)
+    for unit, why in found.failed.items():
+        notes().print(f"warning: unit {unit}: {why}", markup=False, soft_wrap=True)
+    if found.failed:
+        sys.exit(1)
+
+
+def block_seconds(text: str) -> float:
+    """Seconds of a length of time as it is written.
+
+    Raises
+    ------
+    BadInput
+        If it is none.
+
+    Examples
+    --------
+    >>> block_seconds("30s"), block_seconds("0.5 min"), block_seconds("10")
+    (30.0, 30.0, 10.0)
+    """
+    match = re.fullmatch(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*(s|min|h|)\s*", text)
+    try:
+        if match is None:
+            raise ValueError(text)
+        return float(match[1]) * _SECONDS[match[2]]
+    except ValueError:
+        raise BadInput(f"--block {text}: give a length of time, as 30s, 1min or 0.5h") from None
+
+
+def noise_of(text: str) -> "NoiseCoefficients":
+    """Noise as it is declared on the command line.
+
+    Raises
+    ------
+    BadInput
+        If a term is missing, not known or no number, or N is zero.
+
+    Examples
+    --------
+    >>> noise_of("N=0.005, B=0.02, K=0.01, turn_on=0.3").turn_on
+    0.3
+    """
+    from analytics.tracing.result import NoiseCoefficients
+
+    form = "N=..,B=..,K=..,turn_on=.. in deg/sqrt(h), deg/h, deg/h/sqrt(h), deg/h, 0 for a term that is not there"
+    pairs = [(name.strip(), value.strip()) for name, _, value in (part.partition("=") for part in text.split(","))]
+    names = [name for name, _ in pairs]
+    if sorted(names) != sorted(_NOISE_TERMS):
+        missing = [name for name in _NOISE_TERMS if name not in names]
+        wrong = f"{', '.join(missing)} is missing" if missing else "each term stands once"
+        raise BadInput(f"--noise {text}: {wrong}; give {form}")
+    try:
+        values = {name: float(value) for name, value in pairs}
+    except ValueError as error:
+        raise BadInput(f"--noise {text}: {error}; give {form}") from error
+    if not all(0 <= value < float("inf") for value in values.values()) or values["N"] == 0:
+        raise BadInput(f"--noise {text}: terms are positive numbers, N above 0; give {form}")
+    return NoiseCoefficients(**values)
+
+
+def holdout_of(text: str) -> tuple[str, ...] | None:
+    """Runs to hold out, by name; None for the last third.
+
+    Raises
+    ------
+    BadInput
+        If it is written otherwise.
+
+    Examples
+    --------
+    >>> holdout_of("last-third"), holdout_of("none"), holdout_of("runs=r7,r8")
+    (None, (), ('r7', 'r8'))
+    """
+    if text == "last-third":
+        return None
+    if text == "none":
+        return ()
+    names = tuple(name.strip() for name in text.removeprefix("runs=").split(",") if name.strip())
+    if not text.startswith("runs=") or not names:
+        raise BadInput(f"--holdout {text}: give last-third, none, or runs=A,B with the names of runs")
+    return names
+
+
+def _write(found: "UnitsDiagnosis", report_path: Path | None, plot_folder: Path | None, language: "Language") -> None:
+    if report_path is not None:
+        from analytics.report.diagnosis_html import write_report
+
+        with notes().status("writing the report"):
+            write_report(found, report_path, language)
+        notes().print(f"report: {report_path}", markup=False)
+    if plot_folder is not None:
+        from analytics.report.diagnosis_plots import write_figures
+        from analytics.report.wording import Wording
+
+        for each in found.units.values():
+            for path in write_figures(each, plot_folder, Wording(language, each.data.runs[0])):
+                notes().print(f"plot: {path}", markup=False)
+
+
+def _tell_unit(found: "UnitDiagnosis", language: "Language") -> None:
+    from analytics.report.evidence import alternative, evidence, separating_test
+    from analytics.report.report_tables import absent_rows, achieved, error_rows, noise_rows
+    from analytics.report.sentences import verdict_sentence
+    from analytics.report.wording import Wording
+
+    words, diagnosis, console = Wording(language, found.data.runs[0]), found.diagnosis, results()
+    console.print(f"[bold]{escape(verdict_sentence(diagnosis, words))}[/bold]")
+    for effect in (*diagnosis.effects, *diagnosis.unreplicated):
+        console.print(f"\n{words.effect(effect)}: {words.coefficient(effect)}", markup=False)
+        for text in evidence(effect, diagnosis, words):
+            console.print(f"  {text}", markup=False)
+        for other in effect.confounded:
+            or_else = words.of("or", "或")
+            console.print(f"  {or_else} {alternative(other, effect, diagnosis, words)}", markup=False)
+            tells = words.of("to tell", "区分方法")
+            console.print(f"     {tells}: {separating_test(other, words)}", markup=False)
+    if diagnosis.error is not None:
+        console.print("", _rich(error_rows(diagnosis.error, words)))
+        if (won := achieved(diagnosis.error, words)) is not None:
+            console.print(won, markup=False)
+    if diagnosis.noise is not None:
+        console.print(_rich(noise_rows(diagnosis, words)))
+        source = words.of("declared noise", "已声明噪声的来源")
+        console.print(f"{source}: {found.data.noise_source}", markup=False)
+    if diagnosis.detection_limits:
+        console.print(_rich(absent_rows(diagnosis, words)))
+    _tell_remarks(found, words.of("limit", "局限"), words.of("note", "说明"))
+
+
+def _tell_remarks(found: "UnitDiagnosis", limit: str, note: str) -> None:
+    for text in found.diagnosis.limits:
+        notes().print(f"{limit}: {text}", markup=False, soft_wrap=True)
+    for each in found.data.notes:
+        notes().print(f"{limit if each.is_limit else note}: {each.text}", markup=False, soft_wrap=True)
+
+
+def _tell_units(found: "UnitsDiagnosis", language: "Language") -> None:
+    from analytics.report.fleet_sentences import fleet_rows, fleet_sentence, unit_rows
+    from analytics.report.wording import Wording
+
+    words, console = Wording(language), results()
+    if found.fleet is not None:
+        console.print(f"[bold]{escape(fleet_sentence(found.fleet, words))}[/bold]")
+        for name, rows in found.fleet.by_unit.items():
+            console.print(_rich(fleet_rows(name, rows, words)))
+        for text in found.fleet.limits:
+            notes().print(f"{words.of('limit', '局限')}: {text}", markup=False, soft_wrap=True)
+    console.print(_rich(unit_rows(found, words)))
+
+
+def _rich(table: "TextTable") -> Table:
+    shown = Table(title=escape(table.title), title_justify="left", header_style="bold")
+    for at, title in enumerate(table.columns):
+        shown.add_column(escape(title), justify="right" if table.is_numeric(at) else "left", overflow="fold")
+    for row in table.rows:
+        shown.add_row(*map(escape, row))
+    return shown

@@ -1,0 +1,95 @@
+"""The smallest input whose output is within 50 % of what it should be: what threshold and resolution have in common."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from analytics.metrics.largest_magnitude import joint_half_widths
+from stream.batch import FloatArray
+
+_SHARE = 0.5
+
+
+class Direction(NamedTuple):
+    """Inputs of one direction and how far the outputs are from them, all in one unit.
+
+    Parameters
+    ----------
+    size : array
+        Magnitudes of the inputs, not 0.
+    error : array
+        Magnitudes of the differences between output (over the scale factor) and input.
+    u, freedom : array
+        Standard uncertainties of the differences and their degrees of freedom.
+    """
+
+    size: FloatArray
+    error: FloatArray
+    u: FloatArray
+    freedom: FloatArray
+
+
+def direction_of(points: Sequence[Mapping[str, float | None]]) -> Direction:
+    """Points with ``size, error, u, freedom`` as arrays; an unknown uncertainty is none at all."""
+    columns = (
+        np.array([each[name] if each[name] is not None else missing for each in points], np.float64)
+        for name, missing in (("size", np.nan), ("error", np.nan), ("u", 0.0), ("freedom", 1.0))
+    )
+    return Direction(*columns)
+
+
+def smallest_within_half(directions: Mapping[str, Direction]) -> dict[str, Any]:
+    """The larger of the smallest inputs of each direction, with limits; or the reason why there is none.
+
+    Parameters
+    ----------
+    directions : mapping
+        By what they are called in a reason.
+
+    Returns
+    -------
+    dict
+        ``value, lo, hi, standard_uncertainty`` or ``reason``.
+
+    Notes
+    -----
+    An input counts if ``error/size <= 50 %`` holds at it and at all larger ones of its direction. The limits are tested
+    inputs too: at the upper one and at all larger ones the condition holds also with the uncertainty of the outputs
+    (for all points together, Bonferroni), at the lower one it surely fails; 0 where it fails surely at none, and no
+    upper one where it holds surely at none.
+
+    Examples
+    --------
+    >>> size = np.array([4.0, 2.0, 1.0, 0.5])
+    >>> forwards = Direction(size, np.array([0.4, 0.6, 0.4, 0.5]), np.full(4, 0.01), np.full(4, 1e9))
+    >>> smallest_within_half({"forwards": forwards})
+    {'value': 1.0, 'lo': 0.5, 'hi': 1.0, 'standard_uncertainty': 0.14433756729740646}
+    """
+    found = {name: _of_direction(each) for name, each in directions.items()}
+    failed = [name for name, (value, _, _) in found.items() if value is None]
+    if failed:
+        return {"reason": f"at no input {' and '.join(failed)} is the output within 50 % of what it should be"}
+    value = max(value for value, _, _ in found.values() if value is not None)
+    lo = max(lo for _, lo, _ in found.values())
+    tops = [hi for _, _, hi in found.values() if hi is not None]
+    hi = max(tops) if len(tops) == len(found) else None
+    u = None if hi is None else (hi - lo) / 12**0.5
+    return {"value": value, "lo": lo, "hi": hi, "standard_uncertainty": u}
+
+
+def _of_direction(points: Direction) -> tuple[float | None, float, float | None]:
+    """Smallest input within 50 %, and its limits."""
+    order = np.argsort(-points.size, kind="stable")
+    size, error = points.size[order], points.error[order]
+    half = joint_half_widths(points.u[order], points.freedom[order])
+    surely_fails = error - half > _SHARE * size
+    lo = float(size[np.argmax(surely_fails)]) if surely_fails.any() else 0.0
+    return _last_of_run(error <= _SHARE * size, size), lo, _last_of_run(error + half <= _SHARE * size, size)
+
+
+def _last_of_run(holds: np.ndarray[Any, np.dtype[np.bool_]], size: FloatArray) -> float | None:
+    """The last input of those from the largest on at which it holds."""
+    failing = np.flatnonzero(~holds)
+    n = int(failing[0]) if failing.size else holds.size
+    return float(size[n - 1]) if n else None

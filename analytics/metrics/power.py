@@ -1,0 +1,150 @@
+"""Power that a unit takes from each of its supplies."""
+
+from collections.abc import Iterator, Mapping
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from analytics.metrics.largest_magnitude import json_text
+from analytics.step_records.series_statistics import series_statistics
+from storage.catalog import Catalog
+from stream.batch import FloatArray, IntArray
+
+HEADER = """\
+-- id:        power
+-- en:        Power consumption
+-- zh:        功耗
+-- unit:      W
+-- better:    lower
+-- grain:     unit, run, step, supply
+-- source:    GJB 2426A-2004 5.4
+-- needs:     procedure power_consumption with supply_voltage (V) and supply_current (A) of the unit or of its supply
+-- limits:    t
+-- equation:  P = mean(U*I) for each supply
+"""
+
+# The steps, with the supplies that fed them: the unit's own signals, else the instruments of the run.
+_STEPS = """
+with step as (
+  select run, unit, "index", any_value(step) as step, min(t_from_ns) as t_from_ns, max(t_to_ns) as t_to_ns
+  from step_means where regexp_matches("procedure", '^power|功耗')
+  group by run, unit, "index"
+), supply as (
+  select run, unit as supply,
+    bool_or(signal = 'supply_voltage' and unit_of_measure = 'V') as has_voltage,
+    bool_or(signal = 'supply_current' and unit_of_measure = 'A') as has_current
+  from signals where signal in ('supply_voltage', 'supply_current') group by all
+), tested as (
+  select run, count(distinct unit) as units from step group by run
+), fed as (
+  select s.*, p.supply, p.has_voltage, p.has_current, t.units,
+    bool_or(p.supply = s.unit) over (partition by s.run, s.unit) as has_own,
+    -- which supply feeds a unit is told by the word `power` of its mounting
+    json_extract_string(m.details, '$.power') as named
+  from step s join tested t using (run) left join supply p on p.run = s.run
+  left join units m on m.run = s.run and m.unit = s.unit
+)
+select *, supply = unit or units = 1 or supply = named as is_own from fed
+where supply is null or case when has_own then supply = unit
+  when named is not null then supply = named
+  else supply not in (select unit from step) end
+order by run, unit, "index", supply
+"""
+
+_READINGS = """
+select w.which, s.signal, list(s.t_ns order by s.t_ns) as t_ns, list(s.value order by s.t_ns) as values
+from power_windows w
+join samples s on s.run = w.run and s.unit = w.supply and s.t_ns between w.t_from_ns and w.t_to_ns
+where s.run = $run and s.signal in ('supply_voltage', 'supply_current')
+group by w.which, s.signal
+"""
+
+_Readings = Mapping[str, tuple[IntArray, FloatArray]]
+
+
+def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
+    """Rows of the metric.
+
+    Notes
+    -----
+    An instrument reads voltage and current one after the other: each voltage is multiplied with the current that was
+    read nearest to it, at most one interval away.
+    """
+    steps = catalog.reader(_STEPS).read_all().to_pylist()
+    for run, group in groupby(steps, key=lambda step: step["run"]):
+        of_run = list(group)
+        columns = ("run", "supply", "t_from_ns", "t_to_ns")
+        windows = [{"which": at, **{name: step[name] for name in columns}} for at, step in enumerate(of_run)]
+        catalog.put("power_windows", pa.Table.from_pylist(windows))
+        readings: dict[int, dict[str, tuple[IntArray, FloatArray]]] = {}
+        for row in catalog.reader(_READINGS, {"run": run}).read_all().to_pylist():
+            series = np.array(row["t_ns"], np.int64), np.array(row["values"], np.float64)
+            readings.setdefault(row["which"], {})[row["signal"]] = series
+        for at, step in enumerate(of_run):
+            yield _row(step, readings.get(at, {}))
+
+
+def _row(step: Mapping[str, Any], readings: _Readings) -> dict[str, Any]:
+    row = {"unit": step["unit"], "signal": "supply_power", "run": step["run"], "runs": [step["run"]], "n": 0} | {
+        "steps": [step["index"]],
+        "parameters": json_text({"supply": step["supply"], "step": step["step"]}),
+    }
+    reason = _lack(step, readings)
+    if reason is not None:
+        return row | {"reason": reason}
+    power, t_ns = watts(*readings["supply_voltage"], *readings["supply_current"])
+    if not len(power):
+        return row | {"reason": f"supply {step['supply']}: no current was read within an interval of a voltage"}
+    interval_ns = int(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 1
+    found = series_statistics(
+        t_ns,
+        np.ones(len(t_ns), np.int64),
+        power,
+        np.zeros(len(t_ns)),
+        base_ns=max(interval_ns, 1),
+        samples_per_block=1.0,
+        window_ns=(step["t_from_ns"], step["t_to_ns"]),
+    )
+    u = None if np.isnan(found.standard_uncertainty) else found.standard_uncertainty
+    return row | {"n": found.n, "value": found.mean, "standard_uncertainty": u, "freedom": found.freedom}
+
+
+def _lack(step: Mapping[str, Any], readings: _Readings) -> str | None:
+    if step["supply"] is None:
+        named = f"the supply {step['named']} of its mounting" if step["named"] else "any supply"
+        return f"the run has no supply_voltage and supply_current of the unit or of {named}"
+    if not step["is_own"]:
+        return (
+            f"supply {step['supply']} fed {step['units']} units at once: mount one, or say whose it is by the word "
+            "power where the units are mounted"
+        )
+    if not (step["has_voltage"] and step["has_current"]):
+        return f"supply {step['supply']}: supply_voltage in V and supply_current in A are needed, both"
+    if len(readings) < 2:
+        return f"supply {step['supply']}: no reading of voltage and current in the step"
+    return None
+
+
+def watts(
+    voltage_ns: IntArray, voltage: FloatArray, current_ns: IntArray, current: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Each voltage times the current read nearest to it, at most an interval of the currents away, and when.
+
+    Examples
+    --------
+    >>> power, t_ns = watts(np.array([0, 10, 90]), np.array([5.0, 6.0, 5.0]), np.array([1, 11, 21]),
+    ...                     np.array([0.1, 0.2, 0.3]))
+    >>> power.round(3).tolist(), t_ns.tolist()
+    ([0.5, 1.2], [0, 10])
+    """
+    after = np.clip(np.searchsorted(current_ns, voltage_ns), 1, max(len(current_ns) - 1, 1))
+    last = len(current_ns) - 1
+    after = np.minimum(after, last)
+    before = np.maximum(after - 1, 0)
+    is_before = voltage_ns - current_ns[before] <= current_ns[after] - voltage_ns
+    nearest = np.where(is_before, before, after)
+    most_ns = float(np.median(np.diff(current_ns))) if last else float(np.iinfo(np.int64).max)
+    near = np.abs(current_ns[nearest] - voltage_ns) <= most_ns
+    return voltage[near] * current[nearest[near]], voltage_ns[near]

@@ -1,0 +1,88 @@
+"""One slow turn about the vertical: Earth's rate on a level axis goes through a cosine (GJB 2426A-2004 5.10.3.3)."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from analytics.metrics.half_error import Direction, smallest_within_half
+from storage.catalog import Catalog
+from stream.batch import FloatArray
+
+_LEAST_DEG = 350.0
+_QUARTERS = ("north towards crossing", "crossing towards south", "south towards crossing", "crossing towards north")
+
+_TURNS = """
+select run, unit, signal, repeat, "index", t_from_ns, t_to_ns, n, deg_per_h, scale_source, unit_of_measure,
+  earth_rate_deg_per_h() * cos(radians(latitude_deg)) as level, input_rate, duration_s
+from rate_steps
+where n > 0 and rate_command <> 0 and frequency is null and regexp_matches("procedure", '^threshold_slow_turn|慢转')
+order by run, unit, signal, "index"
+"""
+_MEANS = """
+select (t_ns - $start) / 1e9 as t_s, mean from rollup_1s
+where run = $run and unit = $unit and signal = $signal and t_ns >= $start and t_ns + 1000000000 <= $end + 1
+order by t_ns
+"""
+
+
+def turns(catalog: Catalog) -> Iterator[dict[str, Any]]:
+    """Each slow turn with what was `found` in it."""
+    for row in catalog.reader(_TURNS).read_all().to_pylist():
+        yield row | {"steps": [row["index"]], "found": _found(catalog, row)}
+
+
+def _found(catalog: Catalog, row: Mapping[str, Any]) -> dict[str, Any]:
+    turned_deg = abs(row["input_rate"]) * row["duration_s"]
+    if row["deg_per_h"] is None:
+        return {"reason": f"no scale factor for an output in {row['unit_of_measure']}: measure it before"}
+    if row["level"] is None:
+        return {"reason": "no latitude, so the Earth's rate on the axis is unknown: give the station's latitude_deg"}
+    if turned_deg < _LEAST_DEG:
+        return {"reason": f"the table turned by {turned_deg:.0f} deg, the clause asks for one turn (5.10.3.3)"}
+    told = {"run": row["run"], "unit": row["unit"], "signal": row["signal"]}
+    told |= {"start": row["t_from_ns"], "end": row["t_to_ns"]}
+    means = catalog.reader(_MEANS, told).read_all()
+    t_s, output = (np.asarray(means[name].to_numpy(), np.float64) for name in ("t_s", "mean"))
+    if t_s.size < 8 * len(_QUARTERS):
+        return {"reason": f"{t_s.size} means of 1 s in the turn, too few to see four crossings"}
+    return threshold_in_turn(t_s + 0.5, output * row["deg_per_h"], row["input_rate"], row["level"])
+
+
+def threshold_in_turn(t_s: FloatArray, output: FloatArray, turn_deg_per_s: float, level: float) -> dict[str, Any]:
+    """Threshold from the output during one turn.
+
+    Parameters
+    ----------
+    t_s : array
+        Times, s; the phase of the turn at time 0 need not be known.
+    output : array
+        Output over the scale factor, deg/h.
+    turn_deg_per_s : float
+        Rate of the turn.
+    level : float
+        Rate of the Earth on a level axis that points north, deg/h.
+
+    Notes
+    -----
+    The zero and the phase are those of the sine fitted to the turn. Each quarter of the turn ends or begins at one of
+    the four candidates about the two crossings, the largest of which is the threshold. The outputs are means of 1 s;
+    the scatter about the sine is their uncertainty.
+    """
+    angle = np.radians(turn_deg_per_s) * t_s
+    design = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=1)
+    (zero, in_phase, across), *_ = np.linalg.lstsq(design, output, rcond=None)
+    phase = np.mod(angle + np.arctan2(-across, in_phase), 2 * np.pi)
+    rate = level * np.cos(phase)
+    error = np.abs(rate - (output - zero))
+    u = float(np.std(output - design @ np.array([zero, in_phase, across]), ddof=3))
+    quarter = np.minimum((phase // (np.pi / 2)).astype(int), 3)
+    is_input = np.abs(rate) > 0
+    parts = {name: np.flatnonzero((quarter == i) & is_input) for i, name in enumerate(_QUARTERS)}
+    freedom = float(t_s.size - 3)
+    return smallest_within_half(
+        {
+            name: Direction(np.abs(rate[at]), error[at], np.full(at.size, u), np.full(at.size, freedom))
+            for name, at in parts.items()
+        }
+    )

@@ -1,0 +1,83 @@
+-- How far the input axis is off towards each mounting axis: one row for each position in which ox or oy was up, across
+-- the table, with both directions. delta = (F+ - F-)/(2 K Omega): erratum, GJB 2426A (47)(48) multiply by K. The
+-- table's rates are the measured ones where they were. `turned` tells the positions in which the unit was turned 180
+-- deg about the IRA.
+create or replace view misalignment_angles as
+with placed as (
+  select *, lower(regexp_extract(position, '^[Oo]([XxYy])_', 1)) as mounting_axis,
+    regexp_matches(position, '_down$|turned_180$') as turned
+  from rate_steps
+  where n > 0 and rate_command <> 0 and frequency is null
+    and regexp_matches(position, '^[Oo][XxYy]_(up|down|up_turned_180)$')
+), directed as (
+  select run, unit, signal, "procedure", repeat, mounting_axis, turned,
+    list({output: mean * deg_per_h / 3600, u: standard_uncertainty * abs(deg_per_h) / 3600, rate: input_rate,
+      freedom: freedom} order by "index") filter (rate_command > 0) as forwards,
+    list({output: mean * deg_per_h / 3600, u: standard_uncertainty * abs(deg_per_h) / 3600, rate: input_rate,
+      freedom: freedom} order by "index") filter (rate_command < 0) as backwards,
+    min(position) as position, bool_and(deg_per_h is not null) as is_scaled, min(scale_source) as scale_source,
+    min(unit_of_measure) as unit_of_measure, max(abs(rate_command)) as rate,
+    min(t_from_ns) as t_from_ns, min(time_zone) as time_zone, bool_and(date_known) as date_known,
+    sum(n)::bigint as n, list("index" order by "index") as steps
+  from placed group by all
+)
+select * exclude (forwards, backwards),
+  (forwards[1].output - backwards[1].output) / (forwards[1].rate - backwards[1].rate) as delta,
+  sqrt(forwards[1].u ** 2 + backwards[1].u ** 2) / (forwards[1].rate - backwards[1].rate) as u,
+  welch_freedom(forwards[1].u, forwards[1].freedom, backwards[1].u, backwards[1].freedom) as freedom,
+  case
+    when not is_scaled then
+      'no scale factor for an output in ' || unit_of_measure || ': measure it or give the nominal one of the product'
+    when forwards is null or backwards is null then 'position ' || position || ': measured in one direction only'
+  end as lack
+from directed;
+
+-- The misalignment in two positions (GJB) and in four (JJF 2014), arcmin, as the hypotenuse of two angles. An angle is
+-- alpha_m = (delta_1 - delta_2)/2 of a position and its turn: what is the fixture's has the same sign in both. Erratum:
+-- GJB (50), the root of the sum of all four squares, cancels nothing; not offered.
+create or replace view misalignments as
+with paired as (
+  select run, unit, signal, "procedure", repeat, min(scale_source) as scale_source, max(rate) as rate,
+    max(delta) filter (mounting_axis = 'x' and not turned) as x,
+    max(delta) filter (mounting_axis = 'y' and not turned) as y,
+    max(delta) filter (mounting_axis = 'x' and turned) as x_turned,
+    max(delta) filter (mounting_axis = 'y' and turned) as y_turned,
+    {
+      x: max({u: u, freedom: freedom}) filter (mounting_axis = 'x' and not turned),
+      y: max({u: u, freedom: freedom}) filter (mounting_axis = 'y' and not turned),
+      x_turned: max({u: u, freedom: freedom}) filter (mounting_axis = 'x' and turned),
+      y_turned: max({u: u, freedom: freedom}) filter (mounting_axis = 'y' and turned)
+    } as spread,
+    string_agg(lack, '; ' order by mounting_axis, turned) as lack, list(mounting_axis || turned) as placed,
+    bool_or(turned) or coalesce(regexp_matches("procedure", '^misalignment_(four|repeat)'), false) as is_four,
+    not coalesce(regexp_matches("procedure", '^misalignment_(four|repeat)'), false) as is_two,
+    min(t_from_ns) as t_from_ns, min(time_zone) as time_zone, bool_and(date_known) as date_known,
+    sum(n)::bigint as n, list_sort(flatten(list(steps order by mounting_axis, turned))) as steps
+  from misalignment_angles group by run, unit, signal, "procedure", repeat
+), counted as (
+  select *, unnest(list_filter([2, 4], lambda p: (p = 2 and is_two) or (p = 4 and is_four))) as positions from paired
+), angled as (
+  select *,
+    case positions when 2 then x else (x - x_turned) / 2 end as of_x,
+    case positions when 2 then y else (y - y_turned) / 2 end as of_y,
+    case positions when 2 then spread.x.u else sqrt(spread.x.u ** 2 + spread.x_turned.u ** 2) / 2 end as u_x,
+    case positions when 2 then spread.y.u else sqrt(spread.y.u ** 2 + spread.y_turned.u ** 2) / 2 end as u_y,
+    case positions when 2 then spread.x.freedom
+      else welch_freedom(spread.x.u, spread.x.freedom, spread.x_turned.u, spread.x_turned.freedom) end as freedom_x,
+    case positions when 2 then spread.y.freedom
+      else welch_freedom(spread.y.u, spread.y.freedom, spread.y_turned.u, spread.y_turned.freedom) end as freedom_y
+  from counted
+), joined as (
+  select *, sqrt(of_x ** 2 + of_y ** 2) as hypotenuse,
+    case when of_x is null or of_y is null then 'positions measured: ' || len(list_distinct(placed)) || ', '
+      || positions || ' are asked for: ' || case positions when 2 then 'ox up and oy up'
+        else 'ox up, oy up, and each turned 180 deg about the IRA' end end as lack_of_positions
+  from angled
+)
+select * exclude (lack, lack_of_positions, spread, placed),
+  case positions when 2 then asin(hypotenuse) else hypotenuse end * 10800 / pi() as arcmin,
+  sqrt((of_x * u_x) ** 2 + (of_y * u_y) ** 2) / hypotenuse * 10800 / pi() as u_arcmin,
+  greatest(u_x, u_y) * 10800 / pi() as u_radius_arcmin,
+  welch_freedom(of_x * u_x, freedom_x, of_y * u_y, freedom_y) as freedom,
+  coalesce(lack, lack_of_positions) as lack
+from joined;

@@ -1,0 +1,94 @@
+"""What several units have in common and which differ, in a sentence and as tables."""
+
+from collections.abc import Sequence
+
+from analytics.report.report_tables import TextTable
+from analytics.report.wording import Wording, number
+from analytics.tracing.fleet import FleetDiagnosis, UnitCoefficient
+from analytics.tracing.result import Verdict
+from analytics.unit_diagnosis import UnitsDiagnosis
+
+_ZH_VERDICTS = {
+    Verdict.NOTHING_MISSING: "无缺项",
+    Verdict.EFFECT_FOUND: "发现效应",
+    Verdict.CONFOUNDED: "无法区分",
+    Verdict.UNREPLICATED: "未重现",
+    Verdict.UNKNOWN_FUNCTION: "未知函数",
+    Verdict.UNEXPLAINED: "未解释",
+    Verdict.NOT_ENOUGH_DATA: "数据不足",
+}
+
+
+def verdict_name(verdict: Verdict, words: Wording) -> str:
+    """A verdict in one or two words."""
+    return words.of(verdict.value.replace("_", " "), _ZH_VERDICTS[verdict])
+
+
+def fleet_sentence(fleet: FleetDiagnosis, words: Wording) -> str:
+    """Say what all units have in common, and how many differ."""
+    units = len(fleet.units)
+    if fleet.verdict is Verdict.NOT_ENOUGH_DATA:
+        why = "; ".join(fleet.limits)
+        return words.of(f"Not enough data to pool: {why}.", f"数据不足，无法汇总：{why}。")
+    if not fleet.effects:
+        return words.of(
+            f"The {units} units together lack no effect that repeats in their runs.",
+            f"{units}个产品合并分析未见可重现的共同缺项。",
+        )
+    told = [_common(each.name, fleet, words) for each in fleet.effects]
+    what = words.listed(told)
+    return words.of(f"The {units} units have in common that {what} is missing.", f"{units}个产品共同缺少：{what}。")
+
+
+def _common(name: str, fleet: FleetDiagnosis, words: Wording) -> str:
+    found = next(each for each in fleet.effects if each.name == name)
+    others = [words.effect(other) for other in found.confounded]
+    choice = words.listed([f"{words.effect(found)} ({words.coefficient(found)})", *others], ("or", "或"))
+    differing = [each.unit for each in fleet.by_unit.get(name, ()) if each.differs]
+    if not differing:
+        return choice
+    units = words.listed(differing)
+    return words.of(f"{choice}, with {units} different from the others", f"{choice}（{units}与其他产品不同）")
+
+
+def fleet_rows(name: str, rows: Sequence[UnitCoefficient], words: Wording) -> TextTable:
+    """A common effect in each unit."""
+    return TextTable(
+        words.of(f"{words.name(name)} in each unit", f"各产品的{words.name(name)}"),
+        (
+            words.of("unit", "产品"),
+            words.of("coefficient", "系数"),
+            "±",
+            words.of("p that it is that of the others", "与其他产品相同的p值"),
+            words.of("differs", "不同"),
+        ),
+        tuple(
+            (each.unit, number(each.coefficient), number(each.se), number(each.p_value),
+             words.of("yes", "是") if each.differs else "")
+            for each in rows
+        ),
+    )  # fmt: skip
+
+
+def unit_rows(found: UnitsDiagnosis, words: Wording) -> TextTable:
+    """The verdict of each unit; findings that do not stand among so many units are told as such."""
+    rows = []
+    for unit, each in found.units.items():
+        diagnosis = each.diagnosis
+        own = Wording(words.language, each.data.runs[0])
+        told = "; ".join(f"{own.effect(effect)}: {own.coefficient(effect)}" for effect in diagnosis.effects)
+        stands = ""
+        if diagnosis.effects:
+            stands = words.of("yes", "是") if unit in found.own_findings else words.of("no", "否")
+        rows.append((unit, verdict_name(diagnosis.verdict, words), told, stands))
+    rows += [(unit, words.of("failed", "失败"), why, "") for unit, why in found.failed.items()]
+    return TextTable(
+        words.of("Each unit alone", "各产品单独诊断"),
+        (
+            words.of("unit", "产品"),
+            words.of("verdict", "判定"),
+            words.of("found", "发现"),
+            words.of("stands among so many units", "多重比较后成立"),
+        ),
+        tuple(rows),
+    )

@@ -1,0 +1,96 @@
+"""Residuals of a diagnosed unit before and after, block by block: what the tables and pictures of a report show."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from analytics.run_blocks import RunBlocks
+from analytics.tracing.diagnosis import case_of
+from analytics.tracing.record import Record
+from analytics.tracing.result import Diagnosis, NoiseCoefficients
+from analytics.tracing.white_variance import record_of
+from stream.batch import BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What the declared model and the model found leave of each block that takes part.
+
+    Parameters
+    ----------
+    record : Record
+        The blocks, training and held out.
+    noise : NoiseCoefficients
+        As fitted with the model found.
+    before, after : array of shape (n,)
+        Residual of the declared model, and of the model found; coefficients of the training.
+    held_out : array of bool, shape (n,)
+        Blocks that took no part in the fit; none where no runs were held out.
+    """
+
+    record: Record
+    noise: NoiseCoefficients
+    before: FloatArray
+    after: FloatArray
+    held_out: BoolArray
+
+    @property
+    def unit_of_measure(self) -> str:
+        """Of the residuals."""
+        return self.record.stack.runs[0].unit_of_measure
+
+    @property
+    def judged(self) -> BoolArray:
+        """Blocks on which errors are told: those held out, or all where none are."""
+        return self.held_out if self.held_out.any() else np.ones(len(self.record), dtype=bool)
+
+    def channel(self, name: str) -> FloatArray:
+        """Block means of a channel that all runs have."""
+        return self.record.stack.column(lambda run: run.mean(name))
+
+    @property
+    def channels(self) -> set[str]:
+        """Channels that all runs have."""
+        return set.intersection(*(set(run.channels) for run in self.record.stack.runs))
+
+    def noise_variance(self, weights: FloatArray) -> float:
+        """Variance that the noise gives to a sum of the blocks' values with these weights."""
+        record = self.record
+        space = record.noise_model.space(self.noise)
+        total = float(space.white * np.sum(record.white * weights**2))
+        number = record.stack.run_number
+        for run in np.unique(number[weights != 0]):
+            total += _correlated_variance(record, self.noise, number == run, weights)
+        return total
+
+
+def _correlated_variance(record: Record, noise: NoiseCoefficients, of_run: BoolArray, weights: FloatArray) -> float:
+    """Part of flicker, random walk and turn-on in one run, on its grid with the gaps filled by zeros."""
+    space = record.noise_model.space(noise)
+    slot = record.stack.slot[of_run]
+    on_grid = np.zeros(slot[-1] + 1 - slot[0])
+    on_grid[slot - slot[0]] = weights[of_run]
+    total = space.start * on_grid.sum() ** 2
+    later = np.cumsum(on_grid[::-1])[::-1]
+    total += space.walk * np.sum(later[1:] ** 2)
+    for decay, variance in zip(space.decay, space.variance, strict=True):
+        faded = lfilter([0.0, decay], [1.0, -decay], on_grid)  # of earlier blocks
+        total += variance * (np.sum(on_grid**2) + 2 * np.sum(on_grid * faded))
+    return float(total)
+
+
+def residuals_of(runs: Sequence[RunBlocks], diagnosis: Diagnosis) -> Residuals | None:
+    """Return the residuals of a diagnosed unit; None where there was not enough data for a diagnosis."""
+    if diagnosis.declared is None or diagnosis.model is None or diagnosis.noise is None:
+        return None
+    held_out = [run for run in diagnosis.runs if run not in diagnosis.training_runs]
+    stack = case_of(runs, diagnosis.declared, diagnosis.noise, held_out).stack
+    return Residuals(
+        record=record_of(stack, diagnosis.noise),
+        noise=diagnosis.noise,
+        before=stack.column(diagnosis.declared.residual),
+        after=stack.column(diagnosis.model.residual),
+        held_out=stack.of_replicates(held_out),
+    )
