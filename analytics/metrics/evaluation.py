@@ -16,13 +16,14 @@ from analytics.metrics.header import Limits
 from analytics.metrics.limits_of_value import chi_square_limits, deviation_uncertainty, t_limits
 from analytics.metrics.product_files import products_of
 from analytics.metrics.registry import Metric, metrics
+from analytics.metrics.scale_factor import keep_scale_fits
 from analytics.step_records.step_table import FOLDER, Told, step_means
 from storage.catalog import Catalog
 from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
 _FILE = "unit_metrics.parquet"
-# evaluated before the others, which use what it finds
+# evaluated before the others, which use the tables that it leaves
 _FIRST = "scale_factor"
 
 COLUMNS = pa.schema(
@@ -46,7 +47,6 @@ COLUMNS = pa.schema(
         ("reason", pa.string()),
     ]
 )
-_SCALE_COLUMNS = ("unit", "signal", "run", "value", "t_to_ns")
 
 
 def unit_metrics(catalog: Catalog, told: Told | None = None) -> pa.Table:
@@ -92,7 +92,7 @@ def unit_metrics(catalog: Catalog, told: Told | None = None) -> pa.Table:
     table = pa.concat_tables([*tables, empty]).sort_by(order).combine_chunks()
     if stale or kept is None or len(fresh) != len(set(kept["unit"].to_pylist())):
         _keep(catalog, table)
-    catalog.put("scale_factors", _scales(table, steps))
+    keep_scale_fits(catalog)
     table = table.drop_columns(["fingerprint"])
     catalog.put("unit_metrics", table)
     return table
@@ -120,9 +120,6 @@ def evaluate(catalog: Catalog, chosen: Iterable[Metric]) -> pa.Table:
     tables = [COLUMNS.empty_table()]
     for each in order:
         table = _values(catalog, every[each])
-        if each == _FIRST:
-            steps = catalog.reader("select distinct run, unit, t_to_ns from step_means").read_all()
-            catalog.put("scale_factors", _scales(table, steps))
         if each in wanted:
             tables.append(table)
     return pa.concat_tables(tables)
@@ -167,20 +164,6 @@ def _add_limits(columns: dict[str, list[Any]], limits: Limits) -> None:
     for name, array in (("lo", lo), ("hi", hi), ("standard_uncertainty", u)):
         gone = missing | np.isnan(array)
         columns[name] = [None if absent else float(each) for absent, each in zip(gone, array, strict=True)]
-
-
-def _scales(table: pa.Table, steps: pa.Table) -> pa.Table:
-    """The scale factors found, with when they were: the end of the last step of their run."""
-    ended: dict[tuple[str, str], int] = {}
-    for run, unit, t_ns in zip(*(steps[name].to_pylist() for name in ("run", "unit", "t_to_ns")), strict=True):
-        ended[run, unit] = max(ended.get((run, unit), t_ns), t_ns)
-    rows = [
-        {**{name: row[name] for name in _SCALE_COLUMNS[:4]}, "t_to_ns": ended[row["run"], row["unit"]]}
-        for row in table.select(["metric", "unit", "signal", "run", "value", "parameters", "standard"]).to_pylist()
-        if row["metric"] == _FIRST and row["value"] and row["run"] is not None and "JJF" not in row["standard"]
-    ]
-    types = [pa.string(), pa.string(), pa.string(), pa.float64(), pa.int64()]
-    return pa.Table.from_pylist(rows, schema=pa.schema(list(zip(_SCALE_COLUMNS, types, strict=True))))
 
 
 def _rate_units(steps: pa.Table) -> pa.Table:
