@@ -95,6 +95,8 @@ def _row(number: int, characteristic: Characteristic, rows: list[Row], began: di
     results: list[Row] = []
     for signal in sorted({row["signal"] or "" for row in rows}):
         valued = [row for row in rows if (row["signal"] or "") == signal and row["value"] is not None]
+        # clause 6.1 asks for (20 +- 5) degC: other temperatures stand in for it only where there is nothing else
+        valued = [row for row in valued if row["parameters"].get("room") is not False] or valued
         last = max((when(row) for row in valued), default=0)
         results += [row for row in valued if when(row) == last]
     if results:

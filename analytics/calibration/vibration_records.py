@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from analytics.calibration.dynamics import Record, Response, response_of
+from analytics.calibration.frequency_response import Record, Response, response_of
 from analytics.calibration.sine_fit import LEAST_PER_PERIOD, SineFit, fit_sine
 from storage.catalog import Catalog
 from stream.batch import FloatArray, IntArray

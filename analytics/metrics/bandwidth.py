@@ -5,7 +5,8 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
-from analytics.calibration.dynamics import Found, Response, crossing, first_order_bandwidth
+from analytics.calibration.dynamics import Found, crossing, first_order_bandwidth
+from analytics.calibration.frequency_response import Response
 from analytics.calibration.vibration_records import (
     LEAST_RECORDS,
     Vibration,

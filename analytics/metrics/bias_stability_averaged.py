@@ -6,9 +6,8 @@ import numpy as np
 import pyarrow as pa
 
 from analytics.metrics.product_files import products_of
-from analytics.step_records.series_statistics import AVERAGES_S, LEAST_SHARE, bartlett_freedom
+from analytics.step_records.series_statistics import AVERAGES_S, LEAST_SHARE, scatter_of_averages
 from storage.catalog import Catalog
-from stream.batch import FloatArray, IntArray
 
 HEADER = """\
 -- id:        bias_stability_averaged
@@ -104,17 +103,6 @@ def _products_averages(catalog: Catalog) -> pa.Table:
     for base_ns in sorted({step["base_ns"] for step in steps}):
         sql = _MEANS.format(source=_SOURCES[base_ns], base_ns=base_ns, share=LEAST_SHARE)
         for row in catalog.reader(sql).read_all().to_pylist():
-            sd, freedom = _scatter(np.array(row["numbers"], np.int64), np.array(row["means"], np.float64))
-            steps[row["which"]] |= {"n": len(row["means"]), "sd": sd, "freedom": freedom}
+            found = scatter_of_averages(np.array(row["numbers"], np.int64), np.array(row["means"], np.float64))
+            steps[row["which"]] |= found._asdict() if found.n > 1 else {"n": found.n}
     return pa.Table.from_pylist(steps, schema=_AVERAGES)
-
-
-def _scatter(numbers: IntArray, means: FloatArray) -> tuple[float | None, float | None]:
-    """Standard deviation of averages and its degrees of freedom."""
-    if len(means) < 2:
-        return None, None
-    centred = means - means.mean()
-    next_to = np.diff(numbers) == 1
-    total = float(centred @ centred)
-    correlation = float(centred[:-1][next_to] @ centred[1:][next_to]) / total if total > 0 else 0.0
-    return float(np.sqrt(total / (len(means) - 1))), bartlett_freedom(len(means), correlation)

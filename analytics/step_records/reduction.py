@@ -67,7 +67,8 @@ def reduce_run(catalog: Catalog, run: str) -> pa.Table:
     """Reduce every completed step of a run.
 
     A step's own signals are those of its unit; signals of units without steps (chamber, table, supply) are reduced over
-    the stretches of all steps of the run.
+    the stretches of all steps of the run. A stretch of more than `MOST_RAW` samples, or of irregular ones, counts from
+    its first to its last whole second of the source's clock; what is before and after them is left out.
 
     Returns
     -------
@@ -191,10 +192,12 @@ def _reduced(run: str, signal: _Signal, blocks: _Blocks | None, *, is_raw: bool)
             "unit_of_measure": signal.unit_of_measure,
             "n": 0,
         }
+        # a block stands at its beginning: the last whole one begins so much before the last sample that may be in it
+        begins = window if is_raw else (window[0], window[1] + signal.dt_ns - SECOND_NS)
         within = slice(0, 0)
         if blocks is not None:
-            first = int(np.searchsorted(blocks[0], window[0]))
-            last = int(np.searchsorted(blocks[0], window[1] if is_raw else window[1] - SECOND_NS, side="right"))
+            first = int(np.searchsorted(blocks[0], begins[0]))
+            last = int(np.searchsorted(blocks[0], begins[1], side="right"))
             within = slice(first, max(first, last))
         if blocks is None or within.start == within.stop:
             yield row | {"reason": "no sample in the evaluated part of the step"}
@@ -206,7 +209,7 @@ def _reduced(run: str, signal: _Signal, blocks: _Blocks | None, *, is_raw: bool)
             blocks[3][within],
             base_ns=base_ns,
             samples_per_block=per_block,
-            window_ns=window,
+            window_ns=begins,
             step=signal.step,
         )
         yield row | _numbers(found)

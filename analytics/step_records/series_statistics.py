@@ -84,7 +84,7 @@ def series_statistics(
     samples_per_block : float
         Samples in a full block.
     window_ns : pair of int
-        The stretch, both ends included; averages are taken that lie in it as a whole.
+        Within which a block may begin, both ends included; averages are taken that lie in the stretch as a whole.
     step : float
         Of the quantisation in the samples' unit, 0 if none.
 
@@ -179,11 +179,28 @@ def _average(
     # samples stand at the beginning of what they measure: the last one is a block before the window's end
     whole = (of_block * average_ns >= window_ns[0]) & ((of_block + 1) * average_ns <= window_ns[1] + base_ns)
     full = whole & (n >= LEAST_SHARE * expected)
-    values = sums[full] / n[full]
+    return scatter_of_averages(of_block[full], sums[full] / n[full])
+
+
+def scatter_of_averages(number: IntArray, values: FloatArray) -> Average:
+    """Standard deviation of consecutive averages, as good as their neighbours are independent.
+
+    Parameters
+    ----------
+    number : array of int, shape (n,)
+        Place of each average on its grid, increasing.
+    values : array, shape (n,)
+        The averages.
+
+    Examples
+    --------
+    >>> scatter_of_averages(np.array([0, 1, 3]), np.array([1.0, 2.0, 3.0]))
+    Average(n=3, sd=1.0, freedom=2.0)
+    """
     if values.size < 2:
         return Average(int(values.size), math.nan, math.nan)
     centred = values - values.mean()
-    neighbours = np.diff(of_block[full]) == 1
+    neighbours = np.diff(number) == 1
     total = float(centred @ centred)
     correlation = float(centred[:-1][neighbours] @ centred[1:][neighbours]) / total if total > 0 else 0.0
     return Average(values.size, math.sqrt(total / (values.size - 1)), bartlett_freedom(values.size, correlation))

@@ -184,7 +184,7 @@ def _fitted(
 
 
 def _evidence(records: Sequence[Record], joint: JointFit, ratio: float, degrees: int, kind: Kind) -> float:
-    """Evidence of a fit; it pays twice where its noise is far from the declared one, whose model is not trusted then."""
+    """Evidence of a fit; it pays twice where its noise is far from the declared one: that model is not trusted."""
     excess = [
         record.noise_model.average_variance(noise, EXCESS_AVERAGE_S)
         / record.noise_model.average_variance(record.prior.center, EXCESS_AVERAGE_S)

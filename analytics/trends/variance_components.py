@@ -23,8 +23,8 @@ def components(series: Series, groups: tuple[str, ...]) -> dict[str, Deviation]:
     -------
     dict
         `unit`: from unit to unit; `residual`: from one measurement of a unit to the next, the first group taken out;
-        and each group: from level to level. Where no unit was measured twice `residual` is that and `unit` in one. Empty
-        where there are too few values or units.
+        and each group: from level to level. Where no unit was measured twice `residual` is that and `unit` in one.
+        Empty where there are too few values or units.
     """
     unit = np.unique(np.array(series.unit), return_inverse=True)[1].astype(np.int64)
     if series.value.size < LEAST_VALUES or unit.max() < 1 or not np.ptp(series.value) > 0:

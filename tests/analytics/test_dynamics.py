@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from analytics.calibration.dynamics import Record, Response, crossing, first_order_bandwidth, output_delay, response_of
+from analytics.calibration.dynamics import crossing, first_order_bandwidth, output_delay
+from analytics.calibration.frequency_response import Record, Response, response_of
 from analytics.calibration.sine_fit import fit_sine
 from stream.batch import FloatArray
 from stream.errors import BadInput

@@ -11,9 +11,11 @@ from analytics.effects.registry import effects_for
 from analytics.error_model import ErrorModel
 from analytics.run_blocks import Channel, RunBlocks
 from analytics.tracing.candidates import candidates_for
+from analytics.tracing.evidence import leave_one_out
 from analytics.tracing.joint_fit import fit_jointly, nothing_more
 from analytics.tracing.jump_scan import jump_column, scan_jumps
 from analytics.tracing.least_squares import solve
+from analytics.tracing.misfit import noise_inflation
 from analytics.tracing.noise_fit import fit_noise
 from analytics.tracing.noise_floor import averages_of, expected_variance
 from analytics.tracing.noise_model import NoiseModel
@@ -167,3 +169,34 @@ def test_whitener_of_white_noise_only_scales() -> None:
     white = NoiseCoefficients(N=0.02, B=0.0, K=0.0, turn_on=0.0)
     whitener = Whitener.of(NoiseModel(30.0, 3000.0), white, np.array([0, 1, 1, 5, 0, 1]), np.ones(6))
     np.testing.assert_allclose(whitener(np.ones((6, 1)))[:, 0], np.sqrt(30 / 3600) / 0.02)
+
+
+def test_noise_that_is_not_modelled_takes_significance_back() -> None:
+    """A slow wave of its own in every run disagrees with any common one; white noise leaves the test alone."""
+    of = record(9, runs=6, blocks=300)
+    slow = np.sin(2 * np.pi * of.stack.slot / 150)[:, None]
+    rng = np.random.default_rng(10)
+    size = 0.05 * rng.standard_normal(6)[of.stack.run_number]
+    numbers = [of.stack.run_number]
+    inflations = []
+    for value in (of.value, of.value + size * slow[:, 0]):
+        hypothesis = nothing_more([of]).with_common([slow])
+        joint = fit_jointly([replace(of, value=value)], hypothesis)
+        inflations.append(noise_inflation(joint, numbers, numbers, 1))
+    assert inflations[0] == 1.0
+    assert inflations[1] > 2.0
+
+
+def test_leaving_one_out_counts_only_what_others_tell() -> None:
+    """An effect in two runs replicates; the same column at work in one of them does not."""
+    of = record(11, runs=6, blocks=300)
+    number = of.stack.run_number
+    column = np.where(number < 2, np.cos(of.stack.slot / 20.0), 0.0)[:, None]
+    outcomes = []
+    for at_work in (number < 2, number < 1):
+        value = of.value + 0.03 * column[:, 0] * at_work
+        joint = fit_jointly([replace(of, value=value)], nothing_more([of]).with_common([column]))
+        outcomes.append(leave_one_out(joint, [number], 1))
+    assert outcomes[0].replicates
+    assert outcomes[0].largest_share < 0.8
+    assert not outcomes[1].replicates

@@ -1,0 +1,338 @@
+"""The report of a diagnosis: what its tables say against what was planted, its words, and the file that it makes."""
+
+import base64
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from analytics.block_checks import Note
+from analytics.error_model import ErrorModel
+from analytics.report.diagnosis_html import report_html, write_report
+from analytics.report.diagnosis_plots import figures_of, write_figures
+from analytics.report.drivers import drawn
+from analytics.report.error_by_driver import bias_over_temperature, scale_factor_over_rate
+from analytics.report.evidence import implied_offset_s
+from analytics.report.residual_allan import residual_allan
+from analytics.report.residuals import Residuals, residuals_of
+from analytics.report.sentences import verdict_sentence
+from analytics.report.whitened_spectrum import whitened_spectrum
+from analytics.report.wording import Language, Wording
+from analytics.tracing.diagnosis import diagnose
+from analytics.tracing.result import Coefficient, Diagnosis, FoundEffect, NoiseCoefficients, Verdict
+from analytics.unit_diagnosis import ReducedUnit, UnitDiagnosis, UnitsDiagnosis, held_out_runs, standing
+from stream.errors import BadInput
+from tests.bench.loop_campaign import DECLARED_MODEL, Campaign, Planted
+
+SHUPE = 40.0  # deg/h per degC/s
+SQUARE = 2e-3  # deg/h/degC^2
+NOISE = NoiseCoefficients(N=0.005, B=0.02, K=0.01, turn_on=0.3)
+
+
+@cache
+def diagnosed(name: str = "temperature_rate", size: float = SHUPE) -> UnitDiagnosis:
+    """Nine runs of two hours with one effect that was not declared."""
+    campaign = Campaign(3, runs=9, types=("temperature", "rate", "static"), duration_s=7200.0, step_s=5.0)
+    runs = tuple(campaign.runs([Planted(name, [size])] if size else [], channels=("input_rate", "temperature")))
+    found = diagnose(runs, ErrorModel.parse(DECLARED_MODEL), declared_noise=NOISE)
+    notes = (Note("counts", "a <remark>", "temperature"), Note("output", "a limit", None, (), is_limit=True))
+    return UnitDiagnosis(ReducedUnit(runs, notes, NOISE, "as given"), found)
+
+
+def left(found: UnitDiagnosis) -> Residuals:
+    residuals = residuals_of(found.data.runs, found.diagnosis)
+    assert residuals is not None
+    return residuals
+
+
+def as_units(*found: UnitDiagnosis) -> UnitsDiagnosis:
+    units = {each.unit: each for each in found}
+    return UnitsDiagnosis(units, {}, standing({unit: each.diagnosis for unit, each in units.items()}))
+
+
+def test_residuals_are_those_of_the_models_and_the_lockbox_is_the_last_third() -> None:
+    found = diagnosed()
+    residuals = left(found)
+    names = [run.run for run in found.data.runs]
+    stack = residuals.record.stack
+    told = {names[number] for number in np.unique(stack.run_number[residuals.held_out])}
+    assert told == set(names[6:])
+    assert found.diagnosis.model is not None
+    expected = np.concatenate([found.diagnosis.model.residual(run) for run in stack.runs])
+    np.testing.assert_allclose(residuals.after, expected, rtol=0, atol=1e-12)
+
+
+def test_noise_variance_is_that_of_the_dense_covariance_over_gaps_and_runs() -> None:
+    residuals = left(diagnosed())
+    record = residuals.record
+    keep = np.ones(len(record), dtype=bool)
+    keep[30:70] = keep[100:101] = False
+    part = record.stack.part(keep)
+    thinned = replace(residuals, record=replace(record, stack=part, steps=part.steps, white=record.white[keep]))
+    weights = np.random.default_rng(1).standard_normal(len(part))
+    dense = 0.0
+    for run in np.unique(part.run_number):
+        own = part.run_number == run
+        covariance = record.noise_model.covariance(
+            residuals.noise, part.slot[own].astype(float), thinned.record.white[own]
+        )
+        dense += weights[own] @ covariance @ weights[own]
+    assert thinned.noise_variance(weights) == pytest.approx(dense, rel=1e-9)
+
+
+def test_allan_deviation_of_the_residual_is_the_definition_and_leaves_out_gaps() -> None:
+    residuals = left(diagnosed())
+    record = residuals.record
+    chosen = np.flatnonzero(residuals.held_out)
+    gap = chosen[20:25]
+    keep = np.ones(len(record), dtype=bool)
+    keep[gap] = False
+    part = record.stack.part(keep)
+    thinned = Residuals(
+        replace(record, stack=part), residuals.noise, residuals.before[keep], residuals.after[keep],
+        residuals.held_out[keep],
+    )  # fmt: skip
+    at = {each.tau_s: each for each in residual_allan(thinned)}
+    squares = []
+    for run in np.unique(part.run_number[thinned.held_out]):
+        rows = np.flatnonzero(part.run_number == run)
+        by_slot = dict(zip(part.slot[rows].tolist(), thinned.after[rows].tolist(), strict=True))
+        for start in range(max(by_slot) + 1):
+            values = [by_slot.get(start + step) for step in range(8)]
+            if None not in values:
+                numbers = np.array(values, dtype=float)
+                squares.append((numbers[4:].mean() - numbers[:4].mean()) ** 2)
+    assert at[120.0].differences == len(squares)
+    assert at[120.0].after == pytest.approx(np.sqrt(np.mean(squares) / 2), rel=1e-9)
+    assert at[120.0].lo < at[120.0].after < at[120.0].hi
+
+
+def test_long_allan_deviation_falls_to_the_noise_with_the_effect() -> None:
+    deviations = [each for each in residual_allan(left(diagnosed())) if each.tau_s >= 240]
+    assert max(each.before / each.after for each in deviations) > 2
+    assert all(each.lo < each.floor * 1.5 for each in deviations)  # the floor is within reach of the limits
+
+
+def test_bias_over_temperature_shows_what_was_planted_and_then_only_noise() -> None:
+    found = diagnosed("temperature_squared", SQUARE)
+    residuals = left(found)
+    table = bias_over_temperature(residuals)
+    assert table is not None
+    assert table.channel == "temperature"
+    errors = np.array([[each.before, each.after, each.floor] for each in table.classes])
+    before, after, floor = errors.T
+    # 5 standard deviations: one in 10^6 in each of 8 classes, the error of the fitted coefficients is far less
+    assert np.all(np.abs(after) < 5 * floor)
+    assert np.ptp(before - after) > 3 * np.ptp(after)
+    assert sum(each.blocks for each in table.classes) <= np.count_nonzero(residuals.held_out)
+
+
+def test_scale_factor_over_rate_finds_a_planted_error_in_ppm() -> None:
+    residuals = left(diagnosed())
+    rate = residuals.channel("input_rate")
+    wrong = replace(residuals, before=residuals.after + 25e-6 * 3600.0 * rate)
+    table = scale_factor_over_rate(wrong)
+    assert table is not None
+    assert table.unit_of_measure == "ppm"
+    for each in table.classes:
+        assert each.before - each.after == pytest.approx(25.0, rel=1e-9)
+        assert abs(each.after) < 5 * each.floor
+
+
+def test_whitened_spectrum_is_one_with_the_effect_and_above_without() -> None:
+    spectrum = whitened_spectrum(left(diagnosed()))
+    assert spectrum is not None
+    inside = np.mean((spectrum.after > spectrum.lo) & (spectrum.after < spectrum.hi))
+    assert inside >= 0.7  # 95 % expected of about 16 bins; fewer than 12 of 16 has a chance of 1e-4
+    assert np.max(spectrum.before / spectrum.hi) > 2
+
+
+@pytest.mark.parametrize(("name", "size", "over"), [
+    ("temperature_squared", SQUARE, "temperature (degC)"),
+    ("temperature_rate", SHUPE, "temperature rate (Shupe) (degC/s)"),
+])  # fmt: skip
+def test_an_effect_is_drawn_over_what_it_is_a_function_of(name: str, size: float, over: str) -> None:
+    found = diagnosed(name, size)
+    effect = next(each for each in found.diagnosis.effects if each.name == name)
+    shown = drawn(left(found), effect, Wording("en", found.data.runs[0]))
+    assert shown is not None
+    assert shown.label == over
+    # the partial residual follows the prediction with a slope of one
+    slope = np.polyfit(shown.predicted, shown.partial, 1)[0]
+    assert slope == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_clock_is_asked_for_an_offset_that_a_reader_can_judge() -> None:
+    found = diagnosed()
+    effect = found.diagnosis.effects[0]
+    assert found.diagnosis.declared is not None
+    offset_s = implied_offset_s("temperature_time_offset", effect, found.diagnosis.declared)
+    assert offset_s is not None
+    # planted: 40 deg/h/(degC/s) over 0.012 deg/h/degC, the declared coefficient being known to about a tenth
+    assert offset_s == pytest.approx(SHUPE / 0.012, rel=0.5)
+    assert implied_offset_s("thermal_lag", effect, found.diagnosis.declared) is None
+
+
+def a_finding(**more: Any) -> FoundEffect:
+    coefficient = Coefficient("", 14.5, 13.2, 15.8, "deg/h/(degC/s)")
+    head = FoundEffect("temperature_rate", {}, (coefficient,), 13.4, 170.0, {"temperature": "cause"})
+    return msgspec.structs.replace(head, **more)
+
+
+def verdicts() -> Sequence[Diagnosis]:
+    confounded = diagnosed().diagnosis.effects[0].confounded
+    head: dict[str, Any] = {"units": ("FOG-1",), "signal": "rate", "runs": ("a", "b", "c")}
+    jump = msgspec.structs.replace(a_finding(), name="jump", parameters={"run": "a", "at_s": 60.0}, replicates=False)
+    return [
+        Diagnosis(verdict=Verdict.NOTHING_MISSING, declared_noise=NOISE, **head),
+        Diagnosis(verdict=Verdict.NOTHING_MISSING, **head),
+        Diagnosis(verdict=Verdict.EFFECT_FOUND, effects=(a_finding(),), **head),
+        Diagnosis(verdict=Verdict.EFFECT_FOUND, effects=(a_finding(), a_finding(name="warm_up")), **head),
+        Diagnosis(verdict=Verdict.CONFOUNDED, effects=(a_finding(confounded=confounded), jump), **head),
+        Diagnosis(
+            verdict=Verdict.CONFOUNDED, effects=(a_finding(confounded=confounded),), replication="within_run", **head
+        ),
+        Diagnosis(
+            verdict=Verdict.UNKNOWN_FUNCTION, effects=(a_finding(unknown_function_of=("temperature",)),), **head
+        ),
+        Diagnosis(verdict=Verdict.UNREPLICATED, effects=(a_finding(),), replication="within_run", **head),
+        Diagnosis(verdict=Verdict.UNREPLICATED, unreplicated=(a_finding(confirmed=False),), **head),
+        Diagnosis(verdict=Verdict.UNREPLICATED, unreplicated=(a_finding(largest_share=0.99),), **head),
+        Diagnosis(verdict=Verdict.UNREPLICATED, effects=(jump,), **head),
+        Diagnosis(verdict=Verdict.UNEXPLAINED, noise_excess=2.5, **head),
+        Diagnosis(verdict=Verdict.UNEXPLAINED, effects=(jump, jump), **head),
+        Diagnosis(verdict=Verdict.NOT_ENOUGH_DATA, missing=("9 blocks are there, 20 are needed",), **head),
+    ]  # fmt: skip
+
+
+def test_every_verdict_is_a_sentence_of_its_own_in_both_languages() -> None:
+    assert {each.verdict for each in verdicts()} == set(Verdict)
+    for language, stop in (("en", "."), ("zh", "。")):
+        told = [verdict_sentence(each, Wording(language)) for each in verdicts()]  # type: ignore[arg-type]
+        assert len(set(told)) == len(told)
+        for text in told:
+            assert text.endswith(stop)
+            assert text.count(stop + " ") == 0
+            assert not re.search(r"[{}]|None|nan|_", text), text
+            assert bool(re.search("[\u4e00-\u9fff]", text)) is (language == "zh")
+
+
+def test_a_sentence_names_what_was_found_its_alternatives_and_what_it_wins() -> None:
+    found = diagnosed()
+    text = verdict_sentence(found.diagnosis, Wording("en", found.data.runs[0]))
+    assert found.diagnosis.verdict is Verdict.CONFOUNDED
+    assert text.startswith("The declared model lacks an effect, and these data cannot tell which: temperature rate")
+    assert "or time offset of the temperature sensor" in text
+    assert "3 held-out runs confirm it" in text
+    assert re.search(r"RMS error over \d+ s there falls from", text)
+
+
+class Page(HTMLParser):
+    """Checks that tags close, and gathers pictures and links."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.pictures: list[str] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = dict(attrs)
+        assert tag not in ("script", "link", "iframe")
+        assert "href" not in values
+        if tag == "img":
+            self.pictures.append(values["src"] or "")
+        elif tag != "meta":
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+@pytest.mark.parametrize("language", ["en", "zh"])
+def test_the_report_needs_nothing_but_itself(language: Language) -> None:
+    page = Page()
+    page.feed(report_html(as_units(diagnosed()), language))
+    page.close()
+    assert page.open == []
+    assert len(page.pictures) == 4  # driver, runs, spectrum, Allan
+    for picture in page.pictures:
+        head, data = picture.split(",")
+        assert head == "data:image/png;base64"
+        assert base64.b64decode(data).startswith(b"\x89PNG")
+    text = "".join(page.text)
+    for words in ("a <remark>", "a limit", "as given", "scale_factor"):
+        assert words in text
+    wanted = {
+        "en": ("temperature rate (Shupe)", "What would tell", "absent above", "Limits of this verdict", "Allan"),
+        "zh": ("温度变化率（Shupe效应）", "可区分的测试", "不高于", "本判定的局限", "Allan"),
+    }
+    for words in wanted[language]:
+        assert words in text
+
+
+def test_of_several_units_those_without_a_finding_come_without_pictures() -> None:
+    quiet = diagnosed("temperature_rate", 0.0)
+    runs = tuple(replace(run, unit="FOG-<2>") for run in quiet.data.runs)
+    other = UnitDiagnosis(replace(quiet.data, runs=runs), quiet.diagnosis)
+    assert other.diagnosis.verdict is Verdict.NOTHING_MISSING
+    found = as_units(diagnosed(), other)
+    assert list(found.own_findings) == ["FOG-0231"]
+    page = Page()
+    page.feed(report_html(found, "en"))
+    assert len(page.pictures) == 4
+    assert "FOG-<2>" in "".join(page.text)
+
+
+def test_pictures_are_the_same_bytes_each_time(tmp_path: Path) -> None:
+    words = Wording("en", diagnosed().data.runs[0])
+    first = {path.name: path.read_bytes() for path in write_figures(diagnosed(), tmp_path / "a", words)}
+    again = {path.name: path.read_bytes() for path in write_figures(diagnosed(), tmp_path / "b", words)}
+    assert first == again
+    assert sorted(first) == [
+        "FOG-0231-allan.png", "FOG-0231-by-run-temperature_rate.png", "FOG-0231-residual-temperature_rate.png",
+        "FOG-0231-spectrum.png",
+    ]  # fmt: skip
+
+
+def test_chinese_pictures_are_drawn_with_the_fonts_that_are_there() -> None:
+    figures = figures_of(diagnosed(), Wording("zh", diagnosed().data.runs[0]))
+    assert all(isinstance(figure, Figure) for figure in figures.values())
+    texts = [text.get_text() for figure in figures.values() for text in figure.texts]
+    assert not any("\N{WHITE SQUARE}" in text for text in texts)
+
+
+def test_a_report_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="name another file"):
+        write_report(as_units(diagnosed()), tmp_path / "missing" / "r.html", "en")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadInput, match="folder for plots"):
+        write_figures(diagnosed(), tmp_path / "file", Wording("en"))
+
+
+def test_not_enough_data_is_a_report_too() -> None:
+    head = diagnosed()
+    short = Diagnosis(verdict=Verdict.NOT_ENOUGH_DATA, units=(head.unit,), signal="rate", missing=("9 blocks",))
+    text = report_html(as_units(UnitDiagnosis(head.data, short)), "en")
+    assert "Not enough data for a verdict: 9 blocks." in text
+    assert "<img" not in text
+
+
+def test_a_run_to_hold_out_stands_for_its_power_ons() -> None:
+    runs = [replace(run, run=name) for run, name in zip(diagnosed().data.runs, ("a#1", "a#2", "b"), strict=False)]
+    assert held_out_runs(["a"], runs) == ("a#1", "a#2")
+    assert held_out_runs(["a#2", "b"], runs) == ("a#2", "b")
+    assert held_out_runs(None, runs) is None
+    with pytest.raises(BadInput, match="run to hold out is not there: c; the runs are a#1, a#2, b"):
+        held_out_runs(["c"], runs)
