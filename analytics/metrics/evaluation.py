@@ -206,7 +206,8 @@ def _unit_fingerprints(steps: pa.Table, products: str, entered: Mapping[str, str
 def _written() -> str:
     """Hash of the metrics and views as they are written."""
     parts = []
-    for folder in (files("analytics.metrics"), files("analytics.metrics").joinpath("views")):
+    here = files("analytics.metrics")
+    for folder in (here, here.joinpath("views"), files("analytics.calibration")):
         parts += [each.read_bytes() for each in sorted(folder.iterdir(), key=lambda e: e.name) if each.is_file()]
     return hashlib.sha256(b"".join(parts)).hexdigest()
 

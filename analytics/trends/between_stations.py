@@ -185,8 +185,8 @@ def _independent(columns: FloatArray) -> list[int]:
 def _is_estimable(group: _Group, others: list[_Group]) -> bool:
     ones = np.ones((group.code.size, 1))
     columns = np.column_stack([ones, *(each.columns for each in others), group.columns])
-    first = columns.shape[1] - group.columns.shape[1]
-    return len([at for at in _independent(columns) if at >= first]) == columns.shape[1] - first
+    first = int(columns.shape[1] - group.columns.shape[1])
+    return [at for at in _independent(columns) if at >= first] == list(range(first, columns.shape[1]))
 
 
 def _confounded(group: _Group, groups: list[_Group]) -> tuple[str, ...]:
