@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
@@ -52,7 +53,8 @@ def plot_trend(trend: Trend, path: Path) -> None:
         _name_axis(axes[-1], trend.series, is_chinese=is_chinese)
     _write_title(figure, trend, len(order) - len(shown), is_chinese=is_chinese)
     set_fonts(figure)
-    write_figure(figure, path)
+    with rc_context({"svg.hashsalt": "gyrofleet"}):  # else the names in an SVG differ from time to time
+        write_figure(figure, path)
 
 
 def _write_title(figure: Figure, trend: Trend, more: int, *, is_chinese: bool) -> None:

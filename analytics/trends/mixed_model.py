@@ -17,7 +17,6 @@ from stream.batch import FloatArray, IntArray
 
 _CONFIDENCE = 0.95
 _STEP = 1e-3
-_ROUGH = 1e-3
 # of the logarithm of a variance ratio: beyond it the component is as good as none
 _LEAST, _MOST = -16.0, 16.0
 
@@ -177,9 +176,7 @@ class MixedModel:
         )[0]
         return np.clip(found, start + _LEAST, start + _MOST)
 
-    def _least(
-        self, start: FloatArray, fixed: tuple[int, float] | None = None, within: float = 1e-7
-    ) -> tuple[FloatArray, float]:
+    def _least(self, start: FloatArray, fixed: tuple[int, float] | None = None) -> tuple[FloatArray, float]:
         """The best point from a start, with one of the logarithms held where it is given."""
         free = [index for index in range(start.size) if fixed is None or index != fixed[0]]
         whole = start.copy()
@@ -192,8 +189,11 @@ class MixedModel:
             at[free] = np.clip(part, low, high)
             return self._deviance(at)
 
-        options = {"xatol": within, "fatol": within, "maxiter": 2000}
-        best = minimize(deviance, whole[free], method="Nelder-Mead", options=options)
+        if fixed is None:
+            options = {"xatol": 1e-7, "fatol": 1e-7, "maxiter": 2000}
+            best = minimize(deviance, whole[free], method="Nelder-Mead", options=options)
+        else:
+            best = minimize(deviance, whole[free], method="L-BFGS-B", bounds=[(low, high)] * len(free))
         whole[free] = np.clip(best.x, low, high)
         return whole, float(best.fun)
 
@@ -229,7 +229,7 @@ class MixedModel:
         def above(log: float) -> float:
             if at.size == 1:
                 return self._deviance(np.array([log])) - least - rise
-            return self._least(at, (index, log), _ROUGH)[1] - least - rise
+            return self._least(at, (index, log))[1] - least - rise
 
         lo = _crossing(above, float(at[index]), -1.0, _LEAST)
         hi = _crossing(above, float(at[index]), 1.0, _MOST)
@@ -262,7 +262,7 @@ def _crossing(above: Callable[[float], float], start: float, step: float, most: 
     while abs(inside - start) < abs(most):
         outside = inside + step
         if above(outside) > 0:
-            return float(brentq(above, min(inside, outside), max(inside, outside), xtol=1e-3))
+            return float(brentq(above, min(inside, outside), max(inside, outside), xtol=3e-3))
         inside, step = outside, step * 1.5
     return None
 

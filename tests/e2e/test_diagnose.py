@@ -28,29 +28,29 @@ def store(tmp_path_factory: pytest.TempPathFactory, command_line: Callable[..., 
     folder = tmp_path_factory.mktemp("diagnose")
     rng = np.random.default_rng(1980)
     for unit, shupe in (("FOG-1", 0.0), ("FOG-2", SHUPE)):
-        for run in range(9):
-            write_run(folder / f"{unit}-{run}.csv", unit, run, shupe, rng)
-        files = sorted(folder.glob(f"{unit}-*.csv"))
-        subprocess.run(command_line("import", *files, "--store", folder / "store"), check=True)
+        pl.concat(one_run(unit, run, shupe, rng) for run in range(9)).write_parquet(folder / f"{unit}.parquet")
+    files = sorted(folder.glob("*.parquet"))
+    subprocess.run(command_line("import", *files, "--store", folder / "store"), check=True)
     return folder / "store"
 
 
-def write_run(path: Path, unit: str, run: int, shupe: float, rng: np.random.Generator) -> None:
+def one_run(unit: str, run: int, shupe: float, rng: np.random.Generator) -> pl.DataFrame:
     time_s = np.arange(3600.0)
     temperature = 25 + 15 * np.sin(2 * np.pi * time_s / (1200 + 200 * run)) * (run % 3 != 1)
     rate = np.where(run % 3 == 1, 10.0 * np.sign(np.sin(2 * np.pi * (time_s + 1) / 1200)), 0.0)
     slow = np.cumsum(rng.standard_normal(3600)) * 0.01 / 60
     error = 0.3 + 0.1 * rng.standard_normal() + 0.02 * (temperature - 25) + shupe * np.gradient(temperature) + slow
     noise = 0.01 * 60 * rng.standard_normal(3600)
-    columns = {
-        "time[s]": time_s,
-        "unit": [unit] * 3600,
-        "run": [f"r{run}"] * 3600,
-        "rate[deg/h]": 3600.2 * rate + error + noise,
-        "input_rate[deg/s]": rate,
-        "temperature[degC]": temperature + 0.01 * rng.standard_normal(3600),
-    }
-    pl.DataFrame(columns).write_csv(path)
+    return pl.DataFrame(
+        {
+            "time[s]": time_s,
+            "unit": [unit] * 3600,
+            "run": [f"r{run}"] * 3600,
+            "rate[deg/h]": 3600.2 * rate + error + noise,
+            "input_rate[deg/s]": rate,
+            "temperature[degC]": temperature + 0.01 * rng.standard_normal(3600),
+        }
+    )
 
 
 def ask(store: Path, *more: object, unit: str = "FOG-2", model: str = MODEL) -> tuple[object, ...]:

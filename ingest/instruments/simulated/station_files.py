@@ -128,7 +128,7 @@ max_rate_deg_per_s = 400.0
 [instruments.vibration]
 kind = "vibration_table"
 resource = "{resource["vibration"]}"
-sample_interval_s = 5.0
+sample_interval_s = 2.0
 max_amplitude_deg_per_s = 200.0
 
 [instruments.supply]
