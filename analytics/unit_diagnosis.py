@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 from scipy import stats
 
-from analytics.block_checks import Note
+from analytics.block_checks import Note, in_runs
 from analytics.block_reduction import BLOCK_S, BlockReducer
 from analytics.declared_noise import declared_noise
+from analytics.effects.registry import effect
 from analytics.error_model import ErrorModel
 from analytics.run_blocks import RunBlocks
 from analytics.tracing.diagnosis import diagnose
@@ -183,8 +184,10 @@ def diagnose_units(
         told(f"reading {unit}")
         try:
             found = reducer.reduce(unit)
-            models[unit] = _model(question, found.runs)
-            reduced[unit] = ReducedUnit(found.runs, found.notes, *_noise(catalog, found.runs, models[unit], question))
+            runs, left_out = _with_channels_of(question, found.runs)
+            models[unit] = _model(question, runs)
+            notes = (*left_out, *found.notes)
+            reduced[unit] = ReducedUnit(runs, notes, *_noise(catalog, runs, models[unit], question))
         except GyrofleetError as error:
             if len(units) == 1:
                 raise
@@ -213,6 +216,19 @@ def _pooled(
     )
     done = {unit: UnitDiagnosis(data, fleet.units[unit]) for unit, data in reduced.items()}
     return UnitsDiagnosis(done, failed, fleet.own_findings, fleet)
+
+
+def _with_channels_of(question: Question, runs: Sequence[RunBlocks]) -> tuple[tuple[RunBlocks, ...], tuple[Note, ...]]:
+    """Runs that have the channels that the model needs, and a note on the others; all where none has them."""
+    known = set[str]().union(*(run.channels for run in runs))
+    needed = {channel for name in ErrorModel.parse(question.model, known).effects for channel in effect(name).needs}
+    kept = tuple(run for run in runs if needed <= set(run.channels))
+    others = [run.run for run in runs if not needed <= set(run.channels)]
+    if not kept or not others:
+        return tuple(runs), ()
+    lacking = sorted(channel for channel in needed if any(channel not in run.channels for run in runs))
+    text = f"{in_runs(others, len(runs))} {', '.join(lacking)} is missing, which the model needs: left out"
+    return kept, (Note("without_channel", text, lacking[0], tuple(others)),)
 
 
 def _model(question: Question, runs: Sequence[RunBlocks]) -> ErrorModel:
