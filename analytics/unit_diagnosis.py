@@ -186,7 +186,8 @@ def diagnose_units(
             found = reducer.reduce(unit)
             runs, left_out = _with_channels_of(question, found.runs)
             models[unit] = _model(question, runs)
-            notes = (*left_out, *found.notes)
+            gone = {run for note in left_out for run in note.runs}
+            notes = (*left_out, *(each for each in found.notes if not (each.runs and gone.issuperset(each.runs))))
             reduced[unit] = ReducedUnit(runs, notes, *_noise(catalog, runs, models[unit], question))
         except GyrofleetError as error:
             if len(units) == 1:

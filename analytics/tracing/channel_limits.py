@@ -10,6 +10,8 @@ from stream.batch import FloatArray
 
 COPY = 1 - 1e-9
 """Correlation above which a channel is a copy of another, perhaps in another unit."""
+ONE_FROM_THE_OTHER = frozenset({frozenset({"input_rate", "table_rate"}), frozenset({"day", "time_since_power_on"})})
+"""Pairs of which one is taken from the other where it is not recorded; the reduction says so."""
 
 
 def channel_limits(record: Record) -> tuple[str, ...]:
@@ -51,5 +53,7 @@ def _copies(values: dict[str, FloatArray]) -> list[tuple[str, str]]:
         return []
     correlation = np.abs(np.corrcoef(np.array(list(values.values()))))
     return [
-        (first, second) for (i, first), (j, second) in combinations(enumerate(values), 2) if correlation[i, j] > COPY
+        (first, second)
+        for (i, first), (j, second) in combinations(enumerate(values), 2)
+        if correlation[i, j] > COPY and frozenset({first, second}) not in ONE_FROM_THE_OTHER
     ]
