@@ -10,9 +10,11 @@ import click
 
 from analytics.allan_cli import allan
 from analytics.cli import demo
+from analytics.compensate_cli import compensate
 from analytics.diagnose_cli import diagnose
 from analytics.limits_cli import limits
 from analytics.metrics_cli import metrics
+from analytics.model_cli import model
 from analytics.spectrum_cli import spectrum
 from analytics.trend_cli import trend
 from analytics.verdicts_cli import verdicts
@@ -61,6 +63,8 @@ for command in (
     limits,
     verdicts,
     diagnose,
+    model,
+    compensate,
 ):
     main.add_command(command)
 

@@ -1,5 +1,6 @@
 """The command `gyrofleet diagnose`: what a declared error model lacks, with what certainty, and what it would win."""
 
+import getpass
 import re
 import sys
 from pathlib import Path
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from analytics.report.wording import Language
     from analytics.tracing.result import NoiseCoefficients
     from analytics.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
+    from storage.catalog import Catalog
 
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _NOISE_TERMS = ("N", "B", "K", "turn_on")
@@ -48,6 +50,7 @@ _NOISE_TERMS = ("N", "B", "K", "turn_on")
 @click.option("--since", help="Only samples from then on: 2026-11-21, or with time and zone.")
 @click.option("--report", "report_path", type=click.Path(path_type=Path), help="Write a report: FILE.html.")
 @click.option("--plot", "plot_folder", type=click.Path(path_type=Path), help="Write the pictures to this folder, PNG.")
+@click.option("--save", is_flag=True, help="Keep the model found as a version that `gyrofleet model promote` can use.")
 @language_option
 @reporting
 def diagnose(
@@ -65,6 +68,7 @@ def diagnose(
     language: "Language",
     *,
     fleet: bool,
+    save: bool,
     as_json: bool,
 ) -> None:
     """Find what a declared error model lacks, or say that nothing is missing, or that the data cannot tell.
@@ -98,10 +102,12 @@ def diagnose(
         chosen = list(dict.fromkeys(units)) or units_with(catalog, question.signal_name)
         with notes().status("starting") as status:
             found = diagnose_units(catalog, chosen, question, is_pooled=fleet, told=status.update)
+        saved = _saved(catalog, folder, found) if save else None
     is_one = len(chosen) == 1 and not fleet
     _write(found, report_path, plot_folder, language)
     if as_json:
-        print_json(next(iter(found.units.values())).document() if is_one else found.document())
+        document = next(iter(found.units.values())).document() if is_one else found.document()
+        print_json(document if saved is None else document | {"saved": saved})
     elif is_one:
         _tell_unit(next(iter(found.units.values())), language)
     else:
@@ -186,6 +192,27 @@ def holdout_of(text: str) -> tuple[str, ...] | None:
     if not text.startswith("runs=") or not names:
         raise BadInput(f"--holdout {text}: give last-third, none, or runs=A,B with the names of runs")
     return names
+
+
+def _saved(catalog: "Catalog", folder: Path, found: "UnitsDiagnosis") -> dict[str, dict[str, object]]:
+    """Write down the models found, as versions that nobody uses yet; number and hash by unit."""
+    from analytics.model_promotion import version_of
+    from analytics.model_registry import ModelRegistry
+    from analytics.model_use import InUse, read_uses
+    from storage.store import Store
+
+    store = Store.open(folder)
+    registry, uses = ModelRegistry(store), read_uses(store)
+    saved: dict[str, dict[str, object]] = {}
+    for unit, each in found.units.items():
+        if each.diagnosis.model is None:
+            notes().print(f"{unit}: not enough data, there is no model to save", markup=False)
+            continue
+        use = uses.get((unit, each.diagnosis.signal), InUse())
+        written = registry.add(version_of(catalog, each, use, by=getpass.getuser(), note="gyrofleet diagnose --save"))
+        saved[unit] = {"version": written.version, "hash": written.hash}
+        notes().print(f"{unit}: version {written.version} of its error model: {written.text}", markup=False)
+    return saved
 
 
 def _write(found: "UnitsDiagnosis", report_path: Path | None, plot_folder: Path | None, language: "Language") -> None:

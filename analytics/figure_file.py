@@ -4,6 +4,7 @@ import io
 import math
 from pathlib import Path
 
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -38,7 +39,8 @@ def write_figure(figure: Figure, path: Path) -> None:
     """
     image = io.BytesIO()
     kind = path.suffix.lower()[1:]
-    figure.savefig(image, format=kind, dpi=200, metadata={"Date": None} if kind == "svg" else None)
+    with rc_context({"svg.hashsalt": "gyrofleet"}):  # else the names in an SVG differ from time to time
+        figure.savefig(image, format=kind, dpi=200, metadata={"Date": None} if kind == "svg" else None)
     try:
         path.write_bytes(image.getvalue())
     except OSError as error:

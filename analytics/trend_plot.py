@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
@@ -53,8 +52,7 @@ def plot_trend(trend: Trend, path: Path) -> None:
         _name_axis(axes[-1], trend.series, is_chinese=is_chinese)
     _write_title(figure, trend, len(order) - len(shown), is_chinese=is_chinese)
     set_fonts(figure)
-    with rc_context({"svg.hashsalt": "gyrofleet"}):  # else the names in an SVG differ from time to time
-        write_figure(figure, path)
+    write_figure(figure, path)
 
 
 def _write_title(figure: Figure, trend: Trend, more: int, *, is_chinese: bool) -> None:
@@ -101,7 +99,7 @@ def _draw_chart(axes: Axes, chart: Chart, specification: Limits) -> None:
     rest = np.array([each in levels[len(_COLOURS) :] for each in groups])
     axes.plot(t[rest], series.value[rest], "o", ms=3, color=SOFT, zorder=3)
     if len(levels) > 1:
-        axes.legend(fontsize=7, loc="upper left", ncols=3, frameon=False)
+        axes.legend(fontsize=7, loc="lower right", bbox_to_anchor=(1, 0.99), ncols=6, frameon=False)
     if isinstance(chart.limits, IndividualsChart):
         _draw_limits(axes, chart, chart.limits, t)
     if isinstance(chart.changes, Changes) and chart.changes.points:

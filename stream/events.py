@@ -268,11 +268,55 @@ class VerdictGiven(Document, frozen=True, kw_only=True, tag=True):
 
 
 class ModelActivated(Document, frozen=True, kw_only=True, tag=True):
-    """A version of a unit's error model is put to use."""
+    """A version of the error model of a unit's signal is put to use, or taken out of it.
+
+    `model` is the hash of the version. `stage` is ``live``, ``shadow`` (only watched) or ``off``. `run` is empty.
+    """
 
     unit: str
     model: str
     version: int
+    signal: str = "rate"
+    stage: str = "live"
+    reason: str = ""
+    by: str = ""
+
+
+class CompensationStarted(Document, frozen=True, kw_only=True, tag=True):
+    """A signal of one power-on is compensated by a version of its error model, from its first sample to its last.
+
+    The samples of `compensated` in `compensated_epoch` have the numbers of those of `signal` in `epoch`.
+    """
+
+    unit: str
+    signal: str
+    epoch: str
+    model: str
+    version: int
+    compensated: str
+    compensated_epoch: str
+
+
+class ResidualWatched(Document, frozen=True, kw_only=True, tag=True):
+    """What a stretch of a run says of a version of an error model, against the model that it took the place of.
+
+    `gain` is the whitened log-likelihood of the version less that of the other, or None for a `reason`; `cusum` the sum
+    of what is lost, not below 0, over the stretches since the document `activation` put it to use. Beyond `threshold`
+    the version is refused (`is_refused`), and what is in the residual has to be traced anew.
+    """
+
+    unit: str
+    signal: str
+    model: str
+    version: int
+    activation: str
+    stretch: str
+    blocks: int
+    gain: float | None
+    cusum: float
+    threshold: float
+    is_refused: bool = False
+    reason: str | None = None
 
 
 class RunResumed(Document, frozen=True, kw_only=True, tag=True):
@@ -325,6 +369,8 @@ AnyDocument = (
     | EarlyDecision
     | VerdictGiven
     | ModelActivated
+    | CompensationStarted
+    | ResidualWatched
     | RunResumed
     | StoreNoted
     | RunEnded

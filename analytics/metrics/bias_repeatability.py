@@ -71,7 +71,8 @@ def _value(found: Scatter, kind: str, *, is_dated: bool) -> dict[str, Any]:
     """Value with its limits, or the reason why there is none."""
     if found.values < 2:
         return {"reason": f"1 power-on measured, at least 2 are needed, {LEAST_GJB} by GJB 2426A"}
-    if kind in {"day_to_day", "between_day_component"} and not is_dated:
+    of_days = kind in {"day_to_day", "between_day_component"} or (kind != "all" and not found.within_freedom)
+    if of_days and not is_dated:
         return {"reason": "the date is unknown, so the day is: import with the moment of the start"}
     if kind == "all":
         return deviation(found.square, found.values - 1)._asdict()

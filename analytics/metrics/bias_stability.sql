@@ -9,10 +9,11 @@
 -- limits:    chi_square
 -- equation:  Bs = sqrt(sum((F_i - mean(F))^2)/(n - 1))/K
 -- Of the raw samples, so it rises with the sample rate; over averages it is bias_stability_averaged. Not bias
--- instability, which is the floor of the Allan deviation. The samples correlate: the freedom is less than n - 1.
+-- instability, which is the floor of the Allan deviation. The samples correlate: the freedom is less than n - 1. An
+-- output that stands still is no perfect one: 0 would pass every limit.
 select
   unit, signal, run,
-  case when lack is null then sd * abs(deg_per_h) end as value,
+  case when lack is null then nullif(sd * abs(deg_per_h), 0) end as value,
   null::double as standard_uncertainty,
   sd_freedom as freedom,
   n,
@@ -22,5 +23,8 @@ select
   } as parameters,
   [run] as runs,
   ["index"] as steps,
-  coalesce(lack, case when sd is null then 'one sample in the step: a standard deviation needs two' end) as reason
+  coalesce(lack, case
+    when sd is null then 'one sample in the step: a standard deviation needs two'
+    when sd = 0 then 'all ' || n || ' samples are alike: the output is frozen, or its resolution too coarse to show noise'
+  end) as reason
 from bias_steps

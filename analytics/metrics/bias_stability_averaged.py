@@ -34,14 +34,18 @@ average as (
     on own.run = step.run and own.unit = step.unit and own.signal = step.signal and own."index" = step."index"
 )
 select unit, signal, run,
-  case when lack is null then sd_of * abs(deg_per_h) end as value,
+  case when lack is null then nullif(sd_of * abs(deg_per_h), 0) end as value,
   freedom_of as freedom,
   coalesce(averages, 0) as n,
   to_json({average_s: average_s, position: position, repeat: repeat, scale_factor: scale_source})::varchar
     as parameters,
   [run] as runs, ["index"] as steps,
-  coalesce(lack, case when sd_of is null then coalesce(averages, 0) || ' averages of '
-    || replace(average_s::varchar, '.0', '') || ' s in the record, at least 2 are needed' end) as reason
+  coalesce(lack, case
+    when sd_of is null then coalesce(averages, 0) || ' averages of ' || replace(average_s::varchar, '.0', '')
+      || ' s in the record, at least 2 are needed'
+    when sd_of = 0 then 'all ' || n || ' samples are alike: the output is frozen, or its resolution too coarse to '
+      || 'show noise'
+  end) as reason
 from average
 order by unit, signal, run, "index", average_s
 """

@@ -1,18 +1,21 @@
 """Every metric of every unit: computed from the step records, kept, and brought up to date for units that changed."""
 
 import hashlib
+import json
 import os
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from analytics.metrics.header import Limits
+from analytics.metrics.largest_magnitude import json_text
 from analytics.metrics.limits_of_value import chi_square_limits, deviation_uncertainty, t_limits
 from analytics.metrics.product_files import products_of
 from analytics.metrics.registry import Metric, metrics
@@ -22,9 +25,12 @@ from storage.catalog import Catalog
 from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
+_NO_JSON = "NaN|Infinity"
 _FILE = "unit_metrics.parquet"
 # evaluated before the others, which use the tables that it leaves
 _FIRST = "scale_factor"
+_TOO_LITTLE = "the steps hold too little to compute it"
+_UNDEFINED = "what it is divided by is 0, as where the output does not answer to the input, or a number is too large"
 
 COLUMNS = pa.schema(
     [
@@ -47,6 +53,19 @@ COLUMNS = pa.schema(
         ("reason", pa.string()),
     ]
 )
+# One order of all rows, so that what was kept and what is computed anew make the same table.
+_SORTED = """
+select * from unit_metrics
+order by metric, unit, signal nulls first, run nulls first, parameters nulls first, standard, clause, steps, runs,
+  reason
+"""
+_NO_SCALES = pa.schema(
+    [*((name, pa.string()) for name in ("unit", "signal", "run")), ("value", pa.float64()), ("t_to_ns", pa.int64())]
+).empty_table()
+# In the kept file's own words: what each unit's rows were computed from.
+_PRINTS = b"gyrofleet.units"
+# What values depend on as it is written, besides the numbers.
+_PACKAGES = ("analytics.metrics", "analytics.metrics.views", "analytics.calibration")
 
 
 def unit_metrics(catalog: Catalog, told: Told | None = None) -> pa.Table:
@@ -70,30 +89,25 @@ def unit_metrics(catalog: Catalog, told: Told | None = None) -> pa.Table:
     steps = step_means(catalog, told)
     products = products_of(catalog.store)
     prints = _unit_fingerprints(steps, products.fingerprint, _entered(catalog))
-    kept = _kept(catalog)
-    fresh: set[str] = set()
-    if kept is not None:
-        known = dict(zip(kept["unit"].to_pylist(), kept["fingerprint"].to_pylist(), strict=True))
-        fresh = {unit for unit, mark in known.items() if prints.get(unit) == mark}
-    stale = sorted(set(prints) - fresh)
+    table, known = _kept(catalog)
+    fresh = {unit for unit, mark in known.items() if prints.get(unit) == mark}
+    stale = sorted(prints.keys() - fresh)
     define_views(catalog, steps, products.scales)
-    tables = [] if kept is None else [kept.filter(pa.compute.is_in(kept["unit"], pa.array(sorted(fresh), pa.string())))]
+    if len(fresh) < len(known):
+        table = _of_units(table, fresh)
     if stale:
-        changed = steps.filter(pa.compute.is_in(steps["unit"], pa.array(stale, pa.string())))
-        catalog.put("step_means", changed)
-        found = evaluate(catalog, metrics().values())
+        if fresh:
+            catalog.put("step_means", _of_units(steps, stale))
         # a metric may also look at documents, which are those of all units
-        found = found.filter(pa.compute.is_in(found["unit"], pa.array(stale, pa.string())))
-        marks = pa.array([prints[unit] for unit in found["unit"].to_pylist()], pa.string())
-        tables.append(found.append_column("fingerprint", marks))
-        catalog.put("step_means", steps)
-    order = [(name, "ascending") for name in ("metric", "unit", "signal", "run", "parameters", "standard")]
-    empty = COLUMNS.append(pa.field("fingerprint", pa.string())).empty_table()
-    table = pa.concat_tables([*tables, empty]).sort_by(order).combine_chunks()
-    if stale or kept is None or len(fresh) != len(set(kept["unit"].to_pylist())):
-        _keep(catalog, table)
-    keep_scale_fits(catalog)
-    table = table.drop_columns(["fingerprint"])
+        found = _of_units(evaluate(catalog, metrics().values()), stale)
+        catalog.put("unit_metrics", pa.concat_tables([table, found]))
+        table = catalog.reader(_SORTED).read_all().cast(COLUMNS)
+        if fresh:
+            catalog.put("step_means", steps)
+    if stale or len(fresh) < len(known):
+        _keep(catalog, table, prints)
+    if fresh:  # else the last evaluation has left them
+        keep_scale_fits(catalog)
     catalog.put("unit_metrics", table)
     return table
 
@@ -103,9 +117,7 @@ def define_views(catalog: Catalog, steps: pa.Table, product_scales: pa.Table) ->
     catalog.put("step_means", steps)
     catalog.put("product_scales", product_scales)
     catalog.put("rate_units", _rate_units(steps))
-    empty = {name: pa.array([], pa.string()) for name in ("unit", "signal", "run")}
-    none = pa.table(empty | {"value": pa.array([], pa.float64()), "t_to_ns": pa.array([], pa.int64())})
-    catalog.put("scale_factors", none)
+    catalog.put("scale_factors", _NO_SCALES)
     folder = files("analytics.metrics").joinpath("views")
     for script in sorted(folder.iterdir(), key=lambda each: each.name):
         if script.name.endswith(".sql"):
@@ -126,44 +138,67 @@ def evaluate(catalog: Catalog, chosen: Iterable[Metric]) -> pa.Table:
 
 
 def _values(catalog: Catalog, metric: Metric) -> pa.Table:
-    if metric.sql is not None:
-        body = f"select * replace (to_json(parameters)::varchar as parameters) from ({metric.sql})"  # noqa: S608
-        rows: list[dict[str, Any]] = catalog.reader(body).read_all().to_pylist()
-    else:
-        assert metric.compute is not None
-        rows = [dict(row) for row in metric.compute(catalog)]
     header = metric.header
-    columns: dict[str, list[Any]] = {name: [row.get(name) for row in rows] for name in COLUMNS.names}
-    columns["metric"] = [header.id] * len(rows)
-    columns["unit_of_measure"] = [row.get("unit_of_measure") or header.unit for row in rows]
-    columns["standard"] = [row.get("standard") or header.standard for row in rows]
-    columns["clause"] = [row.get("clause") or header.clause for row in rows]
+    found = _found(catalog, metric)
+    n = found.num_rows
+    columns = {
+        field.name: found[field.name].combine_chunks().cast(field.type)
+        if field.name in found.column_names
+        else pa.nulls(n, field.type)
+        for field in COLUMNS
+    }
+    columns["metric"] = pa.repeat(header.id, n)
+    for name, usual in (("unit_of_measure", header.unit), ("standard", header.standard), ("clause", header.clause)):
+        columns[name] = columns[name].fill_null(usual)
+    _make_readable(columns)
     _add_limits(columns, header.limits)
     return pa.table(columns, schema=COLUMNS)
 
 
-def _add_limits(columns: dict[str, list[Any]], limits: Limits) -> None:
+def _found(catalog: Catalog, metric: Metric) -> pa.Table:
+    """What a metric's statement or function gives, as it gives it."""
+    if metric.sql is not None:
+        body = f"select * replace (to_json(parameters)::varchar as parameters) from ({metric.sql})"  # noqa: S608
+        return catalog.reader(body).read_all()
+    assert metric.compute is not None
+    rows = metric.compute(catalog)
+    return rows if isinstance(rows, pa.Table) else pa.Table.from_pylist([dict(row) for row in rows], schema=COLUMNS)
+
+
+def _make_readable(columns: dict[str, pa.Array]) -> None:
+    """Take numbers from the parameters that JSON cannot write, which would make every question about them fail."""
+    parameters = columns["parameters"]
+    unreadable = pc.fill_null(pc.match_substring_regex(parameters, _NO_JSON), False)
+    if pc.any(unreadable).as_py():
+        mended = [
+            json_text(json.loads(text, parse_constant=lambda _: None))
+            for text in parameters.filter(unreadable).to_pylist()
+        ]
+        columns["parameters"] = pc.replace_with_mask(parameters, unreadable, pa.array(mended, pa.string()))
+
+
+def _add_limits(columns: dict[str, pa.Array], limits: Limits) -> None:
     """Fill in `lo` and `hi`, and the uncertainty of deviations; nothing where there is no value."""
-    value, u, freedom = (
-        np.array([np.nan if each is None else each for each in columns[name]], np.float64)
-        for name in ("value", "standard_uncertainty", "freedom")
+    value, u, freedom, lo, hi = (
+        columns[name].to_numpy(zero_copy_only=False)
+        for name in ("value", "standard_uncertainty", "freedom", "lo", "hi")
     )
-    missing = np.isnan(value)
-    for at in np.flatnonzero(missing & np.array([reason is None for reason in columns["reason"]], bool)):
-        columns["reason"][at] = "the steps hold too little to compute it"
-    columns["value"] = [None if gone else each for gone, each in zip(missing, columns["value"], strict=True)]
+    missing = ~np.isfinite(value)
+    why = pc.if_else(columns["value"].is_null(), _TOO_LITTLE, _UNDEFINED)
+    columns["reason"] = pc.if_else(pc.and_(pa.array(missing), columns["reason"].is_null()), why, columns["reason"])
+    value = np.where(missing, np.nan, value)
     if limits is Limits.T:
         lo, hi = t_limits(value, u, np.nan_to_num(freedom, nan=1e9))
     elif limits is Limits.CHI_SQUARE:
         lo, hi = chi_square_limits(value, np.nan_to_num(freedom, nan=1.0))
         u = np.where(np.isnan(u), deviation_uncertainty(value, np.nan_to_num(freedom, nan=1.0)), u)
-    else:
-        lo, hi = (
-            np.array([np.nan if each is None else each for each in columns[name]], np.float64) for name in ("lo", "hi")
-        )
-    for name, array in (("lo", lo), ("hi", hi), ("standard_uncertainty", u)):
-        gone = missing | np.isnan(array)
-        columns[name] = [None if absent else float(each) for absent, each in zip(gone, array, strict=True)]
+    for name, array in (("value", value), ("lo", lo), ("hi", hi), ("standard_uncertainty", u)):
+        columns[name] = pa.array(array, pa.float64(), mask=missing | ~np.isfinite(array))
+    columns["freedom"] = pa.array(freedom, pa.float64(), mask=~np.isfinite(freedom))
+
+
+def _of_units(table: pa.Table, units: Collection[str]) -> pa.Table:
+    return table.filter(pc.is_in(table["unit"], pa.array(sorted(units), pa.string())))
 
 
 def _rate_units(steps: pa.Table) -> pa.Table:
@@ -194,7 +229,8 @@ def _unit_fingerprints(steps: pa.Table, products: str, entered: Mapping[str, str
     runs: defaultdict[str, set[str]] = defaultdict(set)
     for unit, mark in entered.items():
         runs[unit].add(mark)
-    for unit, mark in zip(steps["unit"].to_pylist(), steps["fingerprint"].to_pylist(), strict=True):
+    pairs = steps.select(["unit", "fingerprint"]).group_by(["unit", "fingerprint"]).aggregate([])
+    for unit, mark in zip(pairs["unit"].to_pylist(), pairs["fingerprint"].to_pylist(), strict=True):
         runs[unit].add(mark)
     written = _written()
     return {
@@ -204,28 +240,32 @@ def _unit_fingerprints(steps: pa.Table, products: str, entered: Mapping[str, str
 
 
 def _written() -> str:
-    """Hash of the metrics and views as they are written."""
-    parts = []
-    here = files("analytics.metrics")
-    for folder in (here, here.joinpath("views"), files("analytics.calibration")):
-        parts += [each.read_bytes() for each in sorted(folder.iterdir(), key=lambda e: e.name) if each.is_file()]
-    return hashlib.sha256(b"".join(parts)).hexdigest()
+    """Hash of the metrics, and of what they stand on, as they are written."""
+    found = hashlib.sha256()
+    for package in _PACKAGES:
+        for each in sorted(files(package).iterdir(), key=lambda e: e.name):
+            if each.is_file():
+                found.update(each.read_bytes())
+    return found.hexdigest()
 
 
-def _kept(catalog: Catalog) -> pa.Table | None:
-    try:
-        return pq.read_table(catalog.store.folder / FOLDER / _FILE)
-    except (OSError, pa.ArrowException):  # it is derived: what is missing or damaged is made anew
-        return None
+def _kept(catalog: Catalog) -> tuple[pa.Table, dict[str, str]]:
+    """What was kept, and for each unit what it was computed from."""
+    # it is derived: what is missing, damaged or of another version is made anew
+    with suppress(OSError, pa.ArrowException, ValueError, KeyError, TypeError):
+        table = pq.read_table(catalog.store.folder / FOLDER / _FILE)
+        known = dict(json.loads(table.schema.metadata[_PRINTS]))
+        return table.replace_schema_metadata(None).cast(COLUMNS), known
+    return COLUMNS.empty_table(), {}
 
 
-def _keep(catalog: Catalog, table: pa.Table) -> None:
+def _keep(catalog: Catalog, table: pa.Table, prints: Mapping[str, str]) -> None:
     folder = catalog.store.folder / FOLDER
     with suppress(OSError):
         folder.mkdir(exist_ok=True)
         fresh = folder / f"{_FILE}.{os.getpid()}.part"
         try:
-            pq.write_table(table, fresh, compression="zstd")
+            pq.write_table(table.replace_schema_metadata({_PRINTS: json.dumps(prints)}), fresh, compression="zstd")
             fresh.replace(folder / _FILE)
         finally:
             fresh.unlink(missing_ok=True)
@@ -233,7 +273,5 @@ def _keep(catalog: Catalog, table: pa.Table) -> None:
 
 def row_of(row: Mapping[str, Any]) -> dict[str, Any]:
     """A value as `gyrofleet metrics --json` tells it."""
-    import json
-
     told = {name: row[name] for name in COLUMNS.names if name != "freedom"}
     return told | {"parameters": json.loads(row["parameters"] or "{}")}

@@ -20,7 +20,7 @@ with halved as (
 select
   unit, signal, run,
   case when lack is null then arcmin end as value,
-  greatest(0, arcmin - half) as lo,
+  case when half is not null then greatest(0, arcmin - half) end as lo,
   arcmin + half as hi,
   u_arcmin as standard_uncertainty,
   freedom,

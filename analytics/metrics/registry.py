@@ -7,10 +7,12 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
+import pyarrow as pa
+
 from analytics.metrics.header import MetricError, MetricHeader, parse_header
 from storage.catalog import Catalog
 
-Compute = Callable[[Catalog], Iterable[Mapping[str, Any]]]
+Compute = Callable[[Catalog], pa.Table | Iterable[Mapping[str, Any]]]
 
 
 class Metric(NamedTuple):

@@ -22,7 +22,7 @@ with sides as (
 select
   unit, signal, run,
   case when lack is null then size end as value,
-  greatest(0, size - wide * u_size) as lo,
+  case when u_size is not null then greatest(0, size - wide * u_size) end as lo,
   size + wide * u_size as hi,
   u_size as standard_uncertainty,
   difference.freedom as freedom,

@@ -27,7 +27,7 @@ with scaled as (
 select
   unit, signal, run,
   case when lack is null then worst.size end as value,
-  list_max([greatest(0, d.size - wide * d.u) for d in deviations]) as lo,
+  case when worst.u is not null then list_max([greatest(0, d.size - wide * d.u) for d in deviations]) end as lo,
   list_max([d.size + wide * d.u for d in deviations]) as hi,
   worst.u as standard_uncertainty,
   worst.freedom as freedom,

@@ -90,7 +90,8 @@ def _value(row: Mapping[str, Any], found: Scatter, kind: str) -> dict[str, Any]:
         return {"reason": short if row["lack"] is None else f"{short}; {row['lack']}"}
     if kind == "all":
         return deviation(found.square, found.values - 1)._asdict()
-    if "day" in kind and kind != "within_day_component" and not row["is_dated"]:
+    of_days = kind in {"day_to_day", "between_day_component"} or not found.within_freedom
+    if of_days and not row["is_dated"]:
         return {"reason": "the date is unknown, so the day is: import with the moment of the start"}
     if kind != "day_to_day" and not found.within_freedom:
         return {"reason": f"{found.values} scale factors on {found.groups} days, 2 on the same day are needed"}

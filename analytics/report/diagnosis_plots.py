@@ -14,7 +14,7 @@ from analytics.figure_file import logarithmic_grid, write_figure
 from analytics.plot_fonts import chinese_font, set_fonts
 from analytics.report.drivers import Drawn, drawn
 from analytics.report.residual_allan import DeviationAt, residual_allan
-from analytics.report.residuals import Residuals, residuals_of
+from analytics.report.residuals import residuals_of
 from analytics.report.whitened_spectrum import WhitenedSpectrum, whitened_spectrum
 from analytics.report.wording import Wording
 from analytics.tracing.result import FoundEffect, HoldoutSlope
@@ -45,7 +45,7 @@ def figures_of(found: UnitDiagnosis, words: Wording) -> dict[str, Figure]:
         name = _file_name(effect.name)
         over = drawn(residuals, effect, words)
         if over is not None:
-            figures[f"residual-{name}"] = residual_figure(residuals, effect, over, words)
+            figures[f"residual-{name}"] = residual_figure(effect, over, residuals.unit_of_measure, words)
         if effect.by_run:
             slope = next((each for each in slopes if each.effect == effect.name), None)
             figures[f"by-run-{name}"] = coefficient_figure(effect, slope, words)
@@ -77,13 +77,13 @@ def write_figures(found: UnitDiagnosis, folder: Path, words: Wording) -> list[Pa
     return paths
 
 
-def residual_figure(residuals: Residuals, effect: FoundEffect, over: Drawn, words: Wording) -> Figure:
+def residual_figure(effect: FoundEffect, over: Drawn, unit_of_measure: str, words: Wording) -> Figure:
     """Residual without one effect over its driver, and what the effect predicts."""
     freed = words.of("each run freed of its own constant", "已去除各试验常值")
     figure, axes = _figure(words.of("Residual over its driver", "残差与驱动量"), f"{words.effect(effect)}; {freed}")
     for mask, colour, label in (
-        (~residuals.held_out, FLEET, words.of("blocks of the training runs", "训练试验的数据块")),
-        (residuals.held_out, "#56b4e9", words.of("blocks of the held-out runs", "留出试验的数据块")),
+        (~over.held_out, FLEET, words.of("blocks of the training runs", "训练试验的数据块")),
+        (over.held_out, "#56b4e9", words.of("blocks of the held-out runs", "留出试验的数据块")),
     ):
         if mask.any():
             rows = np.flatnonzero(mask)[:: max(1, int(np.count_nonzero(mask)) // _MOST_POINTS)]
@@ -92,7 +92,7 @@ def residual_figure(residuals: Residuals, effect: FoundEffect, over: Drawn, word
     axes.plot(over.driver[order], over.predicted[order], color=AFTER, linewidth=2, label=words.of("effect", "效应"))
     axes.plot(*over.binned(), "o", color=INK, markersize=4.5, label=words.of("means of the blocks", "数据块均值"))
     what = words.of("residual without the effect", "未计该效应的残差")
-    _labels(axes, over.label, f"{what} ({residuals.unit_of_measure})")
+    _labels(axes, over.label, f"{what} ({unit_of_measure})")
     low, high = np.quantile(over.partial, [0.001, 0.999])
     low, high = min(low, over.predicted.min()), max(high, over.predicted.max())
     axes.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))

@@ -10,7 +10,7 @@ from analytics.effects.registry import effect
 from analytics.report.residuals import Residuals
 from analytics.report.wording import Wording, told_unit
 from analytics.tracing.result import FoundEffect
-from stream.batch import FloatArray
+from stream.batch import BoolArray, FloatArray
 
 SMOOTH = 1e-3
 """Neighbours in the order of a channel differ by less than this part of the variance: a function of that channel."""
@@ -33,12 +33,15 @@ class Drawn:
         What the effect adds to each block.
     partial : array of shape (n,)
         What is left without this effect, each run freed of its own constant.
+    held_out : array of bool, shape (n,)
+        Blocks that took no part in the fit.
     """
 
     driver: FloatArray
     label: str
     predicted: FloatArray
     partial: FloatArray
+    held_out: BoolArray
 
     def binned(self) -> tuple[FloatArray, FloatArray]:
         """Means of driver and partial residual in bins of equal width of the driver."""
@@ -51,18 +54,25 @@ class Drawn:
 
 
 def drawn(residuals: Residuals, found: FoundEffect, words: Wording) -> Drawn | None:
-    """Return an effect over its driver; None for lines and jumps, which follow no channel."""
+    """Return an effect over its driver, a jump over the time of its run; None for a line, which follows no channel."""
     known = effect(found.name)
-    if known.kind in (Kind.LINE, Kind.EVENT):
+    if known.kind is Kind.LINE:
         return None
     stack = residuals.record.stack
     columns = stack.column(lambda run: known.regressors(run, found.parameters))
     predicted = columns @ np.array([each.value for each in found.coefficients])
+    is_event = known.kind is Kind.EVENT
+    left = residuals.after - predicted if is_event else residuals.after  # a jump is no part of the model
     number = stack.run_number
-    constants = np.array([residuals.after[number == run].mean() for run in range(len(stack.runs))])
-    partial = residuals.after - constants[number] + predicted
-    driver, label = _driver(residuals, found, columns, predicted, words)
-    return Drawn(driver, label, predicted, partial)
+    constants = np.array([left[number == run].mean() for run in range(len(stack.runs))])
+    partial = left - constants[number] + predicted
+    if not is_event:
+        driver, label = _driver(residuals, found, columns, predicted, words)
+        return Drawn(driver, label, predicted, partial, residuals.held_out)
+    its_run = number == [run.run for run in stack.runs].index(str(found.parameters["run"]))
+    time_s = stack.column(lambda run: run.time_s)[its_run]
+    label = words.of("time in its run (s)", "该次试验的时间 (s)")
+    return Drawn(time_s, label, predicted[its_run], partial[its_run], residuals.held_out[its_run])
 
 
 def _driver(

@@ -14,6 +14,8 @@ from stream.batch import FloatArray, IntArray
 # months of raw samples is not made, and it works when raw samples were let go of.
 MOST_RAW = 20_000
 SECOND_NS = 1_000_000_000
+# Of a stretch so short the whole seconds are too small a part, or none; then irregular samples are taken as they are.
+SHORT_NS = 10 * SECOND_NS
 _ROWS_AT_ONCE = 5_000_000
 
 COLUMNS = pa.schema(
@@ -60,15 +62,17 @@ class _Signal(NamedTuple):
     def is_raw(self, window: tuple[int, int]) -> bool:
         expected = (window[1] - window[0]) / max(self.dt_ns, 1)
         is_slow = self.dt_ns >= SECOND_NS // 2
-        return self.kept_raw == self.samples and (is_slow or (expected <= MOST_RAW and not self.irregular))
+        is_gridded = not self.irregular or window[1] - window[0] < SHORT_NS
+        return self.kept_raw == self.samples and (is_slow or (expected <= MOST_RAW and is_gridded))
 
 
 def reduce_run(catalog: Catalog, run: str) -> pa.Table:
     """Reduce every completed step of a run.
 
     A step's own signals are those of its unit; signals of units without steps (chamber, table, supply) are reduced over
-    the stretches of all steps of the run. A stretch of more than `MOST_RAW` samples, or of irregular ones, counts from
-    its first to its last whole second of the source's clock; what is before and after them is left out.
+    the stretches of all steps of the run. A stretch of more than `MOST_RAW` samples, or of irregular ones over more than
+    `SHORT_NS`, counts from its first to its last whole second of the source's clock; what is before and after them is
+    left out.
 
     Returns
     -------
@@ -99,8 +103,7 @@ def _signals(catalog: Catalog, run: str) -> Iterator[_Signal]:
         "where run = $run and outcome = 'completed' order by unit, t_start_ns",
         {"run": run},
     ):
-        if end > start:
-            windows.setdefault(unit, []).append((start, end))
+        windows.setdefault(unit, []).append((start, end))
     everywhere = sorted({window for each in windows.values() for window in each})
     for unit, signal, unit_of_measure, interval_s, irregular, samples, kept_raw, is_counts, scale in catalog.rows(
         "select unit, signal, unit_of_measure, sample_interval_s, irregular, samples, kept_raw, is_counts, scale "
@@ -125,7 +128,7 @@ def _groups(signals: list[_Signal], *, is_raw: bool) -> Iterator[list[_Signal]]:
     group: list[_Signal] = []
     rows = 0.0
     for each in signals:
-        spanned_s = sum(end - start for start, end in each.windows) / 1e9
+        spanned_s = sum(max(end - start, 0) for start, end in each.windows) / 1e9
         size = spanned_s * 1e9 / max(each.dt_ns, 1) if is_raw else spanned_s
         if group and rows + size > _ROWS_AT_ONCE:
             yield group
@@ -200,7 +203,8 @@ def _reduced(run: str, signal: _Signal, blocks: _Blocks | None, *, is_raw: bool)
             last = int(np.searchsorted(blocks[0], begins[1], side="right"))
             within = slice(first, max(first, last))
         if blocks is None or within.start == within.stop:
-            yield row | {"reason": "no sample in the evaluated part of the step"}
+            settled = "no sample in the evaluated part of the step"
+            yield row | {"reason": settled if window[0] <= window[1] else "the step ended before its settle time"}
             continue
         found = series_statistics(
             blocks[0][within],

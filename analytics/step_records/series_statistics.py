@@ -111,6 +111,11 @@ def series_statistics(
     (6000, 60, True)
     """
     n = int(counts.sum())
+    # numbers near 1, whatever the unit of measure: squares of very large and very small ones have no room. A power of
+    # two leaves every bit as it is.
+    exponent = int(np.frexp(np.abs(means).max())[1])
+    means, squares = np.ldexp(means, -exponent), np.ldexp(squares, -2 * exponent)
+    step = math.ldexp(step, -exponent)
     mean = float(np.dot(counts, means - means[0]) / n + means[0])
     within = float(squares.sum())
     between = float(np.dot(counts, (means - mean) ** 2))
@@ -134,17 +139,23 @@ def series_statistics(
     effective = min(float(n), sd * sd / u_squared) if u_squared > 0 else (float(n) if n > 1 else math.nan)
     return SeriesStatistics(
         n=n,
-        mean=mean,
-        sd=sd,
+        mean=_scaled(mean, exponent),
+        sd=_scaled(sd, exponent),
         sd_freedom=_sd_freedom(n, means.size, within, between, dense),
-        standard_uncertainty=math.sqrt(u_squared),
+        standard_uncertainty=_scaled(math.sqrt(u_squared), exponent),
         freedom=freedom,
         n_effective=effective,
-        white=float(parts[0]),
-        flicker=float(parts[1]),
-        walk=float(parts[2]),
-        averages=averages,
+        white=_scaled(float(parts[0]), 2 * exponent),
+        flicker=_scaled(float(parts[1]), 2 * exponent),
+        walk=_scaled(float(parts[2]), 2 * exponent),
+        averages=tuple(each._replace(sd=_scaled(each.sd, exponent)) for each in averages),
     )
+
+
+def _scaled(value: float, exponent: int) -> float:
+    """Times a power of two; infinite where that is too large."""
+    with np.errstate(over="ignore", under="ignore"):
+        return float(np.ldexp(value, exponent))
 
 
 def bartlett_freedom(n: int, correlation: float) -> float:

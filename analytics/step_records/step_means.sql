@@ -35,8 +35,10 @@ select
   u.site, u.station, coalesce(m.lot, u.lot) as lot, m.product, m.fixture, m.slot, m.firmware,
   coalesce(m.operator, u.operator) as operator,
   u.date_known, u.simulated,
-  coalesce(a.details->>'$.time_zone', 'UTC') as time_zone,
-  (a.details->>'$.latitude_deg')::double as latitude_deg,
+  -- one that nobody knows leaves the day unknown
+  case when a.details->>'$.time_zone' is null then 'UTC' else z.name end as time_zone,
+  case when abs(try_cast(a.details->>'$.latitude_deg' as double)) <= 90
+    then (a.details->>'$.latitude_deg')::double end as latitude_deg,
   coalesce(s."procedure", u."procedure") as "procedure",
   s.step, s.repeat, s.position, s.axis, s.phase,
   s.rate_command, s.temperature_command, s.frequency, s.amplitude, s.settle, coalesce(s.room, false) as room,
@@ -64,5 +66,6 @@ left join around x on x.run = s.run and x.unit = s.unit and x."index" = s."index
 left join runs u on u.run = s.run
 left join units m on m.run = s.run and m.unit = s.unit
 left join about a on a.run = s.run
+left join pg_timezone_names() z on lower(z.name) = lower(a.details->>'$.time_zone')
 asof left join power p on p.run = s.run and p.unit = s.unit and p.t_ns <= s.t_from_ns
 order by s.run, s.unit, r.signal, s."index"

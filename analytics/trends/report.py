@@ -27,7 +27,7 @@ def sentences(trend: Trend) -> list[Words]:
     found = [*_of_charts(trend), *_of_groups(trend)]
     if not found:
         found = [_nothing(trend)]
-    return [_head(trend), *found, *_of_capability(trend), *_left_out(trend)]
+    return [_head(trend), *found, *_of_components(trend), *_of_capability(trend), *_left_out(trend)]
 
 
 def stands_out(trend: Trend) -> bool:
@@ -217,6 +217,34 @@ def _nothing(trend: Trend) -> Words:
     return Words(
         f"Nothing stands out: no wild point, no change, no drift, no more signals than noise gives{en}.",
         f"无异常：无异常点、无变点、无漂移，判异信号不超过随机预期{zh}。",
+    )
+
+
+def _of_components(trend: Trend) -> Iterator[Words]:
+    """How far values scatter, where it was measured from what."""
+    found = trend.components
+    if "unit" not in found and len(found) < 2:
+        return
+    unit = trend.series.unit_of_measure
+    names = {
+        "unit": Words("from unit to unit", "样品间"),
+        "residual": Words("from one measurement of a unit to the next", "同一样品各次测量间"),
+    }
+    if "unit" not in found:
+        names["residual"] = Words("from unit to unit, measurement included", "样品间（含测量）")
+    told = []
+    for name in sorted(found, key=lambda name: (name not in names, name == "residual", name)):
+        each = found[name]
+        words = names.get(name) or Words(f"from {name} to {name}", f"{_GROUP_NAMES[name]}间")
+        # the upper limit of few levels may be far away: two figures of each say it
+        text = Words(
+            f"{each.value:.2g} {unit} ({each.lo:.2g} to {each.hi:.2g})",
+            f"{each.value:.2g} {unit}（{each.lo:.2g} 至 {each.hi:.2g}）",
+        )
+        told.append(Words(f"{words.en} {text.en}", f"{words.zh} {text.zh}"))
+    yield Words(
+        f"Standard deviations: {'; '.join(each.en for each in told)}.",
+        f"标准差：{'；'.join(each.zh for each in told)}。",
     )
 
 

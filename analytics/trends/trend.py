@@ -1,5 +1,7 @@
 """The trend of a characteristic: charts, what stands out on them, which group differs, what the process can keep."""
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -94,7 +96,8 @@ class Chart(NamedTuple):
         return not stands_out
 
 
-class Trend(NamedTuple):
+@dataclass(frozen=True)
+class Trend:
     """The trend of a characteristic.
 
     Parameters
@@ -107,8 +110,6 @@ class Trend(NamedTuple):
         In order of their names.
     comparison : Comparison or Refused
         Between stations, fixtures and lots.
-    components : dict of Deviation
-        Scatter of units, of measurements, and of groups.
     specification : Limits
         What the values are held against.
     capabilities : tuple of Capability or Refused
@@ -119,9 +120,13 @@ class Trend(NamedTuple):
     by: str | None
     charts: tuple[Chart, ...]
     comparison: Comparison | Refused
-    components: dict[str, Deviation]
     specification: Limits
     capabilities: tuple[Capability | Refused, ...]
+
+    @cached_property
+    def components(self) -> dict[str, Deviation]:
+        """Scatter of units, of measurements, and of groups."""
+        return components(self.series, GROUPS)
 
 
 def trend_of(
@@ -162,7 +167,6 @@ def trend_of(
         by=by,
         charts=charts,
         comparison=compare_groups(series, GROUPS),
-        components=components(series, GROUPS),
         specification=specification,
         capabilities=tuple(_capability(chart, by, specification) for chart in charts),
     )

@@ -170,6 +170,25 @@ def test_an_effect_is_drawn_over_what_it_is_a_function_of(name: str, size: float
     assert slope == pytest.approx(1.0, abs=0.1)
 
 
+def test_a_jump_is_drawn_over_the_time_of_its_run_and_a_line_is_not() -> None:
+    found = diagnosed()
+    residuals = left(found)
+    stack = residuals.record.stack
+    run = stack.runs[2]
+    step = 3.0 * ((stack.run_number == 2) & (stack.column(lambda each: each.time_s) > 3600.0))
+    with_jump = replace(residuals, after=residuals.after + step)
+    size = (Coefficient("", 3.0, 2.9, 3.1, "deg/h"),)
+    jump = a_finding(name="jump", parameters={"run": run.run, "at_s": 3600.0}, coefficients=size)
+    shown = drawn(with_jump, jump, Wording("en"))
+    assert shown is not None
+    assert shown.driver.size == len(run)
+    seen = shown.partial[shown.driver > 3600].mean() - shown.partial[shown.driver < 3600].mean()
+    quiet = residuals.after[stack.run_number == 2]
+    noise = quiet[shown.driver > 3600].mean() - quiet[shown.driver < 3600].mean()
+    assert seen == pytest.approx(3.0 + noise, rel=1e-9)
+    assert drawn(residuals, a_finding(name="periodic_line", parameters={"frequency_hz": 0.01}), Wording("en")) is None
+
+
 def test_a_clock_is_asked_for_an_offset_that_a_reader_can_judge() -> None:
     found = diagnosed()
     effect = found.diagnosis.effects[0]

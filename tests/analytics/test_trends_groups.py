@@ -54,7 +54,7 @@ def compared(series: Series) -> Comparison:
 
 def test_station_offset_is_found_and_covered() -> None:
     rng = np.random.default_rng(20260721)
-    trials = 120
+    trials = 100
     covered = found = pairs = 0
     for _ in range(trials):
         comparison = compared(two_stations(rng, 0.05))
@@ -72,7 +72,7 @@ def test_station_offset_is_found_and_covered() -> None:
 
 def test_scatter_of_units_is_covered() -> None:
     rng = np.random.default_rng(20260731)
-    trials = 60
+    trials = 40
     covered = 0
     for _ in range(trials):
         unit = np.repeat(np.arange(40), 3)
@@ -97,7 +97,7 @@ def test_scatter_of_stations() -> None:
 
 def test_no_station_is_named_where_there_is_no_offset() -> None:
     rng = np.random.default_rng(20260722)
-    trials = 120
+    trials = 80
     named = 0
     for _ in range(trials):
         unit = np.r_[np.arange(40), np.arange(20)]

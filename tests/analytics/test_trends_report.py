@@ -172,7 +172,7 @@ def test_a_station_with_an_offset_is_named_and_sized(told: Told) -> None:
     assert "higher than station A" in said
     assert "the 150 units measured on both show 0.0" in said
     assert "it is the station, not its units" in said
-    assert "lot" not in said.replace("lots", "").split("Station B")[1]
+    assert "Lot " not in said
     (station,) = (each for each in document(trend)["differences"] if each["group"] == "station")
     assert station["lo"] < 0.05 < station["hi"]
     assert station["hi"] - station["lo"] < 0.02
@@ -221,7 +221,7 @@ def test_a_unit_that_drifts_is_named_among_others(told: Told) -> None:
 def test_nothing_stands_out_in_noise() -> None:
     """Of trends of noise alone at most 5 in a hundred say anything."""
     rng = np.random.default_rng(20260745)
-    trials, loud = 150, 0
+    trials, loud = 100, 0
     for _ in range(trials):
         n = 60
         units = np.r_[np.arange(40), np.arange(20)]

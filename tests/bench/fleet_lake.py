@@ -102,9 +102,7 @@ class Fleet:
         self._uid += 1
         return f"{self._uid:012x}"
 
-    def _documents(
-        self, run: str, procedure: str, temperatures: Sequence[float], t0_ns: int
-    ) -> Iterator[AnyDocument]:
+    def _documents(self, run: str, procedure: str, temperatures: Sequence[float], t0_ns: int) -> Iterator[AnyDocument]:
         details = {"time_zone": "UTC", "latitude_deg": "40.0"}
         yield RunStarted(run=run, t_ns=t0_ns, uid=self._name(), procedure=procedure, details=details)
         for number, unit in enumerate(self.units):
@@ -202,6 +200,7 @@ def put_part(
 ) -> None:
     """Put a part in force that holds documents, and either channels alone or gathered ones with their samples."""
     name = f"{number:08d}"
+    lake = Lake(store)
     fresh = store.tmp / f"lake-{name}"
     fresh.mkdir(parents=True)
     files: dict[str, PartFile] = {}
@@ -239,4 +238,4 @@ def put_part(
         arrival_last_ns=max(row["arrival_last_ns"] for row in rows),
     )
     write_part(fresh, part)
-    Lake(store, ).swap((), [BuiltPart(fresh, part, {})])
+    lake.swap((), [BuiltPart(fresh, part, {})])

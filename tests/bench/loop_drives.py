@@ -57,7 +57,7 @@ class Drive:
     Parameters
     ----------
     kind : str
-        One of `TYPES`.
+        One of `TYPES`, or ``ramp``: at rest, one temperature ramp.
     time_s : array of shape (instants,)
         From the run's start, evenly spaced.
     day : float
@@ -220,6 +220,7 @@ def _environment(bench: _Bench, number: int) -> dict[str, FloatArray]:
 
 _PLANS: Mapping[str, Callable[[_Bench, int], dict[str, FloatArray]]] = {
     "static": lambda bench, number: {},
+    "ramp": lambda bench, number: {"setpoint": np.linspace(-20.0, 55.0, bench.time_s.size)},
     "temperature": _temperature,
     "rate": _rate,
     "positions": _positions,

@@ -20,7 +20,8 @@ create or replace macro weighted_variance(weights, u, freedoms, residuals) as
     lambda q_: case when q_.seen > coalesce(q_.told, 0) then {variance: q_.seen, freedom: q_.spare::double}
       else {variance: q_.told, freedom: q_.nu} end)[1];
 
--- Standard uncertainties of the residuals: sqrt(sum_k (delta_jk - H_jk)^2 u_k^2), H the hat matrix of the line.
+-- Standard uncertainties of the residuals: sqrt(sum_k (delta_jk - H_jk)^2 u_k^2), H the hat matrix of the line; null
+-- where that of a point is unknown, as of a single sample.
 create or replace macro residual_uncertainties(dx, sxx, u) as
   list_transform([{
       n: len(dx), sum_u2: sum_of_products(u, u),
@@ -28,8 +29,8 @@ create or replace macro residual_uncertainties(dx, sxx, u) as
       sum_dx2_u2: list_sum([(z[1] * z[2]) ** 2 for z in list_zip(dx, u)])
     }],
     lambda q_: [
-      sqrt(greatest(0, z[2] ** 2 * (1 - 2 * (1 / q_.n + z[1] ** 2 / sxx))
-        + q_.sum_u2 / q_.n ** 2 + 2 * z[1] * q_.sum_dx_u2 / (q_.n * sxx) + (z[1] / sxx) ** 2 * q_.sum_dx2_u2))
+      case when list_count(u) = q_.n then sqrt(greatest(0, z[2] ** 2 * (1 - 2 * (1 / q_.n + z[1] ** 2 / sxx))
+        + q_.sum_u2 / q_.n ** 2 + 2 * z[1] * q_.sum_dx_u2 / (q_.n * sxx) + (z[1] / sxx) ** 2 * q_.sum_dx2_u2)) end
       for z in list_zip(dx, u)])[1];
 
 create or replace macro line_fits(source) as table

@@ -1,0 +1,151 @@
+"""What a trace came to, beside the truth: one line of JSON for each campaign."""
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from analytics.effects.registry import effect
+from analytics.error_model import ErrorModel
+from analytics.run_blocks import RunBlocks
+from analytics.tracing.diagnosis import case_of, diagnose
+from analytics.tracing.noise_fit import evaluate
+from analytics.tracing.result import Diagnosis, FoundEffect, NoiseCoefficients, Verdict
+from tests.bench.tracing_cases import DECLARED, MODEL, OUTSIDE, Built, Case, built
+from tests.bench.tracing_peers import peers
+
+REFERENCE_S = 1800.0
+RIGHT = frozenset({"exact", "in_set"})
+_CUSUM = float(np.log(200.0))
+_LATER_RUNS = 8
+
+
+def traced(case: Case, *, with_peers: bool = False) -> dict[str, Any]:
+    """Trace one campaign and judge what was said."""
+    made = built(case)
+    start = time.perf_counter()
+    said = diagnose(made.runs, MODEL, declared_noise=DECLARED)
+    line: dict[str, Any] = {
+        "key": case.key,
+        **{name: getattr(case, name) for name in ("row", "name", "z", "seed")},
+        "planted": [{"name": each.effect, "shape": dict(each.shape)} for each in made.planted],
+        "seconds": round(time.perf_counter() - start, 2),
+        "outcome": outcome(case, made, said),
+        "verdict": said.verdict.value,
+        "found": [_told(each) for each in said.effects],
+        "refused": [_told(each) for each in said.unreplicated if each.confirmed is False],
+        "seen_once": [each.name for each in said.unreplicated if each.confirmed is None],
+        "slope": [said.holdout.total.slope, said.holdout.total.slope_se] if said.holdout else None,
+        "error": _error(said),
+    }
+    if case.row == "removed" and said.model is not None and said.declared is not None:
+        line["watch"] = _watched(made, said.declared, said.model)
+    if with_peers:
+        line["peers"] = peers(made.runs, MODEL, np.random.default_rng(case.seed))
+    return line
+
+
+def outcome(case: Case, made: Built, said: Diagnosis) -> str:
+    """One word: exact, in_set, unknown, unreplicated, unexplained, missed, beside (the truth and more) or wrong."""
+    if case.row == "outside":
+        return _outside(OUTSIDE[case.name][0], said)
+    truth = [each.effect for each in made.planted]
+    hit = [each for each in said.effects if any(_means(each, name) for name in truth)]
+    met = [name for name in truth if any(_means(each, name) for each in said.effects)]
+    if not said.effects:
+        return _nothing_said(truth, said)
+    if len(met) == len(truth) and len(hit) == len(said.effects) and truth:
+        named = set(said.names) == set(truth) and not said.confounded
+        return "exact" if named else "in_set"
+    if hit:
+        return "beside" if len(hit) < len(said.effects) else "part"
+    channels = {channel for each in said.effects for channel in each.unknown_function_of}
+    driven = {channel for name in truth for channel in effect(name).needs}
+    return "unknown" if channels and channels & driven else "wrong"
+
+
+def _nothing_said(truth: Sequence[str], said: Diagnosis) -> str:
+    if any(_means(each, name) for each in said.unreplicated for name in truth):
+        return "unreplicated"
+    if said.verdict is Verdict.UNEXPLAINED:
+        return "unexplained"
+    return "other_unreplicated" if said.unreplicated else "missed"
+
+
+def _means(found: FoundEffect, truth: str) -> bool:
+    """Whether a finding names the truth, itself or as one of those that the data cannot tell apart.
+
+    A free function may also be found as an effect of that channel alone.
+    """
+    if truth in (found.name, *(each.name for each in found.confounded), *found.companions):
+        return True
+    needs = effect(truth).needs
+    if not truth.startswith("function_of"):
+        return False
+    return needs[0] in found.unknown_function_of or effect(found.name).needs == needs
+
+
+def _outside(channels: Sequence[str], said: Diagnosis) -> str:
+    if not said.effects:
+        return {Verdict.UNEXPLAINED: "unexplained", Verdict.NOTHING_MISSING: "missed"}.get(said.verdict, "unreplicated")
+    told = {channel for each in said.effects for channel in each.unknown_function_of}
+    if said.verdict is Verdict.UNKNOWN_FUNCTION and told & set(channels):
+        return "exact"
+    if said.verdict in (Verdict.UNEXPLAINED, Verdict.UNREPLICATED, Verdict.CONFOUNDED):
+        return said.verdict.value
+    own = any(set(effect(each.name).needs) & set(channels) for each in said.effects)
+    return "wrong_form" if own else "wrong"
+
+
+def _told(each: FoundEffect) -> dict[str, Any]:
+    return {
+        "name": each.name,
+        "parameters": {k: v for k, v in each.parameters.items() if not isinstance(v, list)},
+        "significance": round(each.significance, 2),
+        "confounded": [other.name for other in each.confounded],
+        "companions": list(each.companions),
+        "unknown_function_of": list(each.unknown_function_of),
+        "replicates": each.replicates,
+        "form_p": each.form_p_value,
+        "homogeneity_p": each.heterogeneity_p_value,
+    }
+
+
+def _error(said: Diagnosis) -> dict[str, Any] | None:
+    rows = [row for row in (said.error.rows if said.error else ()) if row.averaging_s == REFERENCE_S]
+    if not rows or said.error is None:
+        return None
+    row = rows[0]
+    return {
+        "before": row.before,
+        "after": row.after,
+        "floor": row.floor,
+        "excited": [row.excited_before, row.excited_after, row.excited_floor],
+        "fraction": said.error.achievable_fraction,
+        "fraction_excited": said.error.achievable_fraction_excited,
+    }
+
+
+def _watched(made: Built, old: ErrorModel, new: ErrorModel) -> dict[str, Any]:
+    """Runs until the promoted model is rolled back, with the effect still there and with it gone; None: never."""
+    kept = made.campaign.runs(made.planted, noise_seed=90_000 + made.campaign.seed)[:_LATER_RUNS]
+    gone = made.campaign.runs((), noise_seed=91_000 + made.campaign.seed)[:_LATER_RUNS]
+    return {"kept": _rolled_back(kept, old, new), "removed": _rolled_back(gone, old, new)}
+
+
+def _rolled_back(runs: Sequence[RunBlocks], old: ErrorModel, new: ErrorModel) -> int | None:
+    total = 0.0
+    for number, run in enumerate(runs, start=1):
+        gain = _log_likelihood(run, new, DECLARED) - _log_likelihood(run, old, DECLARED)
+        total = max(0.0, total - gain)
+        if total > _CUSUM:
+            return number
+    return None
+
+
+def _log_likelihood(run: RunBlocks, model: ErrorModel, noise: NoiseCoefficients) -> float:
+    """Of what a model leaves of one run; its bias is free."""
+    record = case_of([run], ErrorModel.parse("rate = bias"), noise, ()).training
+    left = record.less(model.predict(run))
+    return evaluate(left, record.design, noise).log_likelihood
