@@ -61,6 +61,12 @@ class AnnexRow(NamedTuple):
     results: tuple[Row, ...]
     reason: str | None
 
+    @property
+    def clause(self) -> str:
+        """Clause of the standard that the row is by."""
+        sources = metrics()[self.characteristic.metric].header.sources
+        return "; ".join(each.clause for each in sources if each.standard == STANDARD)
+
     def told(self) -> dict[str, object]:
         """As JSON tells it."""
         zh, en, metric = self.characteristic

@@ -272,7 +272,7 @@ def _tell_units(found: "UnitsDiagnosis", language: "Language") -> None:
     from analytics.report.fleet_sentences import fleet_rows, fleet_sentence, unit_rows
     from analytics.report.wording import Wording
 
-    words, console = Wording(language), results()
+    words, console = Wording(language, next(iter(found.units.values())).data.runs[0]), results()
     if found.fleet is not None:
         console.print(f"[bold]{escape(fleet_sentence(found.fleet, words))}[/bold]")
         for name, rows in found.fleet.by_unit.items():

@@ -48,7 +48,7 @@ def add(file: Path, folder: Path, *, as_json: bool) -> None:
             {"specification": found.name, "revision": found.revision, "limits": len(found.limits), "new": is_new}
         )
         return
-    what = f"{len(found.limits)} limits, {len(found.products)} products"
+    what = f"{_counted(len(found.limits), 'limit')}, {_counted(len(found.products), 'product')}"
     results().print(f"{found.label}: {what} {'kept' if is_new else 'are there already'}", markup=False)
 
 
@@ -104,6 +104,10 @@ def show(name: str, folder: Path, language: str, *, as_toml: bool, as_json: bool
         numbers = ("" if number is None else f"{number:g}" for number in (each.lower, each.upper))
         table.add_row(name_of(each.metric, language), of, each.product or "", *numbers, each.unit_of_measure)
     results().print(table)
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _told(period: "Period") -> dict[str, object]:

@@ -125,6 +125,7 @@ class EpochCompensation:
         self.raw_epoch = first.epoch
         self.signal = first.signal + SUFFIX
         self.first_seq = self.next_seq = first.seq
+        self.unit, self.run = first.unit, first.run
         self._name = (first.unit, first.run, first.signal)
         self._model = live_part(version.model)
         self._result_unit, self._factor = report_unit(first.unit_of_measure)
@@ -133,7 +134,7 @@ class EpochCompensation:
                 f"run {first.run}, unit {first.unit}: {first.signal} is in {first.unit_of_measure}, its error model in "
                 f"{version.model.unit_of_measure}: trace the unit anew"
             )
-        self._t0_ns = first.t0_ns
+        self.t0_ns = first.t0_ns
         self._power_on_ns = first.t0_ns if power_on_ns is None else power_on_ns
         names = needed_channels(self._model)
         self._has_time = TIME_SINCE_POWER_ON in names
@@ -144,8 +145,7 @@ class EpochCompensation:
         self._waiting: deque[SampleBatch] = deque()
         self._raw_ns = first.t0_ns
         self._correction = np.empty(0)
-        self.held: dict[str, int] = {}
-        """Channels that were taken to stand still, and since when, ns."""
+        self._held: dict[str, float] = {}
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -166,11 +166,16 @@ class EpochCompensation:
                 found[name] = f"several instruments give it: {', '.join(sorted(unit for _, unit in best))}"
         return found
 
+    def newly_held(self) -> dict[str, float]:
+        """Channels that are taken to stand still from now on, and since when, seconds from the first sample."""
+        found, self._held = {name: at for name, at in self._held.items() if at >= 0.0}, dict.fromkeys(self._held, -1.0)
+        return found
+
     def take_reading(self, name: str, batch: SampleBatch, rank: int) -> None:
         """Take in readings of a channel; of its sources those of the highest rank are used."""
         source = (rank, batch.unit)
         if source not in self._sources[name]:
-            self._sources[name][source] = ChannelBlocks(name, self._t0_ns)
+            self._sources[name][source] = ChannelBlocks(name, self.t0_ns)
         self._sources[name][source].take(batch)
 
     def take(self, batch: SampleBatch) -> None:
@@ -197,7 +202,7 @@ class EpochCompensation:
 
     def _block_of(self, t_ns: int) -> int:
         """The block behind whose middle a moment is not any more; its value is needed to interpolate."""
-        return int(-((self._t0_ns + _BLOCK_NS // 2 - t_ns) // _BLOCK_NS))
+        return int(-((self.t0_ns + _BLOCK_NS // 2 - t_ns) // _BLOCK_NS))
 
     def _correct(self, *, is_last: bool) -> None:
         """Evaluate the model on the blocks that will not change any more."""
@@ -206,14 +211,14 @@ class EpochCompensation:
             settled = blocks = self._block_of(self._raw_ns) + 1
         else:
             patient_ns = self._raw_ns - round(PATIENCE_S * 1e9)
-            blocks = int((self._raw_ns - self._t0_ns) // _BLOCK_NS)
+            blocks = int((self._raw_ns - self.t0_ns) // _BLOCK_NS)
             for name, each in used.items():
                 assert each.last_ns is not None
                 if each.last_ns >= patient_ns:
                     blocks = min(blocks, each.known_blocks(each.last_ns))
                 else:
-                    self.held.setdefault(name, each.last_ns)
-                    blocks = min(blocks, int((patient_ns - self._t0_ns) // _BLOCK_NS))
+                    self._held.setdefault(name, (each.last_ns - self.t0_ns) / 1e9)
+                    blocks = min(blocks, int((patient_ns - self.t0_ns) // _BLOCK_NS))
             settled = blocks - LOOK_AHEAD_BLOCKS
         done = len(self._correction)
         if settled - done < (1 if is_last else _EVERY_BLOCKS):
@@ -221,13 +226,13 @@ class EpochCompensation:
         self._channels = used  # by now every source has come, and which is used stays
         channels = {name: each.channel(blocks) for name, each in used.items()}
         if self._has_time:
-            since_s = (np.arange(blocks) + 0.5) * LIVE_BLOCK_S + (self._t0_ns - self._power_on_ns) / 1e9
+            since_s = (np.arange(blocks) + 0.5) * LIVE_BLOCK_S + (self.t0_ns - self._power_on_ns) / 1e9
             channels[TIME_SINCE_POWER_ON] = Channel(since_s, np.zeros(blocks), "s")
-        found = predicted(self._model, live_blocks(self._name, self._t0_ns, self._result_unit, channels, blocks))
+        found = predicted(self._model, live_blocks(self._name, self.t0_ns, self._result_unit, channels, blocks))
         self._correction = np.concatenate([self._correction, found[done:settled]])
 
     def _compensated(self, batch: SampleBatch) -> SampleBatch:
-        middle = (batch.time_array - self._t0_ns) / _BLOCK_NS - 0.5
+        middle = (batch.time_array - self.t0_ns) / _BLOCK_NS - 0.5
         at = np.clip(middle, 0.0, len(self._correction) - 1.0)
         correction = np.interp(at, np.arange(len(self._correction)), self._correction) / self._factor
         values = batch.value_array - correction

@@ -104,9 +104,9 @@ class LiveCompensator:
         if (own := run.epochs.get(stream)) is not None:
             own.take(batch)
             self.samples += len(batch)
-            out += self._told(place, run, own)
+            out += self._told(place, own)
         out += self._offer(place, run, batch)
-        return out + self._finish_if_complete(place, run)
+        return out + self._finish_if_complete(run)
 
     def take_document(self, place: Place, document: AnyDocument) -> list[Out]:
         """Take in a document; what is to be sent now."""
@@ -128,7 +128,7 @@ class LiveCompensator:
             case RunEnded() if document.run in self._runs:
                 run = self._runs[document.run]
                 run.ended = document
-                return self._finish_if_complete(place, run)
+                return self._finish_if_complete(run)
         return []
 
     def finish(self, run_name: str) -> list[Out]:
@@ -139,7 +139,7 @@ class LiveCompensator:
         out: list[Out] = []
         for own in run.epochs.values():
             if own.lacking:
-                out.append((run.place, _cannot(own, run_name, self._unit_of(run, own))))
+                out.append((run.place, _cannot(own)))
             out += [(run.place, batch) for batch in own.due(is_last=True)]
         return out
 
@@ -153,10 +153,6 @@ class LiveCompensator:
             for (unit, _, _), own in run.epochs.items()
             if not own.lacking
         )
-
-    @staticmethod
-    def _unit_of(run: _Run, own: EpochCompensation) -> str:
-        return next(unit for (unit, _, _), each in run.epochs.items() if each is own)
 
     def _begin(self, place: Place, run: _Run, batch: SampleBatch) -> list[Out]:
         """Begin to compensate a power-on, if there is a model for it."""
@@ -219,7 +215,7 @@ class LiveCompensator:
         out: list[Out] = []
         for (unit, _, _), own in run.epochs.items():
             if self._give(run, unit, own, batch):
-                out += self._told(place, run, own)
+                out += self._told(place, own)
         return out
 
     def _wanted(self) -> frozenset[str]:
@@ -244,10 +240,12 @@ class LiveCompensator:
             return True
         return False
 
-    def _told(self, place: Place, run: _Run, own: EpochCompensation) -> list[Out]:
-        return [(place, batch) for batch in own.due()]
+    @staticmethod
+    def _told(place: Place, own: EpochCompensation) -> list[Out]:
+        out: list[Out] = [(place, batch) for batch in own.due()]
+        return out + [(place, _stopped(own, name, at_s)) for name, at_s in own.newly_held().items()]
 
-    def _finish_if_complete(self, place: Place, run: _Run) -> list[Out]:
+    def _finish_if_complete(self, run: _Run) -> list[Out]:
         """End a run whose end has come, and all of whose samples have."""
         if run.ended is None:
             return []
@@ -263,11 +261,24 @@ def _names(version: ModelVersion) -> tuple[str, ...]:
     return (*names, "table_rate") if "input_rate" in names else names
 
 
-def _cannot(own: EpochCompensation, run: str, unit: str) -> NoteAdded:
-    raw = own.signal.removesuffix(SUFFIX)
+def _cannot(own: EpochCompensation) -> NoteAdded:
     lacking = "; ".join(f"channel {name}: {why}" for name, why in own.lacking.items())
-    text = (
-        f"run {run}, unit {unit}: {raw} is not compensated: version {own.version.version} of its error model cannot do "
-        f"without {lacking}; record it once, or take the term out of the model"
+    return _note(
+        own,
+        f"is not compensated: version {own.version.version} of its error model cannot do without {lacking}; record it "
+        "once, or take the term out of the model",
     )
-    return NoteAdded(run=run, t_ns=own.version.made_ns, text=text, author=_AUTHOR, unit=unit, uid=own.epoch.hex[::-1])
+
+
+def _stopped(own: EpochCompensation, name: str, at_s: float) -> NoteAdded:
+    return _note(
+        own,
+        f"is compensated with a last reading from now on: channel {name} stops at {at_s:.0f} s, and has not come for "
+        f"{PATIENCE_S:.0f} s; look at its source",
+    )
+
+
+def _note(own: EpochCompensation, text: str) -> NoteAdded:
+    whole = f"run {own.run}, unit {own.unit}: {own.signal.removesuffix(SUFFIX)} {text}"
+    uid = uuid5(own.epoch, text).hex
+    return NoteAdded(run=own.run, t_ns=own.t0_ns, text=whole, author=_AUTHOR, unit=own.unit, uid=uid)

@@ -125,7 +125,7 @@ def tell_annex(rows: "Sequence[AnnexRow]", unit: str, language: str, *, as_json:
     for row in rows:
         name = row.characteristic.zh if in_chinese else row.characteristic.en
         if not row.results:
-            table.add_row(str(row.number), name, f"[yellow]{escape(row.reason or '')}[/yellow]", "", "", "")
+            table.add_row(str(row.number), name, f"[yellow]{escape(row.reason or '')}[/yellow]", "", "", row.clause)
         for at, each in enumerate(row.results):
             value = f"{told_number(each['value'], each['standard_uncertainty'])} {told_unit(each['unit_of_measure'])}"
             head = ("", "") if at else (str(row.number), name)
@@ -135,6 +135,11 @@ def tell_annex(rows: "Sequence[AnnexRow]", unit: str, language: str, *, as_json:
 
 def _tell(table: Table, count: int) -> None:
     console = results()
+    if count == 0:
+        console.print(
+            'no characteristic is of what was asked for; `gyrofleet sql "from unit_runs"` has what was tested when'
+        )
+        return
     console.print(table)
     shown = min(count, _SHOWN_ROWS)
     more = "" if shown == count else f", the first {shown} shown; --csv, --xlsx or --json give all"

@@ -90,15 +90,19 @@ def told_number(value: float | None, resolution: float | None = None) -> str:
 def told_parameters(parameters: Mapping[str, Any]) -> str:
     """Parameters on one line, without those that are not known, and without the procedure, which the run names.
 
+    That a step is not the one marked as at room temperature goes without saying.
+
     Examples
     --------
     >>> told_parameters({"procedure": "static_bias", "average_s": 100.0, "room": True, "axis": None})
     'average_s = 100, room = true'
+    >>> told_parameters({"temperature": 25.0, "room": False})
+    'temperature = 25'
     """
     return ", ".join(
         f"{name} = {_told_parameter(each)}"
         for name, each in parameters.items()
-        if each is not None and name != "procedure"
+        if each is not None and name != "procedure" and not (name == "room" and each is False)
     )
 
 
@@ -240,4 +244,5 @@ def _escaped(text: object) -> str:
 
 
 def _unwritable(path: Path, option: str, error: Exception) -> BadInput:
-    return BadInput(f"cannot write {path}: {error}; give {option} a file in a folder you can write")
+    why = error.strerror if isinstance(error, OSError) and error.strerror else error
+    return BadInput(f"cannot write {path}: {why}; give {option} a file in a folder you can write")

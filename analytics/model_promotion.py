@@ -25,8 +25,8 @@ def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: str, n
     diagnosis = found.diagnosis
     if diagnosis.model is None or diagnosis.declared is None or diagnosis.noise is None:
         raise BadInput(
-            f"unit {found.unit}: the verdict is {diagnosis.verdict.value} ({'; '.join(diagnosis.missing)}), there is no "
-            "fitted model to put to use"
+            f"unit {found.unit}: the verdict is {diagnosis.verdict.value} ({'; '.join(diagnosis.missing)}), so that "
+            "there is no fitted model to put to use; measure more runs"
         )
     runs = found.data.runs
     trained = [run for run in runs if run.run in diagnosis.training_runs] or list(runs)

@@ -26,8 +26,9 @@ _ZH = {
     "unit": "产品编号", "product": "产品型号", "lot": "批次", "verdict": "判定", "latest": "最近判定",
     "passed": "合格项", "failed": "不合格项", "marginal": "临界项", "no data": "无数据项", "fails by": "不合格特性",
     "characteristic": "特性", "signal": "信号", "run": "试验", "value": "数值", "95 % interval": "95 % 区间",
-    "limits": "限值", "revision": "规范版本", "reason": "原因", "units": "产品数", "yield": "合格率",
-    "judged": "已判定", "share": "占比", "cumulative": "累计", "station": "试验台", "fixture": "夹具", "day": "日期",
+    "limits": "限值", "standard": "标准", "revision": "规范版本", "reason": "原因", "units": "产品数",
+    "yield": "合格率", "judged": "已判定", "share": "占比", "cumulative": "累计", "station": "试验台",
+    "fixture": "夹具", "day": "日期",
 }  # fmt: skip
 
 
@@ -117,21 +118,32 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> Table:
     from analytics.metrics_table import told_limits, told_number, told_parameters, told_unit
 
     table = _table(
-        ("characteristic", "signal", "run", "value", "95 % interval", "limits", "verdict", "revision", "reason"),
+        (
+            "characteristic", "signal", "run", "value", "95 % interval", "limits", "verdict", "standard", "revision",
+            "reason",
+        ),
         language,
-    )
+    )  # fmt: skip
     for row in rows:
         half = None if row["lo"] is None else (row["hi"] - row["lo"]) / 4
         unit = told_unit(row["unit_of_measure"])
+        value = "" if row["value"] is None else f"{told_number(row['value'], half)} {unit}".strip()
         interval = "" if row["lo"] is None else f"{told_number(row['lo'], half)} .. {told_number(row['hi'], half)}"
         parameters = told_parameters(json.loads(row["parameters"] or "{}"))
         label = f"{row['specification']}-{row['revision'] or '?'}" if row["specification"] else ""
         table.add_row(
             escape(_name(row["metric"], language) + (f" ({parameters})" if parameters else "")),
-            row["signal"], row["run"], escape(f"{told_number(row['value'], half)} {unit}".strip()), interval,
-            told_limits(row), _coloured(row["verdict"], language), label, escape(row["reason"] or ""),
+            row["signal"], row["run"] or _several(row["runs"], language), escape(value), interval,
+            escape(f"{told_limits(row)} {unit}".strip()), _coloured(row["verdict"], language), row["standard"], label,
+            escape(row["reason"] or ""),
         )  # fmt: skip
     return table
+
+
+def _several(runs: Iterable[str], language: str) -> str:
+    """What stands for the run of a value that rests on several."""
+    several = "几次试验合计" if language == "zh" else "over several runs"
+    return several if len(list(runs)) > 1 else ""
 
 
 def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> Table:

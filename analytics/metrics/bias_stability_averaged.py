@@ -1,7 +1,5 @@
 """Bias stability over averages: of 1, 10 and 100 s, and of the product's own averaging time."""
 
-from typing import Any
-
 import numpy as np
 import pyarrow as pa
 
@@ -83,11 +81,10 @@ _SAMPLES = "(select run, unit, signal, t_ns, 1 as n, value as mean from samples)
 _SOURCES = {10 * 10**9: "rollup_10s", 10**9: "rollup_1s", 1: _SAMPLES}
 
 
-def compute(catalog: Catalog) -> list[dict[str, Any]]:
+def compute(catalog: Catalog) -> pa.Table:
     """Rows of the metric; degrees of freedom are fewer than N/P - 1 as far as neighbouring averages correlate."""
     catalog.put("product_averages", _products_averages(catalog))
-    rows: list[dict[str, Any]] = catalog.reader(_SQL).read_all().to_pylist()
-    return rows
+    return catalog.reader(_SQL).read_all()
 
 
 def _products_averages(catalog: Catalog) -> pa.Table:

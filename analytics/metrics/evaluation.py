@@ -53,6 +53,7 @@ COLUMNS = pa.schema(
         ("reason", pa.string()),
     ]
 )
+_STILL = "create or replace table still_steps as from standing_steps"
 # One order of all rows, so that what was kept and what is computed anew make the same table.
 _SORTED = """
 select * from unit_metrics
@@ -106,8 +107,9 @@ def unit_metrics(catalog: Catalog, told: Told | None = None) -> pa.Table:
             catalog.put("step_means", steps)
     if stale or len(fresh) < len(known):
         _keep(catalog, table, prints)
-    if fresh:  # else the last evaluation has left them
+    if fresh:  # else the evaluation has left what is of all units
         keep_scale_fits(catalog)
+        catalog.define(_STILL)
     catalog.put("unit_metrics", table)
     return table
 
@@ -132,6 +134,8 @@ def evaluate(catalog: Catalog, chosen: Iterable[Metric]) -> pa.Table:
     tables = [COLUMNS.empty_table()]
     for each in order:
         table = _values(catalog, every[each])
+        if each == _FIRST:
+            catalog.define(_STILL)
         if each in wanted:
             tables.append(table)
     return pa.concat_tables(tables)

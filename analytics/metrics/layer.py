@@ -22,11 +22,11 @@ class MetricsLayer:
     examples: ClassVar[dict[str, str]] = {
         "Every metric of a unit": "select metric, value, lo, hi, unit_of_measure, reason from unit_metrics "
         "where unit = 'FOG-0231'",
-        "Bias by day": "select unit, day, bias from bias_by_day order by unit, day",
+        "Bias by day": "select unit, day, position, temperature_command, bias from bias_by_day order by unit, day",
         "Bias against temperature": "select unit, temperature, bias, standard_uncertainty from temperature_curve "
         "order by unit, temperature",
         "The fleet's 100 s bias stability": "select unit, value from unit_metrics "
-        "where metric = 'bias_stability_averaged' and parameters->>'$.average_s' = '100' order by value desc",
+        "where metric = 'bias_stability_averaged' and (parameters->>'$.average_s')::double = 100 order by value desc",
         "Which units are not good, and why?": "select unit, metric, verdict, value, lower, upper, reason "
         "from verdicts where verdict <> 'PASS' order by unit, metric",
         "Yield of each lot": "select name as lot, units, passed, failed, yield, yield_lo, yield_hi from yield_by "

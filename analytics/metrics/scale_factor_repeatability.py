@@ -73,7 +73,7 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     for row in catalog.reader(_SQL).read_all().to_pylist():
         scales, days = row["scales"] or [], row["days"] or []
         mean = sum(scales) / len(scales) if scales else 1.0
-        found = scatter([each / mean * 1e6 for each in scales], days)
+        found = scatter([each / mean * 1e6 for each in scales] if mean else [], days if mean else [])
         parameters = {"scale_factors": len(scales), "mean": mean if scales else None}
         parameters["days"] = len(set(days)) if row["is_dated"] else None
         told = {name: row[name] for name in ("unit", "signal", "run", "standard", "runs", "steps")}
@@ -85,6 +85,8 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
 def _value(row: Mapping[str, Any], found: Scatter, kind: str) -> dict[str, Any]:
     """Value with its limits, or the reason why there is none."""
     least = _LEAST[row["standard"]]
+    if row["scales"] and not found.values:
+        return {"reason": "the mean of the scale factors is 0: the output does not answer to the rate"}
     if found.values < least:
         short = f"{found.values} scale factors measured, {least} or more are asked for"
         return {"reason": short if row["lack"] is None else f"{short}; {row['lack']}"}

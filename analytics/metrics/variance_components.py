@@ -40,7 +40,7 @@ class Scatter(NamedTuple):
     of_means : float
         Variance of the groups' means, NaN for one.
     size : float
-        Harmonic mean of the groups' sizes.
+        Harmonic mean of the groups' sizes, NaN where there is none.
     """
 
     values: int
@@ -74,7 +74,7 @@ def scatter(values: Sequence[float], groups: Sequence[Hashable]) -> Scatter:
         within_freedom=freedom,
         groups=len(parts),
         of_means=_variance(means),
-        size=len(parts) / math.fsum(1 / len(part) for part in parts),
+        size=len(parts) / math.fsum(1 / len(part) for part in parts) if parts else math.nan,
     )
 
 

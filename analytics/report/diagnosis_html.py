@@ -28,6 +28,7 @@ from analytics.report.residual_allan import residual_allan
 from analytics.report.residuals import residuals_of
 from analytics.report.sentences import verdict_sentence
 from analytics.report.wording import Language, Wording
+from analytics.tracing.fleet import FleetDiagnosis
 from analytics.tracing.result import Diagnosis, FoundEffect
 from analytics.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
 from stream.errors import BadInput
@@ -88,7 +89,7 @@ def write_report(found: UnitsDiagnosis, path: Path, language: Language) -> None:
 def report_html(found: UnitsDiagnosis, language: Language) -> str:
     """Return the report as HTML."""
     is_one = len(found.units) == 1 and not found.failed and found.fleet is None
-    plain = Wording(language)
+    plain = Wording(language, next(iter(found.units.values())).data.runs[0])
     parts = []
     units = list(found.units)
     many = plain.of(f"{len(units)} units", f"{len(units)}个产品")
@@ -105,6 +106,7 @@ def _overview(found: UnitsDiagnosis, words: Wording, title: str) -> str:
     parts = [_heading(1, title)]
     if found.fleet is not None:
         parts.append(f'<p class="verdict">{escape(fleet_sentence(found.fleet, words))}</p>')
+        parts += [_effect(each, found.fleet, words) for each in found.fleet.effects]
         parts += [_table(fleet_rows(name, rows, words)) for name, rows in found.fleet.by_unit.items()]
         parts.append(_listed(found.fleet.limits))
     parts.append(_table(unit_rows(found, words)))
@@ -147,7 +149,7 @@ def _declared(found: UnitDiagnosis, words: Wording) -> str:
     return "\n".join(parts)
 
 
-def _effect(found: FoundEffect, diagnosis: Diagnosis, words: Wording, level: int = 2) -> str:
+def _effect(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: Wording, level: int = 2) -> str:
     known = effect(found.name)
     start = words.of("Found: ", "发现：") if level == 2 else ""
     parts = [

@@ -3,6 +3,7 @@
 from analytics.effects.registry import effect
 from analytics.error_model import ErrorModel
 from analytics.report.wording import Wording, number
+from analytics.tracing.fleet import FleetDiagnosis
 from analytics.tracing.result import ConfoundedEffect, Diagnosis, FoundEffect
 
 WRONG_FORM = 1e-4
@@ -13,7 +14,7 @@ _CLOCKS = {
 """Errors of a clock, the effect with the same regressor, and the declared term whose coefficient tells the offset."""
 
 
-def evidence(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> list[str]:
+def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: Wording) -> list[str]:
     """Sentences that say how sure a finding is."""
     told = [
         words.of(
@@ -51,10 +52,11 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> list[s
     return told
 
 
-def _by_run(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
+def _by_run(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: Wording) -> str:
     p_value = found.heterogeneity_p_value
     same = p_value >= WRONG_FORM
-    where = words.of("segments", "段") if diagnosis.replication == "within_run" else words.of("runs", "次试验")
+    is_within = isinstance(diagnosis, Diagnosis) and diagnosis.replication == "within_run"
+    where = words.of("segments", "段") if is_within else words.of("runs", "次试验")
     agree = words.of("agree", "一致") if same else words.of("do not agree", "不一致")
     share = words.of(
         f"; the best one gives {found.largest_share:.0%} of what it predicts in those left out",
@@ -66,12 +68,14 @@ def _by_run(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
     )
 
 
-def alternative(other: ConfoundedEffect, beside: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
+def alternative(
+    other: ConfoundedEffect, beside: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: Wording
+) -> str:
     """Say what else could be meant, how far behind it is, and what it would take."""
     behind = words.of(f"{other.evidence_behind:.1f} of chi-square behind", f"证据少卡方{other.evidence_behind:.1f}")
     if abs(other.evidence_behind) < 0.05:
         behind = words.of("exactly as likely", "可能性相同")
-    offset_s = implied_offset_s(other.name, beside, diagnosis.declared)
+    offset_s = implied_offset_s(other.name, beside, diagnosis.declared if isinstance(diagnosis, Diagnosis) else None)
     took = (
         ""
         if offset_s is None

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from analytics.report.report_tables import TextTable
 from analytics.report.wording import Wording, number
 from analytics.tracing.fleet import FleetDiagnosis, UnitCoefficient
-from analytics.tracing.result import Verdict
+from analytics.tracing.result import FoundEffect, Verdict
 from analytics.unit_diagnosis import UnitsDiagnosis
 
 _ZH_VERDICTS = {
@@ -35,20 +35,21 @@ def fleet_sentence(fleet: FleetDiagnosis, words: Wording) -> str:
             f"The {units} units together lack no effect that repeats in their runs.",
             f"{units}个产品合并分析未见可重现的共同缺项。",
         )
-    told = [_common(each.name, fleet, words) for each in fleet.effects]
-    what = words.listed(told)
-    return words.of(f"The {units} units have in common that {what} is missing.", f"{units}个产品共同缺少：{what}。")
+    what = words.of("; and ", "；以及").join(_common(each, fleet, words) for each in fleet.effects)
+    return words.of(
+        f"What the declared model lacks in all {units} units: {what}.", f"已声明模型在{units}个产品中共同缺少：{what}。"
+    )
 
 
-def _common(name: str, fleet: FleetDiagnosis, words: Wording) -> str:
-    found = next(each for each in fleet.effects if each.name == name)
-    others = [words.effect(other) for other in found.confounded]
-    choice = words.listed([f"{words.effect(found)} ({words.coefficient(found)})", *others], ("or", "或"))
-    differing = [each.unit for each in fleet.by_unit.get(name, ()) if each.differs]
-    if not differing:
-        return choice
-    units = words.listed(differing)
-    return words.of(f"{choice}, with {units} different from the others", f"{choice}（{units}与其他产品不同）")
+def _common(found: FoundEffect, fleet: FleetDiagnosis, words: Wording) -> str:
+    told = f"{words.effect(found)}{words.of(': ', '：')}{words.coefficient(found)}"
+    if found.confounded:
+        others = words.listed([words.effect(other) for other in found.confounded], ("or", "或"))
+        told += words.of(f", which these data cannot tell from {others}", f"（现有数据无法与{others}区分）")
+    differing = words.listed([each.unit for each in fleet.by_unit.get(found.name, ()) if each.differs])
+    if differing:
+        told += words.of(f", with {differing} different from the others", f"（{differing}与其他产品不同）")
+    return told
 
 
 def fleet_rows(name: str, rows: Sequence[UnitCoefficient], words: Wording) -> TextTable:

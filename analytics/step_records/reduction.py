@@ -97,13 +97,13 @@ def reduce_run(catalog: Catalog, run: str) -> pa.Table:
 
 
 def _signals(catalog: Catalog, run: str) -> Iterator[_Signal]:
-    windows: dict[str, list[tuple[int, int]]] = {}
+    windows: dict[str, dict[tuple[int, int], None]] = {}  # in order, and each once: steps may be alike
     for unit, start, end in catalog.rows(
         "select unit, t_start_ns + round(coalesce(settle, 0) * 1e9)::bigint, t_end_ns from steps "
         "where run = $run and outcome = 'completed' order by unit, t_start_ns",
         {"run": run},
     ):
-        windows.setdefault(unit, []).append((start, end))
+        windows.setdefault(unit, {})[start, end] = None
     everywhere = sorted({window for each in windows.values() for window in each})
     for unit, signal, unit_of_measure, interval_s, irregular, samples, kept_raw, is_counts, scale in catalog.rows(
         "select unit, signal, unit_of_measure, sample_interval_s, irregular, samples, kept_raw, is_counts, scale "

@@ -27,6 +27,7 @@ from analytics.report.sentences import verdict_sentence
 from analytics.report.whitened_spectrum import whitened_spectrum
 from analytics.report.wording import Language, Wording
 from analytics.tracing.diagnosis import diagnose
+from analytics.tracing.fleet import diagnose_fleet
 from analytics.tracing.result import Coefficient, Diagnosis, FoundEffect, NoiseCoefficients, Verdict
 from analytics.unit_diagnosis import ReducedUnit, UnitDiagnosis, UnitsDiagnosis, held_out_runs, standing
 from stream.errors import BadInput
@@ -312,6 +313,37 @@ def test_of_several_units_those_without_a_finding_come_without_pictures() -> Non
     page.feed(report_html(found, "en"))
     assert len(page.pictures) == 4
     assert "FOG-<2>" in "".join(page.text)
+
+
+def test_what_units_have_in_common_stands_first_in_the_report() -> None:
+    units = {}
+    for seed in (5, 6, 7):
+        campaign = Campaign(
+            seed, runs=6, types=("temperature", "static"), duration_s=5400.0, step_s=5.0, unit=f"FOG-{seed}"
+        )
+        planted = [Planted("temperature_rate", [SHUPE])]
+        units[campaign.unit] = tuple(campaign.runs(planted, channels=("input_rate", "temperature")))
+    fleet = diagnose_fleet(units, ErrorModel.parse(DECLARED_MODEL), declared_noise=dict.fromkeys(units, NOISE))
+    found = UnitsDiagnosis(
+        {
+            unit: UnitDiagnosis(ReducedUnit(runs, (), NOISE, "as given"), fleet.units[unit])
+            for unit, runs in units.items()
+        },
+        {"FOG-8": "no <signal>"},
+        fleet.own_findings,
+        fleet,
+    )
+    for language, words in (
+        ("en", "What the declared model lacks in all 3 units: temperature rate"),
+        ("zh", "共同缺少"),
+    ):
+        page = Page()
+        page.feed(report_html(found, language))  # type: ignore[arg-type]
+        text = "".join(page.text)
+        assert words in text
+        assert "no <signal>" in text
+        assert text.count("FOG-6") >= 3  # in the common table, in the list of units, over its own section
+    assert set(found.document()) >= {"verdict", "by_unit", "units", "own_findings", "failed"}
 
 
 def test_pictures_are_the_same_bytes_each_time(tmp_path: Path) -> None:

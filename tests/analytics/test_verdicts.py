@@ -245,6 +245,13 @@ def test_a_unit_that_no_limit_applies_to_says_why(judged: Judged) -> None:
     ]
 
 
+def test_a_store_without_limits_says_so(judged: Judged) -> None:
+    found = verdicts_of(judged.catalog([{"unit": "U1", "run": "r1", "product": None}], [{"value": 0.0}]))
+    assert [(row["verdict"], row["reason"]) for row in found.units] == [
+        ("NO_DATA", "the store has no limits: add a specification with `gyrofleet limits add`")
+    ]
+
+
 def test_the_worst_counts_and_a_vain_attempt_only_where_there_is_no_other(judged: Judged) -> None:
     judged.specify(limits(BIAS))
     good, bad = {"value": 0.0, "lo": -0.1, "hi": 0.1}, {"value": 2.0, "lo": 1.9, "hi": 2.1}
@@ -358,7 +365,7 @@ def test_a_unit_that_is_not_there_is_refused_with_one_that_is(judged: Judged) ->
     with pytest.raises(NotFound, match=r"did you mean FOG-0231\?"):
         verdicts_of(catalog, ["fog-0231"])
     assert verdicts_of(catalog, ["FOG-0231"]).units[0]["reason"] == (
-        "no limit applies to it: no specification is for product X"
+        "the store has no limits: add a specification with `gyrofleet limits add`"
     )
 
 

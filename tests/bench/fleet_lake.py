@@ -5,6 +5,7 @@ Documents, channels, samples and rollups are those that a recorder and the build
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from unittest.mock import patch
 from uuid import UUID
 
 import msgspec
@@ -89,8 +90,7 @@ class Fleet:
                 put_part(self.store, number + 1, documents, self._channels(run, len(temperatures), t0_ns))
             reduced[run] = self._reduced(run, temperatures, t0_ns, rate, temperature)
         # the records are made by the code that makes them, from numbers that are had without 1e8 rows of seconds
-        step_table.reduce_run = lambda catalog, run: reduced[run]
-        with Catalog(self.store) as catalog:
+        with patch.object(step_table, "reduce_run", lambda _, run: reduced[run]), Catalog(self.store) as catalog:
             step_table.step_means(catalog)
 
     def _runs(self) -> Iterator[tuple[str, str, Sequence[float]]]:
@@ -239,3 +239,49 @@ def put_part(
     )
     write_part(fresh, part)
     lake.swap((), [BuiltPart(fresh, part, {})])
+
+
+def write_raw_day(folder: Path, units: int, rate_hz: int, hours: int = 24) -> Store:
+    """A store in which each unit stands still for a day in one step, all samples on the disk as counts."""
+    store = Store.create(folder)
+    rng = np.random.default_rng(2)
+    run, dt_ns, size, together = "raw", SECOND_NS // rate_hz, 10_000, 10
+    n = hours * HOUR_S * rate_hz
+    end_ns = START_NS + (n - 1) * dt_ns
+    names = unit_names(units)
+    with builder_lock(store):
+        for first in range(0, units, together):
+            documents: list[AnyDocument] = []
+            if first == 0:
+                documents.append(RunStarted(run=run, t_ns=START_NS, procedure="static_bias"))
+            gathered = []
+            for number in range(first, min(first + together, units)):
+                unit, epoch = names[number], epoch_of(run, number)
+                words = StepWords(procedure="static_bias", position="IRA_up")
+                begun = StepStarted(run=run, t_ns=START_NS, unit=unit, words=words)
+                documents += [
+                    UnitMounted(run=run, t_ns=START_NS, unit=unit),
+                    PowerOn(run=run, t_ns=START_NS, unit=unit, epoch=str(epoch)),
+                    begun,
+                    StepEnded(run=run, t_ns=end_ns, unit=unit, step_uid=begun.uid),
+                ]
+                gathered.append(_day_of_counts(rng, unit, run, epoch, n, dt_ns, size))
+            put_part(store, first // together + 1, documents, gathered=gathered)
+    return store
+
+
+def _day_of_counts(
+    rng: np.random.Generator, unit: str, run: str, epoch: UUID, n: int, dt_ns: int, size: int
+) -> GatheredChannel:
+    """White noise of 50 counts about a bias that walks."""
+    bias = rng.normal(0, 20_000) + np.cumsum(rng.normal(0, 0.3, n // size))
+    found: GatheredChannel | None = None
+    for at, mean in enumerate(bias):
+        counts = np.round(rng.normal(mean, 50.0, size)).astype(np.int32)
+        t0_ns = START_NS + at * size * dt_ns
+        batch = SampleBatch(unit, "rate", run, epoch, at * size, t0_ns, dt_ns, "deg/h", counts=counts, scale=1e-3)
+        if found is None:
+            found = GatheredChannel(channel_id(sample_key(PLACE, unit, "rate"), batch), PLACE, batch)
+        found.add(batch, batch.last_ns + 10**6)
+    assert found is not None
+    return found

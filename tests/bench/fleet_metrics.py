@@ -3,8 +3,8 @@
 `fleet` asks for the metrics of 1000 units with an hour a day over 30 days and a test at five temperatures, from the
 kept records of their 35,000 steps: the bias family with temperature sensitivity and repeatability, and then every
 metric there is, computed for the first time, and once more when nothing has changed. `growth` does so for 10 to 10,000
-units. `raw` writes a day of 100 units at 100 Hz to the disk, 8.6e8 rows, and times the records of its steps, from raw
-rows and from the lake's means of seconds.
+units. `raw` writes a day of 100 units at 100 Hz to the disk, 8.6e8 rows, and times the records of its steps: from the
+lake's means of seconds, as a step of that length is reduced, and from means of seconds made from all raw rows.
 """
 
 import argparse
@@ -20,13 +20,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from analytics.metrics.evaluation import define_views, evaluate
 from analytics.metrics.product_files import products_of
 from analytics.metrics.registry import metrics
+from analytics.step_records import reduction
 from analytics.step_records.step_table import step_means
 from storage.catalog import Catalog
 from storage.store import Store
-from tests.bench.fleet_lake import Fleet
+from tests.bench.fleet_lake import Fleet, write_raw_day
 
 FAMILY = "bias"
 
@@ -89,6 +92,53 @@ def fleet(folder: Path, units: int, days: int, tries: int) -> dict[str, Any]:
     }
 
 
+# What the lake's means of seconds are made from, by SQL from the raw rows; the sums of squares in a second pass
+FROM_RAW = """
+select unit, signal, t_ns // 1000000000 * 1000000000 as t_ns, count(*) as n, avg(value) as mean,
+  var_pop(value) * count(*) as m2
+from samples
+where run = $run and unit in (select unnest($units)) and signal in (select unnest($signals))
+  and t_ns between $first and $last
+group by unit, signal, t_ns // 1000000000 order by unit, signal, t_ns"""
+
+
+def seconds_from_raw(catalog: Catalog, run: str, group: list[Any]) -> Any:
+    return reduction._fetched(catalog, FROM_RAW, run, group, reduction.SECOND_NS)
+
+
+def records(store: Store) -> Any:
+    """The records of all steps, anew."""
+    shutil.rmtree(store.folder / "metrics", ignore_errors=True)
+    with Catalog(store) as catalog:
+        return step_means(catalog)
+
+
+def raw(folder: Path, units: int) -> dict[str, Any]:
+    begin = time.perf_counter()
+    store = write_raw_day(folder / "raw", units, 100)
+    written_s = time.perf_counter() - begin
+    written_mb = peak_mb()
+    rolled_s, rolled_cpu_s, rolled = best_of(2, lambda: records(store))
+    rolled_mb = peak_mb()
+    reduction._seconds = seconds_from_raw
+    raw_s, raw_cpu_s, found = best_of(1, lambda: records(store))
+    for name in ("n", "mean", "sd", "standard_uncertainty", "sd_100s"):
+        assert np.allclose(found[name].to_numpy(), rolled[name].to_numpy(), rtol=1e-9), name
+    return {
+        "units": units,
+        "rows": sum(found["n"].to_pylist()),
+        "disk_mb": sum(each.stat().st_size for each in store.lake.rglob("*.parquet")) / 1e6,
+        "written_s": written_s,
+        "written_peak_mb": written_mb,
+        "records_from_seconds_s": rolled_s,
+        "records_from_seconds_cpu_s": rolled_cpu_s,
+        "records_from_seconds_peak_mb": rolled_mb,
+        "records_from_raw_rows_s": raw_s,
+        "records_from_raw_rows_cpu_s": raw_cpu_s,
+        "peak_mb": peak_mb(),
+    }
+
+
 def machine() -> str:
     return f"{platform.machine()}, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}, Python {sys.version[:6]}"
 
@@ -106,6 +156,8 @@ def main() -> None:
     try:
         if options.mode == "fleet":
             found = [fleet(folder, options.units or 1000, options.days, options.tries)]
+        elif options.mode == "raw":
+            found = [raw(folder, options.units or 100)]
         else:
             found = [fleet(folder, units, options.days, options.tries) for units in (10, 100, 1000, 10_000)]
     finally:

@@ -27,7 +27,7 @@ _LEFT_OUT = {*MODEL.effects, "position"}
 _WITHOUT_ENVIRONMENT = ("static", "temperature", "rate", "positions")
 _ONCE = (*_WITHOUT_ENVIRONMENT, "environment", *_WITHOUT_ENVIRONMENT * 3)
 _IN_RAMPS = ("temperature_squared", "temperature_rate", "thermal_lag", "warm_up", "drift_in_run")
-_IN_ENVIRONMENT = ("magnetic_o", "supply_voltage_squared", "vibration", "humidity")
+_IN_ENVIRONMENT = ("magnetic_o", "supply_voltage_squared", "vibration", "magnetic_i")
 _REMOVED = ("gravity_o", "temperature_squared", "scale_factor_cubic", "magnetic_i")
 
 OUTSIDE: Mapping[str, tuple[tuple[str, ...], Callable[[RunBlocks], FloatArray]]] = {

@@ -70,6 +70,9 @@ def _nothing_said(truth: Sequence[str], said: Diagnosis) -> str:
         return "unreplicated"
     if said.verdict is Verdict.UNEXPLAINED:
         return "unexplained"
+    channels = {channel for name in truth for channel in effect(name).needs}
+    if any(channels & set(effect(each.name).needs) for each in said.unreplicated):
+        return "unreplicated_form"
     return "other_unreplicated" if said.unreplicated else "missed"
 
 

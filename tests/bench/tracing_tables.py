@@ -128,7 +128,7 @@ def design_table(lines: Sequence[Line]) -> Iterator[str | tuple[str, bool]]:
         ),
         "once": (
             "type of test run once: unreplicated",
-            lambda each: each["verdict"] == "unreplicated" and each["outcome"] in ("unreplicated", *RIGHT),
+            lambda each: each["verdict"] == "unreplicated" and each["outcome"] in ("unreplicated", "unreplicated_form"),
         ),
         "outside": (
             "outside the library: unknown function, unexplained",

@@ -32,6 +32,7 @@ select k.unit, u.product, u.lot, coalesce(j.verdict, 'NO_DATA') as verdict,
   coalesce(j.undecided, []) as undecided, coalesce(j.lacking, []) as lacking,
   case
     when j.unit is not null then null
+    when not exists (from specification_limits) then 'the store has no limits: add a specification with `gyrofleet limits add`'
     when u.product is null then 'no limit applies to it: its product is not known'
     else 'no limit applies to it: no specification is for product ' || u.product
   end as reason

@@ -1,8 +1,12 @@
--- One row for each unit, signal and day on which it stood still: the mean of its biases, raw, in deg/h.
+-- One row for each unit, signal, day, position and commanded temperature at which it stood still: the mean of all its
+-- samples, raw, in deg/h. Rests of a test that turns the unit are left out: they are short, and their procedure's own.
 create or replace view bias_by_day as
-select unit, signal, day, avg(mean_deg_per_h) as bias, stddev(mean_deg_per_h) as stddev, count(*) as steps,
-  avg(temperature) as temperature, list(distinct run order by run) as runs
-from static_steps
-where day is not null
-group by unit, signal, day;
-comment on view bias_by_day is 'one row for each unit, signal and day on which it stood still: the mean of its biases in deg/h';
+select unit, signal, day, position, temperature_command,
+  sum(mean_deg_per_h * n) / sum(n) filter (mean_deg_per_h is not null) as bias,
+  stddev(mean_deg_per_h) as stddev, count(*) as steps,
+  sum(temperature * n) / sum(n) filter (temperature is not null) as temperature,
+  list(distinct run order by run) as runs
+from still_steps
+where day is not null and n > 0 and not turns
+group by unit, signal, day, position, temperature_command;
+comment on view bias_by_day is 'one row for each unit, signal, day, position and commanded temperature at which it stood still: its bias in deg/h';

@@ -1,0 +1,140 @@
+"""Versions of error models: written once, checked when read; what is in use is the last word of the log."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from click.testing import CliRunner
+
+from analytics.error_model import ErrorModel
+from analytics.model_cli import model
+from analytics.model_registry import ModelRegistry, ModelVersion
+from analytics.model_use import Stage, activate, enter_activations, read_uses, rollback_documents
+from analytics.tracing.result import NoiseCoefficients
+from storage.store import Store
+from stream.errors import BadInput, NotFound, StoreError
+
+MODEL = ErrorModel.parse("rate = bias + temperature").fitted(
+    [10.0, 0.5], [[0.01, 0.0], [0.0, 0.0001]], unit_of_measure="deg/h", units=("deg/h", "deg/h/degC")
+)
+BEFORE = ErrorModel.parse("rate = bias").fitted([10.0], [[0.01]], unit_of_measure="deg/h", units=("deg/h",))
+
+
+def version(**changes: Any) -> ModelVersion:
+    made = ModelVersion(
+        unit="U1", signal="rate", version=0, parent=None, text=str(MODEL), model=MODEL, before=BEFORE,
+        noise=NoiseCoefficients(N=0.01, B=0.0, K=0.0, turn_on=0.1), block_s=30.0, longest_s=3600.0,
+        runs={"r1": "a", "r2": "b", "r3": "c"}, training_runs=("r1", "r2"), verdict="effect_found",
+        added=("temperature",), holdout={"accepted": True}, made_ns=1, by="Li",
+    )  # fmt: skip
+    return msgspec.structs.replace(made, **changes)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store.create(tmp_path / "S")
+
+
+def test_a_version_is_read_as_it_was_written(store: Store) -> None:
+    registry = ModelRegistry(store)
+    first, second = registry.add(version()), registry.add(version(note="again"))
+    assert (first.version, second.version) == (1, 2)
+    assert registry.versions("U1") == [first, second]
+    assert registry.by_hash("U1", second.hash) == second
+    assert registry.units() == ["U1"]
+    files = sorted(path.name for path in (store.folder / "models" / "U1").iterdir())
+    assert files == [f"0001-{first.hash}.json", f"0002-{second.hash}.json"]
+
+
+def test_a_version_that_was_changed_is_not_read(store: Store) -> None:
+    registry = ModelRegistry(store)
+    written = registry.add(version())
+    path = store.folder / "models" / "U1" / f"0001-{written.hash}.json"
+    path.write_text(path.read_text().replace("0.5", "0.6"))
+    with pytest.raises(StoreError, match="does not have its hash"):
+        registry.version("U1", 1)
+
+
+def test_what_is_not_there_is_said_with_what_is(store: Store) -> None:
+    registry = ModelRegistry(store)
+    registry.add(version())
+    with pytest.raises(NotFound, match="there are 1"):
+        registry.version("U1", 7)
+    with pytest.raises(NotFound, match="none: make one"):
+        registry.version("U2", 1)
+
+
+def test_a_half_written_file_does_not_count(store: Store) -> None:
+    registry = ModelRegistry(store)
+    written = registry.add(version())
+    (store.folder / "models" / "U1" / f".0002-{'0' * 32}.json.17.part").write_text("{")
+    assert registry.versions("U1") == [written]
+    assert registry.add(version(note="next")).version == 2
+
+
+def test_what_is_in_use_is_the_last_word_of_the_log(store: Store) -> None:
+    registry = ModelRegistry(store)
+    one = registry.add(version())
+    activate(store, one, Stage.LIVE, reason="first", by="Li")
+    two = registry.add(version(parent=one.hash, note="two"))
+    activate(store, two, Stage.SHADOW, reason="try", by="Li")
+    use = read_uses(store)["U1", "rate"]
+    assert (use.stage(one.hash), use.stage(two.hash)) == (Stage.LIVE, Stage.SHADOW)
+
+    activate(store, two, Stage.LIVE, reason="good", by="Li")
+    use = read_uses(store)["U1", "rate"]
+    assert (use.stage(one.hash), use.stage(two.hash), use.shadow) == (Stage.OFF, Stage.LIVE, None)
+    with pytest.raises(BadInput, match="live already"):
+        activate(store, two, Stage.LIVE, reason="", by="Li")
+
+    documents = rollback_documents(registry, use, Stage.LIVE, reason="worse", by="Li")
+    assert [(each.version, each.stage) for each in documents] == [(2, "off"), (1, "live")]
+    enter_activations(store, documents)
+    use = read_uses(store)["U1", "rate"]
+    assert use.stage(one.hash) is Stage.LIVE
+    enter_activations(store, rollback_documents(registry, use, Stage.LIVE, reason="worse", by="Li"))
+    assert read_uses(store)["U1", "rate"].activations == ()
+
+
+def test_a_lost_version_can_be_taken_out_of_use(store: Store) -> None:
+    registry = ModelRegistry(store)
+    written = registry.add(version())
+    activate(store, written, Stage.LIVE, reason="", by="Li")
+    (store.folder / "models" / "U1" / f"0001-{written.hash}.json").unlink()
+    (document,) = rollback_documents(registry, read_uses(store)["U1", "rate"], Stage.LIVE, reason="lost", by="Li")
+    assert document.stage == "off"
+
+
+def test_what_the_lockbox_did_not_confirm_does_not_go_live(store: Store) -> None:
+    written = ModelRegistry(store).add(version(holdout={"accepted": False}))
+    with pytest.raises(BadInput, match="not confirmed"):
+        activate(store, written, Stage.LIVE, reason="", by="Li")
+    assert activate(store, written, Stage.SHADOW, reason="", by="Li").stage == "shadow"
+
+
+def test_commands_list_show_promote_and_roll_back(store: Store) -> None:
+    ModelRegistry(store).add(version())
+
+    def run(*words: str, code: int = 0) -> Any:
+        done = CliRunner().invoke(model, [words[0], "--store", str(store.folder), "--json", *words[1:]])
+        assert done.exit_code == code, done.output
+        return json.loads(done.stdout.splitlines()[-1])
+
+    assert run("list")[0]["stage"] == "off"
+    assert run("promote", "--unit", "U1", "--version", "1", "--by", "Li", "--reason", "trial")["stage"] == "live"
+    assert run("list", "--unit", "U1")[0]["stage"] == "live"
+    shown = run("show", "--unit", "U1")
+    assert shown["history"][0]["reason"] == "trial"
+    assert shown["model"]["coefficients"] == [10.0, 0.5]
+    assert run("rollback", "--unit", "U1", "--reason", "no good")[0]["stage"] == "off"
+    assert (
+        "no version of its error model is live"
+        in run("rollback", "--unit", "U1", "--reason", "x", code=1)["error"]["message"]
+    )
+    assert "give either" in run("promote", "--unit", "U1", code=1)["error"]["message"]
+    plain = CliRunner().invoke(model, ["show", "--store", str(store.folder), "--unit", "U1"])
+    assert plain.exit_code == 0
+    assert "temperature: 0.5 +- 0.01 deg/h/degC" in plain.stdout
+    assert CliRunner().invoke(model, ["list", "--store", str(store.folder)]).exit_code == 0
