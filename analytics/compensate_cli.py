@@ -28,7 +28,8 @@ def compensate(folder: Path, connect: str | None, watch_every_s: float, *, as_js
     """Take off what the live error models predict, as SIGNAL_compensated beside the raw signal, until stopped.
 
     Stopped or killed and started again, it goes on where it stood: nothing is lost, nothing is there twice. Recorded
-    runs are watched: a model that explains them worse than the one before it is rolled back.
+    runs are watched: a model that explains them worse than the one before it is rolled back. A model that is promoted
+    or rolled back acts from a unit's next power-on or run on.
     """
     from analytics.compensation_worker import CompensationWorker
     from analytics.residual_watch import watch_store
@@ -63,7 +64,7 @@ def compensate(folder: Path, connect: str | None, watch_every_s: float, *, as_js
         console.print(f"compensating what {folder} records; Ctrl-C ends", soft_wrap=True)
         watch_at = time.monotonic()
         while True:
-            worker.look()
+            worker.look(lambda: stopped.wait(0.0))
             if time.monotonic() >= watch_at:
                 for document in watch_store(store):
                     show(document)

@@ -63,8 +63,8 @@ class CompensationWorker:
         }
         self.samples = 0
 
-    def look(self) -> None:
-        """Take in what the log has beyond what was seen, and send what comes of it.
+    def look(self, given_up: Callable[[], bool] = lambda: False) -> None:
+        """Take in what the log has beyond what was seen, and send what comes of it; until `given_up` says so.
 
         Raises
         ------
@@ -72,6 +72,8 @@ class CompensationWorker:
             If the log or a model cannot be read, or the recorder does not acknowledge.
         """
         for message in self._log.since(dict(self._positions)):
+            if given_up():
+                return
             self._positions[message.stream] = message.next_seq
             try:
                 self._take(message.stream.key, message.payload)

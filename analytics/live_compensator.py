@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from uuid import uuid5
 
@@ -86,13 +87,7 @@ class LiveCompensator:
         self.samples = 0
 
     def take(self, place: Place, batch: SampleBatch) -> list[Out]:
-        """Take in samples; what is to be sent now.
-
-        Raises
-        ------
-        GyrofleetError
-            If a model that is in use cannot be read.
-        """
+        """Take in samples; what is to be sent now."""
         if batch.signal.endswith(SUFFIX):
             return []
         run = self._runs.setdefault(batch.run, _Run(place))
@@ -165,8 +160,8 @@ class LiveCompensator:
         if model is None:
             run.refused.add(stream)
             return []
-        version = self._version(batch.unit, model)
         try:
+            version = self._version(batch.unit, model)
             own = EpochCompensation(version, batch, run.power_ons.get((batch.unit, batch.epoch.hex)))
         except GyrofleetError as error:
             run.refused.add(stream)
@@ -194,6 +189,7 @@ class LiveCompensator:
                     version=version.version,
                     compensated=own.signal,
                     compensated_epoch=str(own.epoch),
+                    first_seq=own.first_seq,
                 ),
             )
         ]
@@ -223,7 +219,8 @@ class LiveCompensator:
         if self._wanted_now is None:
             for (unit, _), use in self._uses.items():
                 if use.live is not None:
-                    self._version(unit, use.live.model)
+                    with suppress(GyrofleetError):  # told when the unit begins
+                        self._version(unit, use.live.model)
             self._wanted_now = frozenset(name for each in self._versions.values() for name in _names(each))
         return self._wanted_now
 

@@ -133,7 +133,7 @@ def _probe(term: ModelTerm, blocks: int) -> RunBlocks:
         unit = next((each for word, each in units.items() if word in name), "1")
         channels[name] = Channel(20.0 + np.cumsum(rng.normal(0.0, 1.0, blocks)), np.zeros(blocks), unit)
     if TIME_SINCE_POWER_ON in channels:
-        channels[TIME_SINCE_POWER_ON] = Channel((np.arange(blocks) + 0.5) * LIVE_BLOCK_S, np.zeros(blocks), "s")
+        channels[TIME_SINCE_POWER_ON] = Channel(middles_s(blocks), np.zeros(blocks), "s")
     return live_blocks(("probe", "probe", "rate"), 0, "deg/h", channels, blocks)
 
 
@@ -147,6 +147,11 @@ def live_blocks(
         unit, run, signal, np.arange(blocks), LIVE_BLOCK_S, t0_ns, nothing, np.ones(blocks, np.int64),
         np.full(blocks, np.nan), unit_of_measure, channels,
     )  # fmt: skip
+
+
+def middles_s(blocks: int) -> FloatArray:
+    """Middles of the first blocks, seconds from where the first begins."""
+    return np.asarray((np.arange(blocks) + 0.5) * LIVE_BLOCK_S, dtype=np.float64)
 
 
 def _cut(run: RunBlocks, blocks: int) -> RunBlocks:

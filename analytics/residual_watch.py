@@ -102,14 +102,14 @@ def cusum(before: float, gain: float) -> float:
 
 
 def watch_store(store: Store) -> list[AnyDocument]:
-    """Judge every model in use by what was recorded since; roll back a live one that is refused.
+    """Judge every model in use by what was recorded since; roll back a live one that is refused, or cannot be read.
 
     The documents are in the store's log when this returns, and are given back. Done again it says nothing twice.
 
     Raises
     ------
     GyrofleetError
-        If the store or a model in use cannot be read, or the recorder does not acknowledge.
+        If the store cannot be read, or the recorder does not acknowledge.
     """
     told = logged_documents(store, (ModelActivated, ResidualWatched))
     uses = uses_of(told)
@@ -120,7 +120,11 @@ def watch_store(store: Store) -> list[AnyDocument]:
     with Catalog(store) as catalog:
         for use in uses.values():
             for activated in use.activations:
-                version = registry.by_hash(activated.unit, activated.model)
+                try:
+                    version = registry.by_hash(activated.unit, activated.model)
+                except GyrofleetError as error:  # what cannot be read cannot be used
+                    said += rollback_documents(registry, use, Stage(activated.stage), reason=str(error), by=_BY)
+                    continue
                 history = [
                     each for each in told if isinstance(each, ResidualWatched) and each.activation == activated.uid
                 ]

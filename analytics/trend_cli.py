@@ -16,9 +16,10 @@ if TYPE_CHECKING:
 _NONE = "\N{EN DASH}"
 _SHOWN_ROWS = 40
 _TITLES = {
-    "en": ("points", "centre", "sigma", "from", "to", "state", "rules met (times)"),
+    "en": ("points", "centre", "sigma", "lower limit", "upper limit", "state", "rules met (times)"),
     "zh": ("点数", "中心线", "σ", "下控制限", "上控制限", "状态", "判异准则（次数）"),
 }
+_ALL = {"en": "all units", "zh": "全部样品"}
 _STATES = {
     "en": {True: "in control", False: "stands out", None: "too few points"},
     "zh": {True: "受控", False: "异常", None: "点数不足"},
@@ -140,10 +141,12 @@ def _tell(found: "Trend", language: str) -> None:
 
 
 def _chart_table(found: "Trend", language: str) -> Table:
+    from analytics.metrics_table import told_unit
     from analytics.trends.words import Refused
 
-    unit = found.series.unit_of_measure
-    table = Table(title=f"{found.series.metric} / {unit}", title_justify="left", header_style="bold")
+    unit = told_unit(found.series.unit_of_measure)
+    title = f"{found.series.metric} / {unit}" if unit else found.series.metric
+    table = Table(title=title, title_justify="left", header_style="bold")
     table.add_column(found.by or "")
     for title in _TITLES[language]:
         table.add_column(title, justify="right" if title not in {"state", "状态"} else "left")
@@ -154,7 +157,7 @@ def _chart_table(found: "Trend", language: str) -> Table:
             limits = _numbers(chart)
         met = ", ".join(f"{rule} ({chart.counts[rule - 1]})" for rule in chart.signals) or _NONE
         state = _STATES[language][chart.in_control]
-        table.add_row(chart.name, str(chart.series.value.size), *limits, state, met)
+        table.add_row(chart.name or _ALL[language], str(chart.series.value.size), *limits, state, met)
     if len(order) > _SHOWN_ROWS:
         table.caption = f"{len(order) - _SHOWN_ROWS} more; --json has all"
     return table

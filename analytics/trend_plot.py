@@ -45,7 +45,9 @@ def plot_trend(trend: Trend, path: Path) -> None:
         _draw_averages(axes[1], shown[0], is_chinese=is_chinese)
         _name_axis(axes[1], trend.series, is_chinese=is_chinese)
     else:
-        axes = figure.subplots(len(shown), 1, sharex=True, sharey=True, gridspec_kw={"hspace": 0.12, **grid})
+        # units differ by more than each scatters; stations, lots and fixtures are to be compared
+        is_of_units = trend.by == "unit"
+        axes = figure.subplots(len(shown), 1, sharex=True, sharey=not is_of_units, gridspec_kw={"hspace": 0.12, **grid})
         for each, chart in zip(axes, shown, strict=True):
             _draw_chart(each, chart, trend.specification)
             each.set_title(chart.name, loc="left", fontsize=8.5, color=INK, pad=3)

@@ -61,11 +61,13 @@ def merge(rollup: Rollup, every: int = 1) -> Rollup:
     sums = np.add.reduceat(rollup.n * rollup.mean, starts) / n
     mean = np.where(np.diff(starts, append=len(bucket)) == 1, rollup.mean[starts], sums)
     from_mean = rollup.mean - mean[np.cumsum(is_first) - 1]
+    with np.errstate(over="ignore"):  # squares of numbers beyond 1e154 are infinite
+        m2 = np.add.reduceat(rollup.m2 + rollup.n * from_mean**2, starts)
     return Rollup(
         bucket[starts],
         n,
         mean,
-        np.add.reduceat(rollup.m2 + rollup.n * from_mean**2, starts),
+        m2,
         np.minimum.reduceat(rollup.lo, starts),
         np.maximum.reduceat(rollup.hi, starts),
     )

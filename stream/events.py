@@ -285,7 +285,7 @@ class ModelActivated(Document, frozen=True, kw_only=True, tag=True):
 class CompensationStarted(Document, frozen=True, kw_only=True, tag=True):
     """A signal of one power-on is compensated by a version of its error model, from its first sample to its last.
 
-    The samples of `compensated` in `compensated_epoch` have the numbers of those of `signal` in `epoch`.
+    Sample 0 of `compensated` in `compensated_epoch` is sample `first_seq` of `signal` in `epoch`, and so on.
     """
 
     unit: str
@@ -295,6 +295,7 @@ class CompensationStarted(Document, frozen=True, kw_only=True, tag=True):
     version: int
     compensated: str
     compensated_epoch: str
+    first_seq: int = 0
 
 
 class ResidualWatched(Document, frozen=True, kw_only=True, tag=True):

@@ -1,6 +1,7 @@
 """Products: what the specification says of a kind of gyro, kept in the store by revision."""
 
 import hashlib
+import math
 from operator import itemgetter
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -34,7 +35,7 @@ class Product(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     expected_threshold_deg_per_h : float, optional
         What the resolution test's rates are chosen by.
     average_s : float, optional
-        Averaging time of the product's bias stability, besides 1, 10 and 100 s.
+        Averaging time of the product's bias stability, besides 1, 10 and 100 s; at least 1 ms.
     """
 
     scale_factor: float | None = None
@@ -43,7 +44,13 @@ class Product(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     nonlinearity_ppm: Positive | None = None
     startup_band_deg_per_h: Positive | None = None
     expected_threshold_deg_per_h: Positive | None = None
-    average_s: Positive | None = None
+    average_s: Annotated[float, msgspec.Meta(ge=1e-3)] | None = None
+
+    def __post_init__(self) -> None:
+        numbers = {name: each for name, each in msgspec.structs.asdict(self).items() if isinstance(each, float)}
+        for name, each in numbers.items():
+            if not math.isfinite(each) or each == 0:
+                raise ValueError(f"{name} is {each:g}, expected a finite number other than 0; leave it out if unknown")
 
 
 class _File(msgspec.Struct, frozen=True):

@@ -70,7 +70,7 @@ def reduce_run(catalog: Catalog, run: str) -> pa.Table:
     """Reduce every completed step of a run.
 
     A step's own signals are those of its unit; signals of units without steps (chamber, table, supply) are reduced over
-    the stretches of all steps of the run. A stretch of more than `MOST_RAW` samples, or of irregular ones over more than
+    the stretches of all steps of the run. A stretch of more than `MOST_RAW` samples, or of irregular ones over at least
     `SHORT_NS`, counts from its first to its last whole second of the source's clock; what is before and after them is
     left out.
 

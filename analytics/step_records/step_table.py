@@ -17,6 +17,7 @@ _FILE = "steps.parquet"
 # Rises when a record would come out otherwise than it did.
 _VERSION = "4"
 _PRINT = "fingerprint"
+_MARK = b"gyrofleet.written"
 
 Told = Callable[[int, int], None]
 
@@ -108,12 +109,18 @@ def _sql() -> str:
 
 def _kept(catalog: Catalog) -> pa.Table | None:
     path = catalog.store.folder / FOLDER / _FILE
-    try:
-        return pq.read_table(path)
-    except FileNotFoundError:
-        return None
-    except (OSError, pa.ArrowException):  # it is derived: what cannot be read is made anew
-        return None
+    # it is derived: what is missing, damaged or of another version is made anew
+    with suppress(OSError, pa.ArrowException):
+        table = pq.read_table(path)
+        if (table.schema.metadata or {}).get(_MARK) == _mark(table.schema):
+            return table.replace_schema_metadata(None)
+    return None
+
+
+def _mark(schema: pa.Schema) -> bytes:
+    """How the records were written, and which columns they have."""
+    parts = (_VERSION, _sql(), schema.remove_metadata().to_string())
+    return hashlib.sha256("/".join(parts).encode()).hexdigest().encode()
 
 
 def _keep(catalog: Catalog, table: pa.Table) -> None:
@@ -123,7 +130,7 @@ def _keep(catalog: Catalog, table: pa.Table) -> None:
         folder.mkdir(exist_ok=True)
         fresh = folder / f"{_FILE}.{os.getpid()}.part"
         try:
-            pq.write_table(table, fresh, compression="zstd")
+            pq.write_table(table.replace_schema_metadata({_MARK: _mark(table.schema)}), fresh, compression="zstd")
             fresh.replace(folder / _FILE)
         finally:
             fresh.unlink(missing_ok=True)

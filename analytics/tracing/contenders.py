@@ -20,8 +20,11 @@ from analytics.tracing.screening import Screen, Screened, family_p_value, screen
 from stream.batch import FloatArray
 
 ALPHA = 0.01
-"""Family-wise chance of a false finding, for each of library, lines and jumps."""
-SCREENED = 1e-3
+"""Family-wise chance of a false finding, for each of library and jumps."""
+LINE_ALPHA = 0.001
+"""The same for lines: whitened noise that is not quite white is most of all taken for a line."""
+SCREENED, SCREENED_FROM_FEW = 1e-3, 2.0
+"""P-value of the screening that is worth a fit: 0.001, or where tests are few twice what one of them has to reach."""
 MOST_FITTED, MOST_FITTED_IN_FLEET = 10, 5
 UNMASKED = 1e-4
 MOST_UNMASKED = 8
@@ -63,6 +66,8 @@ class Contender:
         None for a jump, which happens once.
     replicates : bool
         Whether it counts as seen more than once.
+    at_most : float, optional
+        Evidence before noise at its pace was taken back; None where nothing was.
     """
 
     name: str
@@ -77,6 +82,14 @@ class Contender:
     evidence: float
     replication: Replication | None = None
     replicates: bool = True
+    at_most: float | None = None
+
+    def is_near(self, best: "Contender") -> bool:
+        """Whether it may explain as much as the best one.
+
+        Here the noise at its pace is no argument: a wrong shape makes an effect disagree between runs as well.
+        """
+        return best.evidence - (self.evidence if self.at_most is None else self.at_most) < PRICE
 
     @property
     def significance(self) -> float:
@@ -93,7 +106,9 @@ def contenders(
     *,
     with_events: bool = True,
 ) -> list[Contender]:
-    """Everything with positive evidence beside a fit, largest evidence first; what does not replicate included.
+    """Everything that may be meant beside a fit, largest evidence first; what does not replicate included.
+
+    Evidence of less than nothing counts as well: what has none of its own may be confounded with what has some.
 
     Parameters
     ----------
@@ -113,8 +128,7 @@ def contenders(
         _fitted(records, candidates, base, group, first)
         for group in _worth_fitting(records, candidates, base, rng, taken, first)
     ]
-    discounted = [_discounted(records, each) for each in fitted if each is not None and each.evidence > 0]
-    found = [each for each in discounted if each.evidence > 0]
+    found = [_discounted(records, each) for each in fitted if each is not None and each.evidence > -PRICE]
     if with_events:
         found += [each for each in (_line(records, base), _jump(records, base)) if each is not None]
     return sorted(found, key=lambda each: -each.evidence)
@@ -133,7 +147,8 @@ def _worth_fitting(
     Where the fitted noise exceeds the declared one it may have swallowed an effect (ageing in the turn-on scatter,
     warm-up in the random walk): a second screening at the declared noise unmasks it.
     """
-    chosen = [group for group in first.by_effect() if group[0].p_value < SCREENED]
+    worth = max(SCREENED, SCREENED_FROM_FEW * ALPHA / first.tests)
+    chosen = [group for group in first.by_effect() if group[0].p_value < worth]
     del chosen[MOST_FITTED if len(records) == 1 else MOST_FITTED_IN_FLEET :]
     least = [_least(noise, record) for noise, record in zip(base.noises, records, strict=True)]
     if all(each is None for each in least):
@@ -208,12 +223,13 @@ def _discounted(records: Sequence[Record], contender: Contender) -> Contender:
         likelihood_ratio=ratio,
         evidence=_evidence(records, contender.joint, ratio, contender.degrees, contender.kind),
         replication=replication,
+        at_most=contender.evidence,
     )
 
 
 def _line(records: Sequence[Record], base: JointFit) -> Contender | None:
     line = scan_lines(records, base.residuals)
-    if line is None or line.family_p_value >= ALPHA:
+    if line is None or line.family_p_value >= LINE_ALPHA:
         return None
     columns = tuple(line_columns(record, line.frequency_hz) for record in records)
     joint = fit_jointly(records, base.hypothesis.with_own(columns), base.noises)

@@ -31,6 +31,8 @@ from stream.errors import BadInput
 FEWEST_BLOCKS = 20
 FEWEST_REPLICATES = 3
 """Fewer cannot be split into training and lockbox."""
+FEWEST_BLOCKS_TO_SPLIT = 60
+"""A single run that is shorter cannot be split either."""
 FIRST_TIER = (Kind.LIBRARY, Kind.FUNCTION)
 SECOND_TIER = (*FIRST_TIER, Kind.SECOND_TIER)
 
@@ -156,7 +158,8 @@ def _split(
     whole = in_segments(stack) if is_single else stack
     names = whole.replicates
     if holdout is None:
-        held_out = names[len(names) - len(names) // 3 :] if len(names) >= FEWEST_REPLICATES else ()
+        is_short = is_single and len(stack) < FEWEST_BLOCKS_TO_SPLIT
+        held_out = () if is_short or len(names) < FEWEST_REPLICATES else names[len(names) - len(names) // 3 :]
     else:
         held_out = tuple(name for name in names if name in holdout)
     training = whole.part(~whole.of_replicates(held_out)) if held_out else whole
@@ -264,7 +267,7 @@ def verdict_of(
 ) -> Verdict:
     """Return the verdict that findings come to."""
     lasting = [each for each in effects if each.replicates]
-    if any(each.unknown_function_of for each in lasting):
+    if any(each.unknown_function_of for each in lasting) and not within_run:
         return Verdict.UNKNOWN_FUNCTION
     if any(each.confounded for each in lasting):
         return Verdict.CONFOUNDED
@@ -282,6 +285,18 @@ def _not_tested(case: Case, candidates: Candidates, blind: Sequence[str]) -> dic
     return {**unavailable_effects(case.stack.runs), **candidates.not_tested, **reasons}
 
 
+def _no_lockbox(case: Case) -> str:
+    count = len(case.stack.replicates)
+    if case.replication == "within_run":
+        blocks = len(case.stack)
+        return (
+            f"no lockbox: one run of {blocks} blocks; {FEWEST_BLOCKS_TO_SPLIT} or {FEWEST_REPLICATES} runs are needed"
+        )
+    if count < FEWEST_REPLICATES:
+        return f"no lockbox: {count} runs, {FEWEST_REPLICATES} are needed"
+    return "no lockbox: none of the runs was held out"
+
+
 def _limits(
     case: Case,
     model: ErrorModel,
@@ -296,8 +311,7 @@ def _limits(
             "one run only: its segments stand for replicates, so that what is tied to this run shows as an effect"
         )
     if not case.held_out:
-        count = len(case.stack.replicates)
-        limits.append(f"no lockbox: {count} runs, {FEWEST_REPLICATES} are needed, and some must be held out")
+        limits.append(_no_lockbox(case))
     if declared is None:
         limits.append(
             "no noise was declared: it was guessed from these runs, so that an excess of noise cannot be told"

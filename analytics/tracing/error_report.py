@@ -16,6 +16,8 @@ from stream.batch import FloatArray
 AVERAGING_S = (300.0, 1800.0, 3600.0)
 REFERENCE_S = 1800.0
 MOST_BY_CHANCE = 0.999
+LEAST_TO_WIN = 0.02
+"""Part of the floor by which the squared error must exceed it for anything to be there to be won."""
 EXCITED = 0.25
 """An effect is excited where it reaches this part of its largest average."""
 
@@ -105,6 +107,6 @@ def _row(seconds: float, squares: _Squares, excited: FloatArray) -> ErrorAt:
 def _fraction(squares: _Squares) -> float | None:
     """Part of what could be won that was won; None where the error was at the floor already."""
     could = float(squares.before.sum() - squares.floor.sum())
-    if could <= 0:
+    if could <= LEAST_TO_WIN * float(squares.floor.sum()):
         return None
     return float(squares.before.sum() - squares.after.sum()) / could

@@ -61,8 +61,9 @@ def _finding(records: Sequence[Record], candidates: Candidates, found: Search, w
     forms = form_p_values(candidates, found.joint, which)
     same = homogeneity(records, found, which)
     unknown = [channel for channel, p_value in forms.items() if p_value < WRONG_FORM]
+    has_namesake = any(each.name in own.aliases for each in which.confounded)
     if (
-        own.kind is Kind.FUNCTION
+        (own.kind is Kind.FUNCTION and not has_namesake)
         or (which.leading_proxy and not unknown)
         or (same.p_value < WRONG_FORM and not unknown)
     ):

@@ -15,6 +15,8 @@ from stream.batch import FloatArray
 
 EDGE_BLOCKS = 10
 """A jump nearer to an end of its run is a part of the turn-on scatter."""
+SHORTEST_RUN_BLOCKS = 60
+"""In a shorter run a jump is not told from a slow change."""
 _EXACT = 120  # positions of a run at which the length of a whitened step is computed; between them it is interpolated
 _INDEPENDENT = 0.3  # part of the positions that count as tests of their own
 
@@ -72,7 +74,7 @@ def _ratios(record: Record, whitener: Whitener, design: FloatArray, residual: Fl
     ratio = np.zeros(len(record))
     starts = np.flatnonzero(record.steps == 0)
     for first, end in zip(starts, [*starts[1:], len(record)], strict=True):
-        if end - first <= 2 * EDGE_BLOCKS:
+        if end - first < SHORTEST_RUN_BLOCKS:
             continue
         sums = np.cumsum(back[first:end][::-1], axis=0)[::-1]
         before = _squared_lengths(whitener, int(first), int(end))

@@ -20,9 +20,9 @@ from stream.batch import BoolArray, FloatArray
 
 IS_THERE = 1.64
 """Standard errors by which the slope has to exceed zero: 5 % one-sided."""
-SAME_SIZE = 2.58
-"""Standard errors by which the slope may differ from one: of true effects 1 % are refused for their size."""
-LINE_P_VALUE = 0.05
+SAME_SIZE = 3.29
+"""Standard errors by which the slope may differ from one: of true effects 1 in 1000 is refused for its size."""
+LINE_P_VALUE = 0.005
 LEAST_POWER = 0.1  # of a line above noise: less cannot be told from none
 
 

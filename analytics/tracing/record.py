@@ -14,6 +14,8 @@ DECLARED_SPREAD = np.array([0.1, 0.7, 0.7, 0.7])
 """Standard deviation of the logarithm of N, B, K and turn-on about what was declared."""
 ESTIMATED_SPREAD = np.array([0.3, 1.5, 1.5, 1.5])
 """The same about what was guessed from the data."""
+SINGLE_RUN_SPREAD = np.array([0.3, 0.3, 0.3, 1.5])
+"""The same where one run is all there is."""
 
 
 @dataclass(frozen=True)

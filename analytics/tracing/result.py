@@ -97,7 +97,7 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
     training_se : float
         Relative standard error of the coefficient that was frozen.
     accepted : bool
-        slope - 1.64*SE > 0 and abs(slope - 1) < 2.58*sqrt(SE^2 + training_se^2).
+        slope - 1.64*SE > 0 and abs(slope - 1) < 3.29*sqrt(SE^2 + training_se^2).
     """
 
     effect: str

@@ -104,7 +104,7 @@ def search(records: Sequence[Record], candidates: Candidates, rng: np.random.Gen
     for _ in range(MOST_EFFECTS):
         found = contenders(records, candidates, joint, rng, [each.contender.name for each in selected])
         if not selected:
-            unreplicated = tuple(each for each in found if not each.replicates)
+            unreplicated = tuple(each for each in found if not each.replicates and each.evidence > 0)
         best = _chosen(found)
         if best is None:
             break
@@ -119,18 +119,18 @@ def search(records: Sequence[Record], candidates: Candidates, rng: np.random.Gen
 def _chosen(found: Sequence[Contender]) -> Selected | None:
     """Return the best contender that replicates; a proxy or an alias only where no cause will do."""
     usable = [each for each in found if each.replicates]
-    if not usable:
+    if not usable or usable[0].evidence <= 0:
         return None
     best, leading = usable[0], None
     if best.kind is Kind.EVENT and _rivals(best, found):
         return None
-    causes = [each for each in usable if each.role is Role.CAUSE and each.candidate is not None]
+    causes = [each for each in usable if each.role is Role.CAUSE and each.candidate is not None and each.evidence > 0]
     if best.role is Role.PROXY and causes:
         leading = best.name if best.evidence - causes[0].evidence > PRICE else None
         best = causes[0]
     elif best.role is Role.ALIAS and causes and best.evidence - causes[0].evidence < PRICE:
         best = causes[0]
-    near = [each for each in usable if each is not best and best.evidence - each.evidence < PRICE]
+    near = [each for each in usable if each is not best and (each.is_near(best) or _by_design(each, best))]
     return Selected(
         contender=best,
         confounded=tuple(each for each in near if each.role is not Role.PROXY and not _contains(each, best)),
@@ -139,9 +139,24 @@ def _chosen(found: Sequence[Contender]) -> Selected | None:
     )
 
 
+def _by_design(first: Contender, second: Contender) -> bool:
+    """Whether one is a general function that names the other among its aliases.
+
+    Then the design of the test and not the data decides between them, as between gravity and the bias of a mounting.
+    """
+    pairs = ((first, second), (second, first))
+    return any(
+        function.kind is Kind.FUNCTION
+        and function.candidate is not None
+        and other.name in function.candidate.effect.aliases
+        for function, other in pairs
+    )
+
+
 def _rivals(jump: Contender, found: Sequence[Contender]) -> list[Contender]:
     """Effects that explain the one run as well as a jump does, though no other run bears them out."""
-    return [each for each in found if not each.replicates and jump.evidence - each.evidence < PRICE]
+    near = max(0.0, jump.evidence - PRICE)
+    return [each for each in found if not each.replicates and each.evidence > near]
 
 
 def _contains(function: Contender, effect: Contender) -> bool:

@@ -5,7 +5,7 @@ from scipy import ndimage
 
 from analytics.tracing.least_squares import fit
 from analytics.tracing.noise_model import NoiseModel
-from analytics.tracing.record import DECLARED_SPREAD, ESTIMATED_SPREAD, NoisePrior, Record
+from analytics.tracing.record import DECLARED_SPREAD, ESTIMATED_SPREAD, SINGLE_RUN_SPREAD, NoisePrior, Record
 from analytics.tracing.result import NoiseCoefficients
 from analytics.tracing.stack import Stack
 from stream.batch import BoolArray, FloatArray, IntArray
@@ -13,6 +13,8 @@ from stream.batch import BoolArray, FloatArray, IntArray
 RATE_CLASSES = (0.0005, 0.1, 0.4)
 """Edges between classes of rate, as parts of the largest rate: at rest, slow, middle, fast."""
 FEWEST_PAIRS = 40
+SLOW_SHARE = 0.05
+"""Part of the scatter from block to block that flicker and random walk have each, before one run alone says more."""
 LIKELY_CHANCE = 0.25  # logarithm of a ratio of variances that 40 pairs can show by chance; such ratios are halved
 LEAST_RATIO, LARGEST_RATIO = 0.3, 50.0
 BURST_BLOCKS, LEAST_BURST = 5, 2.0
@@ -36,7 +38,9 @@ def record_of(stack: Stack, declared: NoiseCoefficients | None, beside: FloatArr
     """
     residual = _ordinary_residual(stack)
     steps, noise_model = stack.steps, stack.noise_model
-    if declared is None:
+    if declared is None and len(stack.runs) == 1:
+        prior = NoisePrior(_least_guessed(stack, residual, steps, noise_model), SINGLE_RUN_SPREAD)
+    elif declared is None:
         prior = NoisePrior(_guessed(stack, residual, steps, noise_model), ESTIMATED_SPREAD)
     else:
         prior = NoisePrior(declared, DECLARED_SPREAD)
@@ -144,7 +148,7 @@ def _guessed(stack: Stack, residual: FloatArray, steps: IntArray, noise_model: N
     slow = _average_variance(residual, number, long) - white / long
     floor = 0.05 * white / long
     slow = max(slow, floor)
-    hours = long * noise_model.block_h
+    hours = long * _usual_step_h(stack, steps, noise_model)
     turn_on = float(np.var(means)) if means.size > 1 else slow
     return NoiseCoefficients(
         N=float(np.sqrt(white * noise_model.block_h)),
@@ -152,6 +156,32 @@ def _guessed(stack: Stack, residual: FloatArray, steps: IntArray, noise_model: N
         K=float(np.sqrt(slow / 2 * 3 / hours)),
         turn_on=float(np.sqrt(max(turn_on, floor))),
     )
+
+
+def _least_guessed(stack: Stack, residual: FloatArray, steps: IntArray, noise_model: NoiseModel) -> NoiseCoefficients:
+    """The least noise that the scatter from block to block suggests, for one run alone.
+
+    In one run a random walk and a slow effect look alike. Guessed from the slow changes, the walk would swallow every
+    effect; so the scatter is taken for white first, and it needs many blocks to move the walk far from a small part of
+    it.
+    """
+    near = _neighbours(stack, steps)
+    differences = np.diff(residual, prepend=0.0)[near]
+    scatter = _pair_variance(differences) if differences.size else float(np.var(residual))
+    scatter = max(scatter, 1e-12 * float(np.mean(residual**2)), 1e-300)
+    slow = SLOW_SHARE * scatter
+    return NoiseCoefficients(
+        N=float(np.sqrt(scatter * noise_model.block_h)),
+        B=float(np.sqrt(slow / 0.44)),
+        K=float(np.sqrt(slow / _usual_step_h(stack, steps, noise_model))),
+        turn_on=float(np.sqrt(scatter)),
+    )
+
+
+def _usual_step_h(stack: Stack, steps: IntArray, noise_model: NoiseModel) -> float:
+    """Hours from block to block; more than the length of a block where the record is made of bursts."""
+    near = steps[_neighbours(stack, steps)]
+    return noise_model.block_h * (float(np.median(near)) if near.size else 1.0)
 
 
 def _average_variance(residual: FloatArray, number: IntArray, length: int) -> float:

@@ -157,7 +157,7 @@ def _difference(found: Difference, comparison: Comparison, unit: str) -> Words:
     told = interval(size, lo, hi, unit)
     group_zh = _GROUP_NAMES[found.group]
     against_en = f"{found.group} {found.against}" if found.against else f"the other {found.group}s on average"
-    against_zh = f"{group_zh} {found.against}" if found.against else f"其他{group_zh}平均值"
+    against_zh = f"{group_zh} {found.against} " if found.against else f"其他{group_zh}平均值"
     why = _attribution(found, comparison, unit)
     way, way_zh = ("higher", "高") if higher else ("lower", "低")
     return Words(
@@ -249,19 +249,30 @@ def _of_components(trend: Trend) -> Iterator[Words]:
 
 
 def _of_capability(trend: Trend) -> Iterator[Words]:
+    refused: dict[Words, list[str]] = {}
     for chart, found in zip(trend.charts, trend.capabilities, strict=True):
-        if len(trend.charts) > 1 and isinstance(found, Refused):
-            continue
-        en = f"{trend.by} {chart.name}: " if trend.by is not None else ""
-        zh = f"{_GROUP_NAMES[trend.by]} {chart.name}：" if trend.by is not None else ""
         if isinstance(found, Refused):
-            yield Words(_begun(f"{en}no capability: {found.why.en}."), f"{zh}无过程能力指数：{found.why.zh}。")
+            refused.setdefault(found.why, []).append(chart.name)
             continue
+        en, zh = _whose(trend, [chart.name])
         against = _specification(trend)
         yield Words(
             _begun(f"{en}{_capable(found, chinese=False)}{against.en}."),
             f"{zh}{_capable(found, chinese=True)}{against.zh}。",
         )
+    if trend.by == "unit" and len(trend.charts) > 1:
+        return
+    for why, names in refused.items():
+        en, zh = _whose(trend, names)
+        yield Words(_begun(f"{en}no capability: {why.en}."), f"{zh}无过程能力指数：{why.zh}。")
+
+
+def _whose(trend: Trend, names: list[str]) -> Words:
+    """Whose charts a sentence is of; nothing where all units stand on one."""
+    if trend.by is None:
+        return Words("", "")
+    told = listed(names)
+    return Words(f"{trend.by} {told.en}: ", f"{_GROUP_NAMES[trend.by]} {told.zh}：")
 
 
 def _specification(trend: Trend) -> Words:
@@ -273,9 +284,8 @@ def _specification(trend: Trend) -> Words:
 
 def _capable(found: Capability, *, chinese: bool) -> str:
     indices = [("Cp", found.cp), ("Cpk", found.cpk)]
-    told = ", ".join(
-        f"{name} {each.value:.2f} ({each.lo:.2f} to {each.hi:.2f})" for name, each in indices if each is not None
-    )
+    shown = "{} {:.2f}（{:.2f} 至 {:.2f}）" if chinese else "{} {:.2f} ({:.2f} to {:.2f})"
+    told = ", ".join(shown.format(name, each.value, each.lo, each.hi) for name, each in indices if each is not None)
     share = "" if found.measurement_share is None else f"{found.measurement_share * 100:.2g} %"
     if chinese:
         noise = f"；测量不确定度占方差的 {share}" if share else ""
@@ -293,7 +303,8 @@ def _left_out(trend: Trend) -> Iterator[Words]:
         names = listed([chart.name for chart in refused if chart.name])
         why = refused[0].limits.why
         en = f" of {names.en}" if names.en else ""
-        yield Words(f"No control limits{en}: {why.en}.", f"{names.zh}无控制限：{why.zh}。")
+        zh = f"{names.zh} " if names.zh else ""
+        yield Words(f"No control limits{en}: {why.en}.", f"{zh}无控制限：{why.zh}。")
     if not isinstance(trend.comparison, Refused):
         for each in trend.comparison.left_out:
             yield Words(f"Not compared: {each.en}.", f"未比较：{each.zh}。")

@@ -136,7 +136,7 @@ def test_what_the_model_predicts_is_gone_and_the_bias_stays(store: Store) -> Non
     assert (begun.model, begun.compensated) == (written.hash, "rate_compensated")
     first = next(what for _, what in out if isinstance(what, SampleBatch))
     assert first.scale == pytest.approx(SCALE / 10.0)
-    assert first.epoch == compensated_epoch(EPOCH, "r1", written.hash)
+    assert first.epoch == compensated_epoch(EPOCH, "r1", written.hash, 0)
 
 
 TEXT = "rate = bias + temperature + temperature_rate + thermal_lag(time_constant=600) + warm_up(time_constant=300)"
@@ -170,6 +170,18 @@ def test_a_run_waits_for_its_last_samples(store: Store) -> None:
     out += compensator.take(PLACE, last)
     assert samples(out).size == RUN_S * 10
     assert compensator.totals("r1") == ()
+
+
+def test_a_run_that_goes_on_after_its_end_is_compensated_in_a_stream_of_its_own(store: Store) -> None:
+    compensator, _ = live(store, "rate = bias + temperature", [100.0, 0.5])
+    everything = list(in_time(batches("rate", 100), batches("temperature", 10)))
+    half = len(everything) // 2
+    end = RunEnded(run="r1", t_ns=T0_NS)
+    before, after = (compensated(compensator, iter(part), end) for part in (everything[:half], everything[half:]))
+    assert samples(before).size + samples(after).size == RUN_S * 10
+    first, second = (next(what for _, what in out if isinstance(what, CompensationStarted)) for out in (before, after))
+    assert first.compensated_epoch != second.compensated_epoch
+    assert (first.first_seq, second.first_seq) == (0, samples(before).size)
 
 
 def test_a_missing_channel_is_told_and_nothing_is_sent(store: Store) -> None:
@@ -237,6 +249,15 @@ def test_a_model_acts_from_the_next_power_on_on(store: Store) -> None:
     assert samples(out).size == RUN_S * 10
     later = [changed(batch, run="r2") for batch in batches("rate", 100, stop_s=200)]
     assert compensated(compensator, iter(later), RunEnded(run="r2", t_ns=T0_NS)) == []
+
+
+def test_a_model_that_cannot_be_read_is_told_and_others_go_on(store: Store) -> None:
+    compensator, written = live(store, "rate = bias + temperature", [100.0, 0.5])
+    (store.folder / "models" / "U1" / f"0001-{written.hash}.json").write_text("{}")
+    out = compensated(compensator, in_time(batches("rate", 100), batches("temperature", 10)), ended())
+    (note,) = [what for _, what in out]
+    assert isinstance(note, NoteAdded)
+    assert "does not have its hash" in note.text
 
 
 def test_terms_that_look_further_ahead_or_need_what_is_not_live_are_refused() -> None:

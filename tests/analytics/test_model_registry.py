@@ -8,6 +8,7 @@ import msgspec
 import pytest
 from click.testing import CliRunner
 
+from analytics.compensate_cli import compensate
 from analytics.error_model import ErrorModel
 from analytics.model_cli import model
 from analytics.model_registry import ModelRegistry, ModelVersion
@@ -138,3 +139,9 @@ def test_commands_list_show_promote_and_roll_back(store: Store) -> None:
     assert plain.exit_code == 0
     assert "temperature: 0.5 +- 0.01 deg/h/degC" in plain.stdout
     assert CliRunner().invoke(model, ["list", "--store", str(store.folder)]).exit_code == 0
+
+
+def test_compensation_needs_a_recorder(store: Store) -> None:
+    done = CliRunner().invoke(compensate, ["--store", str(store.folder), "--json"])
+    assert done.exit_code == 1
+    assert "start one" in json.loads(done.stdout.splitlines()[-1])["error"]["message"]

@@ -177,7 +177,7 @@ def test_a_station_with_an_offset_is_named_and_sized(told: Told) -> None:
     assert station["lo"] < 0.05 < station["hi"]
     assert station["hi"] - station["lo"] < 0.02
     chinese = "\n".join(each.zh for each in sentences(trend))
-    assert "测试站 B 的值比测试站 A高" in chinese
+    assert "测试站 B 的值比测试站 A 高" in chinese
     assert "差异来自测试站" in chinese
 
 
@@ -201,6 +201,22 @@ def test_a_change_is_dated_and_the_process_has_no_capability(told: Told) -> None
     assert "2026-01-03 12:00" in said
     assert "no capability: the process is not in control (its level changes" in said.replace("No cap", "no cap")
     assert isinstance(trend.capabilities[0], Refused)
+
+
+def test_of_several_stations_the_one_out_of_control_says_why_it_has_no_capability(told: Told) -> None:
+    rng = np.random.default_rng(20260751)
+    rows = [
+        {"unit": f"U{at:03}{station}", "hour": at, "station": station,
+         "value": rng.normal(0, 1) + (4 if station == "B" and at >= 30 else 0)}
+        for at in range(60) for station in "AB"
+    ]  # fmt: skip
+    trend = trend_of(read_series(told(rows), "bias"), by="station", specification=Limits(-8, 8, "fog-A"))
+    said = _english(trend)
+    assert "Station A: Cp " in said
+    assert "Station B: no capability: the process is not in control (its level changes" in said
+    chinese = "\n".join(each.zh for each in sentences(trend))
+    assert "测试站 B：无过程能力指数" in chinese
+    assert " to " not in chinese
 
 
 def test_a_unit_that_drifts_is_named_among_others(told: Told) -> None:

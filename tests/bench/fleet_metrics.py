@@ -115,7 +115,8 @@ def records(store: Store) -> Any:
 
 def raw(folder: Path, units: int) -> dict[str, Any]:
     begin = time.perf_counter()
-    store = write_raw_day(folder / "raw", units, 100)
+    there = folder / "raw"
+    store = Store.open(there) if there.exists() else write_raw_day(there, units, 100)
     written_s = time.perf_counter() - begin
     written_mb = peak_mb()
     rolled_s, rolled_cpu_s, rolled = best_of(2, lambda: records(store))

@@ -1,7 +1,7 @@
 """The proof of the closed loop: campaigns with a known truth, traced and judged.
 
-    python -m tests.bench.residual_tracing [--rows null,planted,...] [--count 10] [--sizes 6,10,20] [--peers]
-        [--results FILE.jsonl] [--processes 2] [--minutes 30] [--only gravity_o,...] [--short] [--speed]
+    python -m tests.bench.residual_tracing [--rows null,planted,...] [--count 10] [--first 0] [--sizes 6,10,20]
+        [--peers] [--results FILE.jsonl] [--processes 2] [--minutes 30] [--only gravity_o,...] [--short] [--speed]
 
 From the root of the checkout. Each campaign is one line of JSON in the file of results; those that are there already
 are not run again. `--count` is the number of seeds: of the row ``null`` each of nine misspecifications, of ``planted``
@@ -39,6 +39,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rows", default=",".join(ROWS))
     parser.add_argument("--count", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0, help="number of the first seed")
     parser.add_argument("--sizes", default=",".join(f"{z:g}" for z in SIZES))
     parser.add_argument("--only", default="")
     parser.add_argument("--peers", action="store_true")
@@ -53,7 +54,8 @@ def main() -> None:
     rows = [row for row in asked.rows.split(",") if row]
     sizes = [float(z) for z in asked.sizes.split(",")]
     only = [name for name in asked.only.split(",") if name]
-    wanted = [case for row in rows for case in cases(row, 1 if asked.short else asked.count, sizes, only)]
+    count = 1 if asked.short else asked.count
+    wanted = [case for row in rows for case in cases(row, count, sizes, only, first=asked.first)]
     lines = run(
         wanted[::7] if asked.short else wanted,
         asked.results,
@@ -101,23 +103,24 @@ def _read(results: Path) -> Iterator[dict[str, Any]]:
 
 
 def _speed() -> bool:
-    """Screen every effect on 30,000 blocks, then diagnose them."""
+    """Screen every effect on 30,000 blocks, then diagnose them; judged by the time of the processor."""
     campaign = Campaign(seed=7, runs=_SPEED_RUNS)
     runs = campaign.runs()
     case = case_of(runs, MODEL, DECLARED, ())
-    best = np.inf
+    best, wall = np.inf, np.inf
     for _ in range(3):
-        start = time.perf_counter()
+        started, start = time.process_time(), time.perf_counter()
         candidates = candidates_for([case.training], effects_for(case.stack.runs), MODEL.shaped(runs), FIRST_TIER, {})
         found = screen(candidates, [case.training.design], [DECLARED], np.random.default_rng(0))
-        best = min(best, time.perf_counter() - start)
+        best, wall = min(best, time.process_time() - started), min(wall, time.perf_counter() - start)
     names = len({item.effect.name for item in candidates.items})
     print(f"{len(case.training)} blocks, {names} effects, {candidates.scale.size} columns, {found.tests:.0f} tests")
-    print(f"columns and screening {best:.2f} s (<= {SPEED_S:g} s for {SPEED_BLOCKS} blocks and 55 effects)")
-    start = time.perf_counter()
+    print(f"columns and screening {best:.2f} s of processor, {wall:.2f} s by the clock (<= {SPEED_S:g} s)")
+    started, start = time.process_time(), time.perf_counter()
     diagnose(runs, MODEL, declared_noise=DECLARED)
+    took, by_clock = time.process_time() - started, time.perf_counter() - start
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"diagnose {time.perf_counter() - start:.1f} s, {memory_mb:.0f} MB, load {os.getloadavg()[0]:.1f}")
+    print(f"diagnose {took:.1f} s, {by_clock:.1f} s by the clock, {memory_mb:.0f} MB, load {os.getloadavg()[0]:.1f}")
     return bool(best <= SPEED_S * len(case.training) / SPEED_BLOCKS)
 
 

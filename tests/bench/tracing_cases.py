@@ -3,6 +3,7 @@
 Planted effects get the size at which the ideal fit sees them with significance z in the training runs.
 """
 
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -23,7 +24,6 @@ SIZES = (6.0, 10.0, 20.0)
 TWO_EFFECTS_Z, DESIGN_Z = 12.0, 14.0
 ROWS = ("null", "planted", "two", "ramp", "once", "outside", "removed")
 _NULL, _PLANTED, _TWO, _DESIGN = 1000, 2000, 3000, 4000  # first seeds
-_LEFT_OUT = {*MODEL.effects, "position"}
 _WITHOUT_ENVIRONMENT = ("static", "temperature", "rate", "positions")
 _ONCE = (*_WITHOUT_ENVIRONMENT, "environment", *_WITHOUT_ENVIRONMENT * 3)
 _IN_RAMPS = ("temperature_squared", "temperature_rate", "thermal_lag", "warm_up", "drift_in_run")
@@ -70,6 +70,11 @@ class Case:
         """What tells it from all others."""
         return f"{self.row}/{self.name}/{self.z:g}/{self.seed}"
 
+    @property
+    def noise_seed(self) -> int:
+        """Noise of its own: cases of one seed share their channels only, so that their outcomes are independent."""
+        return zlib.crc32(self.key.encode())
+
 
 @dataclass(frozen=True)
 class Built:
@@ -80,9 +85,12 @@ class Built:
     planted: tuple[Planted, ...]
 
 
-def cases(row: str, count: int, sizes: Sequence[float] = SIZES, only: Sequence[str] = ()) -> list[Case]:
-    """`count` cases of each kind of a row, all kinds with one seed after the other."""
-    return [case for number in range(count) for case in _of_seed(row, number, sizes) if not only or case.name in only]
+def cases(
+    row: str, count: int, sizes: Sequence[float] = SIZES, only: Sequence[str] = (), *, first: int = 0
+) -> list[Case]:
+    """`count` cases of each kind of a row, from seed number `first` on, all kinds with one seed after the other."""
+    numbers = range(first, first + count)
+    return [case for number in numbers for case in _of_seed(row, number, sizes) if not only or case.name in only]
 
 
 def _of_seed(row: str, number: int, sizes: Sequence[float]) -> Iterator[Case]:
@@ -99,20 +107,24 @@ def _of_seed(row: str, number: int, sizes: Sequence[float]) -> Iterator[Case]:
 
 def plantable() -> list[str]:
     """Every effect but the declared ones, products (made by a rule) and the bias by position (no such channel here)."""
-    return [name for name, its in effects().items() if not {name, *its.needs} & _LEFT_OUT and "*" not in name]
+    return [
+        name
+        for name, its in effects().items()
+        if name not in MODEL.effects and "position" not in its.needs and "*" not in name
+    ]
 
 
 def built(case: Case) -> Built:
     """Make the runs of a case."""
     if case.row == "null":
         campaign = standard(case.seed)
-        return Built(campaign, campaign.runs(misspecified=case.name), ())
+        return Built(campaign, campaign.runs(misspecified=case.name, noise_seed=case.noise_seed), ())
     campaign = _design(case.row, case.seed)
     if case.row == "outside":
         return Built(campaign, _with_outside(campaign, case), ())
     rng = np.random.default_rng((case.seed, 3))
     planted = tuple(_planted(campaign, name, case.z, rng) for name in case.name.split(" + "))
-    return Built(campaign, campaign.runs(planted), planted)
+    return Built(campaign, campaign.runs(planted, noise_seed=case.noise_seed), planted)
 
 
 @lru_cache(maxsize=2)
@@ -143,7 +155,8 @@ def shape_of(name: str, campaign: Campaign, rng: np.random.Generator) -> Shape:
 def _planted(campaign: Campaign, name: str, z: float, rng: np.random.Generator) -> Planted:
     shape = shape_of(name, campaign, rng)
     width = len(effect(name).columns(shape))
-    direction = rng.standard_normal(2) if width == 2 else np.cos(np.linspace(0.0, 3.0, width) + rng.uniform(0.0, 3.0))
+    smooth = np.cos(np.linspace(0.0, 3.0, width) + rng.uniform(0.0, 3.0))
+    direction = [float(each) for each in (rng.standard_normal(2) if width == 2 else smooth)]
     size = campaign.coefficients_for(name, shape, z, direction=direction if width > 1 else None)
     return Planted(name, size, shape)
 
@@ -165,7 +178,7 @@ def _pair(seed: int) -> str:
 def _with_outside(campaign: Campaign, case: Case) -> list[RunBlocks]:
     """The runs with an effect that has no name, of the size that the ideal fit sees with the z of the case."""
     _, form = OUTSIDE[case.name]
-    runs = campaign.runs()
+    runs = campaign.runs(noise_seed=case.noise_seed)
     whiten = DenseWhitener([campaign.slots[number] for number in campaign.training], campaign.block_s, campaign.noise)
     known = [
         np.column_stack([np.ones(len(run)), run.mean("input_rate"), run.mean("temperature"), form(run)])

@@ -7,17 +7,16 @@ from typing import Any
 import numpy as np
 
 from analytics.effects.registry import effect
-from analytics.error_model import ErrorModel
+from analytics.model_registry import ModelVersion
+from analytics.residual_watch import THRESHOLD, cusum, stretches
 from analytics.run_blocks import RunBlocks
-from analytics.tracing.diagnosis import case_of, diagnose
-from analytics.tracing.noise_fit import evaluate
-from analytics.tracing.result import Diagnosis, FoundEffect, NoiseCoefficients, Verdict
+from analytics.tracing.diagnosis import diagnose
+from analytics.tracing.result import Diagnosis, FoundEffect, Verdict
 from tests.bench.tracing_cases import DECLARED, MODEL, OUTSIDE, Built, Case, built
 from tests.bench.tracing_peers import peers
 
 REFERENCE_S = 1800.0
 RIGHT = frozenset({"exact", "in_set"})
-_CUSUM = float(np.log(200.0))
 _LATER_RUNS = 8
 
 
@@ -39,8 +38,8 @@ def traced(case: Case, *, with_peers: bool = False) -> dict[str, Any]:
         "slope": [said.holdout.total.slope, said.holdout.total.slope_se] if said.holdout else None,
         "error": _error(said),
     }
-    if case.row == "removed" and said.model is not None and said.declared is not None:
-        line["watch"] = _watched(made, said.declared, said.model)
+    if case.row == "removed" and said.effects:
+        line["watch"] = _watched(made, said)
     if with_peers:
         line["peers"] = peers(made.runs, MODEL, np.random.default_rng(case.seed))
     return line
@@ -81,12 +80,13 @@ def _means(found: FoundEffect, truth: str) -> bool:
 
     A free function may also be found as an effect of that channel alone.
     """
-    if truth in (found.name, *(each.name for each in found.confounded), *found.companions):
+    names = (found.name, *(each.name for each in found.confounded))
+    if truth in (*names, *found.companions):
         return True
     needs = effect(truth).needs
     if not truth.startswith("function_of"):
         return False
-    return needs[0] in found.unknown_function_of or effect(found.name).needs == needs
+    return needs[0] in found.unknown_function_of or any(effect(name).needs == needs for name in names)
 
 
 def _outside(channels: Sequence[str], said: Diagnosis) -> str:
@@ -130,25 +130,47 @@ def _error(said: Diagnosis) -> dict[str, Any] | None:
     }
 
 
-def _watched(made: Built, old: ErrorModel, new: ErrorModel) -> dict[str, Any]:
+def _watched(made: Built, said: Diagnosis) -> dict[str, Any]:
     """Runs until the promoted model is rolled back, with the effect still there and with it gone; None: never."""
+    version = _version(made, said)
     kept = made.campaign.runs(made.planted, noise_seed=90_000 + made.campaign.seed)[:_LATER_RUNS]
     gone = made.campaign.runs((), noise_seed=91_000 + made.campaign.seed)[:_LATER_RUNS]
-    return {"kept": _rolled_back(kept, old, new), "removed": _rolled_back(gone, old, new)}
+    return {"kept": _rolled_back(kept, version), "removed": _rolled_back(gone, version)}
 
 
-def _rolled_back(runs: Sequence[RunBlocks], old: ErrorModel, new: ErrorModel) -> int | None:
-    total = 0.0
+def _version(made: Built, said: Diagnosis) -> ModelVersion:
+    """What would be promoted."""
+    model, before, noise = said.model, said.declared, said.noise
+    assert model is not None
+    assert before is not None
+    assert noise is not None
+    return ModelVersion(
+        unit=made.campaign.unit,
+        signal="rate",
+        version=1,
+        parent=None,
+        text=str(model),
+        model=model,
+        before=before,
+        noise=noise,
+        block_s=made.campaign.block_s,
+        longest_s=float(max(run.time_s[-1] for run in made.runs)),
+        runs={},
+        training_runs=said.training_runs,
+        verdict=said.verdict.value,
+        added=said.names,
+        holdout=None,
+        made_ns=0,
+        by="bench",
+        note="",
+    )
+
+
+def _rolled_back(runs: Sequence[RunBlocks], version: ModelVersion) -> int | None:
+    lost = 0.0
     for number, run in enumerate(runs, start=1):
-        gain = _log_likelihood(run, new, DECLARED) - _log_likelihood(run, old, DECLARED)
-        total = max(0.0, total - gain)
-        if total > _CUSUM:
+        for stretch in stretches(version, run, is_ended=True):
+            lost = cusum(lost, stretch.gain)
+        if lost > THRESHOLD:
             return number
     return None
-
-
-def _log_likelihood(run: RunBlocks, model: ErrorModel, noise: NoiseCoefficients) -> float:
-    """Of what a model leaves of one run; its bias is free."""
-    record = case_of([run], ErrorModel.parse("rate = bias"), noise, ()).training
-    left = record.less(model.predict(run))
-    return evaluate(left, record.design, noise).log_likelihood

@@ -136,7 +136,7 @@ def lasso(data: Ordinary, rng: np.random.Generator) -> list[str]:
         error += np.sum((held_value[:, None] - held_columns @ paths.T) ** 2, axis=0)
     size = np.abs(_path(gram, right, penalties)[int(np.argmin(error))])
     kept = np.flatnonzero(size > max(0.1 * float(size.max()), 1e-12))
-    return list(dict.fromkeys(data.names[each] for each in kept))
+    return list(dict.fromkeys(data.names[int(each)] for each in kept))
 
 
 @njit(cache=True)

@@ -136,7 +136,7 @@ def design_table(lines: Sequence[Line]) -> Iterator[str | tuple[str, bool]]:
         ),
         "removed": (
             "removed after promotion: rolled back, and only then",
-            lambda each: (each.get("watch") or {}).get("removed") is not None and each["watch"]["kept"] is None,
+            lambda each: "watch" in each and each["watch"]["removed"] is not None and each["watch"]["kept"] is None,
         ),
     }
     for row, (what, is_right) in right.items():

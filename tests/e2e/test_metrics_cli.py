@@ -176,6 +176,10 @@ def test_a_workbook_holds_numbers_as_numbers(ask: Ask, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["m.xlsx"]
 
 
+def test_that_nothing_is_of_what_was_asked_for_is_said(ask: Ask) -> None:
+    assert ask("metrics", "--since", "2030-01-01").stdout.startswith("no characteristic is of what was asked for")
+
+
 def test_annex_a_has_its_24_rows_whatever_was_measured(ask: Ask) -> None:
     told = json.loads(ask("metrics", "--annex-a", "FOG-0002", "--json").stdout)
     rows = told["rows"]
@@ -188,6 +192,7 @@ def test_annex_a_has_its_24_rows_whatever_was_measured(ask: Ask) -> None:
     assert {each["parameters"]["average_s"] for each in rows[14]["results"]} == {1, 10, 100}
     assert rows[21]["reason"].startswith("not measured: it needs ")
     shown = ask("metrics", "--annex-a", "FOG-0002", "--lang", "zh").stdout
+    assert "7.2.5" in shown  # a row without a value has its clause too
     assert "校准项目" in shown
     assert "输入轴失准角重复性" in shown
 

@@ -1,24 +1,26 @@
 """The loop closed on live data: found, promoted, compensated, watched, rolled back; and a process that is killed."""
 
+import json
 import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from uuid import UUID
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from analytics.compensating_sender import CompensatingSender
 from analytics.demo_loop import DECLARED_MODEL, send_cycle
 from analytics.error_model import ErrorModel
 from analytics.live_compensator import LiveCompensator
-from analytics.model_promotion import promote_trace
+from analytics.model_cli import model
 from analytics.model_registry import ModelRegistry, ModelVersion
 from analytics.model_use import Stage, activate, read_uses
 from analytics.residual_watch import watch_store
 from analytics.tracing.result import NoiseCoefficients
-from analytics.unit_diagnosis import Question
 from ingest.instruments.simulated import cycle_runs
 from ingest.instruments.simulated.gyro import GyroParameters
 from ingest.pipeline import EmbeddedPipeline
@@ -28,7 +30,7 @@ from storage.store import Store
 from storage.verify import verify
 from stream.batch import SampleBatch
 from stream.delivery import DurablePublisher
-from stream.events import ModelActivated, ResidualWatched, RunEnded, RunStarted, StreamTotal
+from stream.events import AnyDocument, ModelActivated, ResidualWatched, RunEnded, RunStarted, StreamTotal
 from stream.identity import Place, event_key, sample_key
 from stream.wire import decode_batch
 from stream.zenoh_bus import ZenohBus
@@ -56,15 +58,27 @@ class _Compensated(EmbeddedPipeline):
 
     def __init__(self, folder: Path) -> None:
         store = Store.create(folder)
-        compensator = LiveCompensator(ModelRegistry(store), read_uses(store))
         super().__init__(folder, "a test")
-        self._way = CompensatingSender(super(), compensator)
+        self._way = CompensatingSender(_Plain(self), LiveCompensator(ModelRegistry(store), read_uses(store)))
 
     def send_batch(self, key: str, batch: SampleBatch) -> None:
         self._way.send_batch(key, batch)
 
-    def send_event(self, key: str, document: object) -> None:
-        self._way.send_event(key, document)  # type: ignore[arg-type]
+    def send_event(self, key: str, document: AnyDocument) -> None:
+        self._way.send_event(key, document)
+
+
+class _Plain:
+    """The way into a pipeline behind the compensation."""
+
+    def __init__(self, pipeline: EmbeddedPipeline) -> None:
+        self._pipeline = pipeline
+
+    def send_batch(self, key: str, batch: SampleBatch) -> None:
+        EmbeddedPipeline.send_batch(self._pipeline, key, batch)
+
+    def send_event(self, key: str, document: AnyDocument) -> None:
+        EmbeddedPipeline.send_event(self._pipeline, key, document)
 
 
 def measure(folder: Path, day: int, runs: int) -> list[str]:
@@ -82,7 +96,11 @@ def test_found_promoted_compensated_and_rolled_back(tmp_path: Path, monkeypatch:
     folder = tmp_path / "S"
     measure(folder, 0, 9)
     store = Store.open(folder)
-    version, _ = promote_trace(store, UNIT, Question(model=DECLARED_MODEL), Stage.LIVE, by="Li")
+    done = CliRunner().invoke(
+        model, ["promote", "--store", str(folder), "--unit", UNIT, "--model", DECLARED_MODEL, "--by", "Li", "--json"]
+    )
+    assert done.exit_code == 0, done.output
+    version = ModelRegistry(store).version(UNIT, json.loads(done.stdout)["version"])
     assert "temperature_rate" in version.added
     assert version.is_confirmed
     assert len(version.runs) == 9
@@ -132,7 +150,7 @@ def test_found_promoted_compensated_and_rolled_back(tmp_path: Path, monkeypatch:
 
 RATE_DT_NS, SCALE = 100_000_000, 2e-5
 RUN_S = 600
-EPOCH = cycle_runs.uuid5(cycle_runs.NAMESPACE_URL, "killed")
+EPOCH = UUID(int=7)
 
 
 def batches() -> Iterator[SampleBatch]:
@@ -163,10 +181,10 @@ def test_a_killed_process_goes_on_and_nothing_is_lost_or_twice(
     tmp_path: Path, spawn: Callable[..., subprocess.Popen[str]], endpoint: str
 ) -> None:
     store = Store.create(tmp_path / "S")
-    model = ErrorModel.parse("rate = bias + temperature").fitted([100.0, 0.5], unit_of_measure="deg/h")
+    fitted = ErrorModel.parse("rate = bias + temperature").fitted([100.0, 0.5], unit_of_measure="deg/h")
     version = ModelRegistry(store).add(
         ModelVersion(
-            unit="U1", signal="rate", version=0, parent=None, text=str(model), model=model, before=model,
+            unit="U1", signal="rate", version=0, parent=None, text=str(fitted), model=fitted, before=fitted,
             noise=NoiseCoefficients(N=0.01, B=0.0, K=0.0, turn_on=0.1), block_s=30.0, longest_s=3600.0, runs={},
             training_runs=(), verdict="nothing_missing", added=(), holdout=None, made_ns=1, by="Li",
         )
