@@ -1,9 +1,10 @@
 """Compensation beside a recorder: reads what is recorded, in the order of the log, and sends compensated samples."""
 
 from collections.abc import Callable
+from uuid import UUID
 
 from analytics.live_compensation import SUFFIX
-from analytics.live_compensator import LiveCompensator, Out
+from analytics.live_compensator import LiveCompensator, Out, lacking_uid
 from analytics.model_registry import ModelRegistry
 from analytics.model_use import logged_documents, uses_of
 from storage.catalog import Catalog
@@ -12,7 +13,15 @@ from storage.store import Store
 from stream.batch import SampleBatch
 from stream.delivery import DurablePublisher, StreamId
 from stream.errors import BadInput, WireError
-from stream.events import AnyDocument, CompensationStarted, ModelActivated, RunEnded, RunResumed, decode_event
+from stream.events import (
+    AnyDocument,
+    CompensationStarted,
+    ModelActivated,
+    NoteAdded,
+    RunEnded,
+    RunResumed,
+    decode_event,
+)
 from stream.identity import EventKey, SampleKey, event_key, parse_key, sample_key
 from stream.wire import decode_batch
 
@@ -43,7 +52,7 @@ class CompensationWorker:
         self._publisher = publisher
         self._on_document = on_document
         self._log = LogTail(store)
-        told = logged_documents(store, (ModelActivated, CompensationStarted))
+        told = logged_documents(store, (ModelActivated, CompensationStarted, NoteAdded))
         begun = {
             (each.run, each.unit, each.signal, each.epoch.replace("-", "")): each.model
             for each in told
@@ -127,7 +136,12 @@ def _ended(store: Store) -> set[str]:
 
 def _incomplete(store: Store, told: list[AnyDocument]) -> set[str]:
     """Runs with a signal of which there are fewer compensated than raw samples in the lake."""
-    begun = [each for each in told if isinstance(each, CompensationStarted)]
+    known = {each.uid for each in told}
+    begun = [
+        each
+        for each in told
+        if isinstance(each, CompensationStarted) and lacking_uid(UUID(each.compensated_epoch)) not in known
+    ]
     if not begun:
         return set()
     with Catalog(store) as catalog:

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from uuid import uuid5
+from uuid import UUID, uuid5
 
 from analytics.live_compensation import PATIENCE_S, SUFFIX, EpochCompensation
 from analytics.live_terms import live_part, needed_channels
@@ -253,6 +253,11 @@ class LiveCompensator:
         return self.finish(run.ended.run)
 
 
+def lacking_uid(epoch: UUID) -> str:
+    """Identity of the note that a compensated epoch has no samples, since a channel is lacking."""
+    return uuid5(epoch, "lacking").hex
+
+
 def _names(version: ModelVersion) -> tuple[str, ...]:
     names = needed_channels(live_part(version.model))
     return (*names, "table_rate") if "input_rate" in names else names
@@ -262,6 +267,7 @@ def _cannot(own: EpochCompensation) -> NoteAdded:
     lacking = "; ".join(f"channel {name}: {why}" for name, why in own.lacking.items())
     return _note(
         own,
+        lacking_uid(own.epoch),
         f"is not compensated: version {own.version.version} of its error model cannot do without {lacking}; record it "
         "once, or take the term out of the model",
     )
@@ -270,12 +276,12 @@ def _cannot(own: EpochCompensation) -> NoteAdded:
 def _stopped(own: EpochCompensation, name: str, at_s: float) -> NoteAdded:
     return _note(
         own,
+        uuid5(own.epoch, f"{name} stops").hex,
         f"is compensated with a last reading from now on: channel {name} stops at {at_s:.0f} s, and has not come for "
         f"{PATIENCE_S:.0f} s; look at its source",
     )
 
 
-def _note(own: EpochCompensation, text: str) -> NoteAdded:
+def _note(own: EpochCompensation, uid: str, text: str) -> NoteAdded:
     whole = f"run {own.run}, unit {own.unit}: {own.signal.removesuffix(SUFFIX)} {text}"
-    uid = uuid5(own.epoch, text).hex
     return NoteAdded(run=own.run, t_ns=own.t0_ns, text=whole, author=_AUTHOR, unit=own.unit, uid=uid)

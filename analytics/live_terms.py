@@ -100,7 +100,7 @@ def why_not_live(term: ModelTerm) -> str | None:
     --------
     >>> why_not_live(ModelTerm("temperature_rate"))
     >>> why_not_live(ModelTerm("ageing"))
-    'channel day: it counts from the unit's first day in the store'
+    "channel day: it counts from the unit's first day in the store"
     """
     if effect(term.name).name.startswith("stale_"):
         return "it marks readings that repeat, which blocks of another length show otherwise"

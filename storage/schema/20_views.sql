@@ -81,7 +81,7 @@ left join resumed g using (run);
 create view steps as
 select
   b.run, b.unit,
-  row_number() over (partition by b.run, b.unit order by b.t_ns) as "index",
+  row_number() over (partition by b.run, b.unit order by b.t_ns, b.uid) as "index",  -- two may begin at one time
   b.document->>'$.words.procedure' as "procedure",
   b.document->>'$.words.step' as step,
   (b.document->>'$.words.repeat')::bigint as repeat,

@@ -337,3 +337,27 @@ def test_a_worker_that_is_killed_goes_on_and_nothing_is_lost_or_twice(store: Sto
             if message.stream.key.endswith("_compensated")
         ]
     assert samples([(PLACE, batch) for batch in found]).tobytes() == samples(out).tobytes()
+
+
+def test_what_cannot_be_compensated_is_told_once_however_often_the_worker_starts(store: Store) -> None:
+    written = ModelRegistry(store).add(version(TEXT, COEFFICIENTS))
+    activate(store, written, Stage.LIVE, reason="", by="Li")
+    said: list[list[str]] = []
+    with (
+        LocalBus() as bus,
+        WriterLock(store, "a test"),
+        Recorder(store, bus, EventLog(store), sync_interval_s=0.01),
+        DurablePublisher(bus) as source,
+    ):
+        for batch in batches("rate", 1000):
+            source.send_batch(sample_key(PLACE, batch.unit, batch.signal), batch)
+        for part in range(3):
+            if part == 1:
+                source.send_event(event_key(PLACE), RunEnded(run="r1", t_ns=T0_NS))
+            source.drain()
+            heard: list[str] = []
+            with DurablePublisher(bus) as own:
+                worker = CompensationWorker(store, own, on_document=lambda each: heard.append(type(each).__name__))  # noqa: B023
+                worker.look()
+            said.append(heard)
+    assert said == [["CompensationStarted"], ["NoteAdded"], []]
