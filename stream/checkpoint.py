@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 
 from stream.errors import CheckpointDamaged, EstimatorError
-from stream.events import LimitsApplied
+from stream.events import CompensationStarted, LimitsApplied
 from stream.signal_analysis import SignalState
 
 CHECKPOINT_VERSION = 2
@@ -37,6 +37,8 @@ class Checkpoint(msgspec.Struct, frozen=True):
         Those of the runs that go on.
     signals : list of SignalState
         The signals of the runs that go on.
+    compensated : list of CompensationStarted
+        Which of them are compensated, whose samples the end of a run waits for.
     """
 
     store: str
@@ -44,6 +46,7 @@ class Checkpoint(msgspec.Struct, frozen=True):
     ended: list[str]
     limits: list[LimitsApplied]
     signals: list[SignalState]
+    compensated: list[CompensationStarted] = []
 
 
 _decoder = msgspec.msgpack.Decoder(Checkpoint)

@@ -1,16 +1,16 @@
 """What is known of every signal: numbered messages in, documents out; in whose thread, and from where, is left open."""
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from stream.checkpoint import Checkpoint
 from stream.delivery import StreamId
 from stream.errors import BadInput, WireError
 from stream.estimators.base import Estimator
-from stream.events import AnyDocument, EventMessage, LimitsApplied, RunEnded, decode_event
+from stream.events import AnyDocument, CompensationStarted, EventMessage, LimitsApplied, RunEnded, decode_event
 from stream.held_ends import HeldEnds, streams_of
-from stream.identity import EstimateKey, EventKey, Place, SampleKey, estimate_key, parse_key
+from stream.identity import EstimateKey, EventKey, Place, SampleKey, estimate_key, parse_key, sample_key
 from stream.signal_analysis import Documents, SignalAnalysis, fresh_followers
 from stream.wire import WireBatch, read_wire_batch
 
@@ -76,6 +76,7 @@ class Estimation:
         self._fill = fill
         self._signals: dict[tuple[str, str, str], SignalAnalysis] = {}
         self._limits: dict[str, LimitsApplied] = {}
+        self._compensated: dict[str, list[CompensationStarted]] = {}
         self._held = HeldEnds()
         self.positions: dict[StreamId, int] = {}
         self.catching_up = self.left_out = False
@@ -106,6 +107,7 @@ class Estimation:
             positions=[(stream.key, stream.epoch, next_seq) for stream, next_seq in self.positions.items()],
             ended=sorted(self.ended),
             limits=list(self._limits.values()),
+            compensated=[each for begun in self._compensated.values() for each in begun],
             signals=[analysis.export_state() for analysis in self._signals.values()],
         )
 
@@ -120,6 +122,9 @@ class Estimation:
         analyses = [SignalAnalysis.from_state(state) for state in checkpoint.signals]
         self._signals = {(each.run, each.unit, each.signal): each for each in analyses}
         self._limits = {limits.run: limits for limits in checkpoint.limits}
+        self._compensated = {}
+        for begun in checkpoint.compensated:
+            self._compensated.setdefault(begun.run, []).append(begun)
         self.positions = {StreamId(key, epoch): next_seq for key, epoch, next_seq in checkpoint.positions}
         self.ended = frozenset(checkpoint.ended)
 
@@ -196,7 +201,17 @@ class Estimation:
         if self._fill is None or not isinstance(document, RunEnded) or document.run in self.ended:
             return False
         positions = self.positions
-        return any(positions.get(stream, 0) < total for stream, total in streams_of(place, document))
+        expected = (*streams_of(place, document), *self._compensated_streams(place, document))
+        return any(positions.get(stream, 0) < total for stream, total in expected)
+
+    def _compensated_streams(self, place: Place, ended: RunEnded) -> Iterator[tuple[StreamId, int]]:
+        """Compensated signals of a run, which come behind the raw ones: each has as many samples."""
+        totals = {(each.unit, each.signal, each.epoch.replace("-", "")): each.samples for each in ended.totals}
+        for each in self._compensated.get(ended.run, ()):
+            total = totals.get((each.unit, each.signal, each.epoch.replace("-", "")))
+            if total is not None:
+                key = sample_key(place, each.unit, each.compensated)
+                yield StreamId(key, each.compensated_epoch.replace("-", "")), total - each.first_seq
 
     def _expected(self, stream: StreamId, first: int) -> int:
         # with a log it is known which streams were there before; without, one may be joined in its middle
@@ -208,7 +223,10 @@ class Estimation:
             for analysis in self._signals.values():
                 if analysis.run == document.run:
                     analysis.apply_limits(document)
+        elif isinstance(document, CompensationStarted):
+            self._compensated.setdefault(document.run, []).append(document)
         elif isinstance(document, RunEnded):
+            self._compensated.pop(document.run, None)
             for name in [each for each in self._signals if each[0] == document.run]:
                 analysis = self._signals.pop(name)
                 self._hand_on(analysis, analysis.finish())

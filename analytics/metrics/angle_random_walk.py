@@ -1,9 +1,11 @@
 """Angle random walk: from the Allan variance, and by normalised bias stability of a short fast record."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from analytics.metrics.largest_magnitude import json_text
 from analytics.metrics.limits_of_value import chi_square_limits, deviation_uncertainty
@@ -58,20 +60,19 @@ order by s.unit, s.signal, s.run, s."index"
 """
 
 
-def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
+def compute(catalog: Catalog) -> pa.Table:
     """Rows of the metric; the normalised method reads the samples of its steps, which are short."""
-    rows = catalog.reader(_ALLAN).read_all().to_pylist()
-    value, freedom = (
-        np.array([np.nan if row[name] is None else row[name] for row in rows], np.float64)
-        for name in ("value", "freedom")
-    )
-    lo, hi = chi_square_limits(value, np.nan_to_num(freedom, nan=1.0))
-    uncertainty = deviation_uncertainty(value, np.nan_to_num(freedom, nan=1.0))
-    for row, *limits in zip(rows, lo.tolist(), hi.tolist(), uncertainty.tolist(), strict=True):
-        yield row if row["freedom"] is None else row | dict(zip(_LIMITS, limits, strict=True))
-    for row in catalog.reader(_SHORT).read_all().to_pylist():
-        clause = {"standard": "GJB2426A", "clause": "5.12.5.4.1 (23)(24)"}
-        yield _told(row) | clause | _short(catalog, row)
+    table = catalog.reader(_ALLAN).read_all()
+    value, freedom = table["value"].to_numpy(), np.nan_to_num(table["freedom"].to_numpy(), nan=1.0)
+    own = (*chi_square_limits(value, freedom), deviation_uncertainty(value, freedom))
+    for name, numbers in zip(_LIMITS, own, strict=True):
+        of_step = pa.array(numbers, pa.float64(), mask=np.isnan(numbers))
+        column = pc.if_else(pc.is_null(table["freedom"]), table[name], of_step)
+        table = table.set_column(table.schema.get_field_index(name), name, column)
+    clause = {"standard": "GJB2426A", "clause": "5.12.5.4.1 (23)(24)"}
+    short = [_told(row) | clause | _short(catalog, row) for row in catalog.reader(_SHORT).read_all().to_pylist()]
+    schema = pa.schema([*table.schema, *((name, pa.string()) for name in clause)])
+    return pa.concat_tables([table, pa.Table.from_pylist(short, schema=schema)], promote_options="default")
 
 
 def _told(row: Mapping[str, Any]) -> dict[str, Any]:

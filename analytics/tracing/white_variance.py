@@ -22,6 +22,9 @@ OUTLIER = 4.5
 OUTLIER_RATIO = 1e3
 MOST_OUTLIERS = 0.02
 MAD_TO_SIGMA = 1.4826
+COARSE = (
+    0.3  # of the variance that the median tells over the variance itself: Gaussian noise has 1.1, t of 3 degrees 0.6
+)
 
 
 def record_of(stack: Stack, declared: NoiseCoefficients | None, beside: FloatArray | None = None) -> Record:
@@ -62,8 +65,14 @@ def _ordinary_residual(stack: Stack) -> FloatArray:
 
 
 def _pair_variance(differences: FloatArray) -> float:
-    """White variance by the median of differences of neighbours, which neither drift nor outliers move."""
-    return float((MAD_TO_SIGMA * np.median(np.abs(differences - np.median(differences)))) ** 2 / 2)
+    """White variance by the median of differences of neighbours, which neither drift nor outliers move.
+
+    Where most differences are alike, as in a signal of coarse steps, by their variance without the largest.
+    """
+    away = np.abs(differences - np.median(differences))
+    usual = float((MAD_TO_SIGMA * np.median(away)) ** 2)
+    without_largest = float(np.mean(away[away <= np.quantile(away, 1 - MOST_OUTLIERS)] ** 2))
+    return (usual if usual > COARSE * without_largest else without_largest) / 2
 
 
 def _neighbours(stack: Stack, steps: IntArray) -> BoolArray:

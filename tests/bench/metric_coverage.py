@@ -16,7 +16,7 @@ import math
 import sys
 import tempfile
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -144,27 +144,20 @@ class Covered(NamedTuple):
     outside: bool
 
 
-def biased_units(units: int) -> list[Unit]:
-    return [Unit(f"U{number:04d}", bias=7.0) for number in range(units)]
-
-
-def covered(store: Store, units: int, seed: int, checks: Sequence[Check] = tuple(CHECKS)) -> list[Covered]:
-    """Coverage of the metrics over so many simulated units.
+def covered(store: Store, units: int, seed: int, checks: Sequence[Check] = tuple(CHECKS)) -> Iterator[Covered]:
+    """Coverage of the metrics over so many simulated units, test by test.
 
     A unit's first row of a kind is counted, so that all that are counted are independent.
     """
-    rng = np.random.default_rng(seed)
-    every = biased_units(units)
+    every = [Unit(f"U{number:04d}") for number in range(units)]
     by_procedure: defaultdict[str, list[Check]] = defaultdict(list)
     for check in checks:
         by_procedure[check.procedure].append(check)
-    found = []
-    for procedure, asked in by_procedure.items():
-        records = records_of(every, rng, [procedure])
+    for number, (procedure, asked) in enumerate(by_procedure.items()):
+        records = records_of(every, np.random.default_rng([seed, number]), [procedure])
         names = dict.fromkeys(check.metric for check in asked)
         rows = _rows(metrics_of(store, records, names))
-        found += [_covered(check, rows, every, len(checks)) for check in asked]
-    return found
+        yield from (_covered(check, rows, every, len(checks)) for check in asked)
 
 
 def _rows(table: pa.Table) -> list[dict[str, Any]]:
@@ -193,22 +186,27 @@ def _is_outside(check: Check, held: int, rows: int, checks: int) -> bool:
     return bool(too_few or too_many)
 
 
+def line_of(row: Covered) -> str:
+    asked = ">= 93 %" if row.conservative else "93 to 98 %"
+    share = f"{100 * row.held / row.rows:6.1f} %" if row.rows else "     no rows"
+    return f"{row.metric:40} {row.of:26} {share} of {row.rows:4}, {asked}{'  OUTSIDE' if row.outside else ''}"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--units", type=int, default=500)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--procedure", help="only the tests of this one")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
+    is_outside = False
     with tempfile.TemporaryDirectory(prefix="gyrofleet-coverage-") as folder:
-        rows = covered(Store.create(Path(folder) / "store"), options.units, options.seed)
-    if options.json:
-        print(json.dumps([row._asdict() for row in rows]))
-    else:
-        for row in rows:
-            asked = ">= 93 %" if row.conservative else "93 to 98 %"
-            share = f"{100 * row.held / row.rows:6.1f} %" if row.rows else "     no rows"
-            print(f"{row.metric:40} {row.of:24} {share} of {row.rows:4}, {asked}{'  OUTSIDE' if row.outside else ''}")
-    sys.exit(any(row.outside for row in rows))
+        store = Store.create(Path(folder) / "store")
+        checks = [each for each in CHECKS if options.procedure in {None, each.procedure}]
+        for row in covered(store, options.units, options.seed, checks):
+            print(json.dumps(row._asdict()) if options.json else line_of(row), flush=True)
+            is_outside |= row.outside
+    sys.exit(is_outside)
 
 
 if __name__ == "__main__":
