@@ -22,9 +22,7 @@ OUTLIER = 4.5
 OUTLIER_RATIO = 1e3
 MOST_OUTLIERS = 0.02
 MAD_TO_SIGMA = 1.4826
-COARSE = (
-    0.3  # of the variance that the median tells over the variance itself: Gaussian noise has 1.1, t of 3 degrees 0.6
-)
+COARSE = 0.3  # median over variance without the largest: Gaussian noise has 1.2, t noise of 3 degrees 0.7
 
 
 def record_of(stack: Stack, declared: NoiseCoefficients | None, beside: FloatArray | None = None) -> Record:

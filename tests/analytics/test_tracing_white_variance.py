@@ -1,0 +1,22 @@
+"""White variance from neighbours: of ordinary noise, of noise with outliers, and of a signal of coarse steps."""
+
+import numpy as np
+import pytest
+
+from analytics.tracing.white_variance import _pair_variance
+
+
+def test_neighbours_tell_white_noise_beside_a_drift_and_outliers() -> None:
+    """2 of 100 values are far off: each spoils two differences, which moves the median by less than 10 %."""
+    rng = np.random.default_rng(1)
+    noise = rng.normal(0.0, 2.0, 20_000)
+    noise[::50] += 1e3
+    found = _pair_variance(np.diff(noise + 0.01 * np.arange(noise.size)))
+    assert found == pytest.approx(4.0, rel=0.15)
+
+
+def test_coarse_steps_have_a_variance_though_most_neighbours_are_alike() -> None:
+    """One value in ten is a step of 1 above the others: variance 0.09, but the median difference is zero."""
+    rng = np.random.default_rng(2)
+    steps = (rng.random(20_000) < 0.1).astype(np.float64)
+    assert _pair_variance(np.diff(steps)) == pytest.approx(0.09, rel=0.15)
