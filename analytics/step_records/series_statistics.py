@@ -12,8 +12,8 @@ AVERAGES_S = (1.0, 10.0, 100.0)
 LEAST_SHARE = 0.9
 _LEAST_BLOCKS = 8
 _TERMS = 3  # white, flicker, random walk
-# By how much chi-square must fall for a further part. Without a price white noise is seldom found white; with 3 the means
-# of an hour with flicker noise three times as large at its end lay within their 95 % limits in 82 of 100, with 0.5 in 95.
+# By how much chi-square must fall for a further part. Without a price white noise is seldom found white. With 3, means
+# of hours with flicker noise three times the white at the end lay within their limits in 82 %, with 0.5 in 95 %.
 _PRICE = 0.5
 
 

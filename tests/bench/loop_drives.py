@@ -86,7 +86,8 @@ class _Bench:
 
     def levels(self, values: FloatArray, dwell_s: float) -> FloatArray:
         """Held one after the other, from the start again at the end."""
-        return np.asarray(values)[(self.time_s / dwell_s).astype(int) % len(values)]
+        held: FloatArray = np.asarray(values, np.float64)[(self.time_s / dwell_s).astype(int) % len(values)]
+        return held
 
     def follow(self, driven_by: FloatArray, time_constant_s: float) -> FloatArray:
         share = -np.expm1(-self.step_s / time_constant_s)
@@ -110,7 +111,7 @@ class _Bench:
 
 def drive(kind: str, number: int, rng: np.random.Generator, duration_s: float, step_s: float) -> Drive:
     """Run `number` of a campaign, counted from 0, as a test of type `kind`."""
-    time_s = (np.arange(round(duration_s / step_s)) + 0.5) * step_s
+    time_s: FloatArray = (np.arange(round(duration_s / step_s), dtype=np.float64) + 0.5) * step_s
     bench = _Bench(time_s, rng)
     zero = np.zeros(time_s.size)
     day = 0.9 * number + float(rng.uniform(0.0, 0.2))
@@ -127,7 +128,7 @@ def drive(kind: str, number: int, rng: np.random.Generator, duration_s: float, s
         **{f"magnetic_{axis}": bench.wander(2.0, 4000.0) for axis in "ios"},
     }
     asked |= _PLANS[kind](bench, number)
-    since_s = time_s + float(rng.choice([0.0, 300.0, 1800.0, 9000.0]))
+    since_s: FloatArray = time_s + float(rng.choice([0.0, 300.0, 1800.0, 9000.0]))
     true = _physics(bench, asked, since_s) | {"day": day + time_s / 86400.0}
     read = {
         name: values + SENSOR_NOISE.get(name, 0.0) * rng.standard_normal(time_s.size) for name, values in true.items()
@@ -194,7 +195,7 @@ def _positions(bench: _Bench, number: int) -> dict[str, FloatArray]:
     order = bench.rng.permutation(len(signed))
     return {
         "orientation": bench.levels(signed[order], 2.0 * stay_s),
-        "position": bench.levels(1.0 + order, 2.0 * stay_s),
+        "position": bench.levels(np.asarray(1.0 + order, np.float64), 2.0 * stay_s),
         "angle0": np.full(angle.size, angle[0]),
         "table_rate": np.gradient(angle, bench.step_s),
     }
