@@ -64,13 +64,19 @@ def _ordinary_residual(stack: Stack) -> FloatArray:
 
 
 def _pair_variance(differences: FloatArray) -> float:
-    """White variance by the median of differences of neighbours, which neither drift nor outliers move.
+    """White variance by the median of differences of neighbours, which neither drift nor outliers move."""
+    return float((MAD_TO_SIGMA * np.median(np.abs(differences - np.median(differences)))) ** 2 / 2)
+
+
+def _class_variance(differences: FloatArray) -> float:
+    """White variance of many blocks of one kind.
 
     Where most differences are alike, as in a signal of coarse steps, by how far the largest tenth is away.
     """
-    away = np.abs(differences - np.median(differences))
-    middle, tenth = np.quantile(away, (0.5, 0.9)) * (MAD_TO_SIGMA, TENTH_TO_SIGMA)
-    return float(middle if middle**2 > COARSE * tenth**2 else tenth) ** 2 / 2
+    usual = _pair_variance(differences)
+    tenth = float(np.quantile(np.abs(differences - np.median(differences)), 0.9))
+    wide = (TENTH_TO_SIGMA * tenth) ** 2 / 2
+    return usual if usual > COARSE * wide else wide
 
 
 def _neighbours(stack: Stack, steps: IntArray) -> BoolArray:
@@ -101,11 +107,11 @@ def _relative_white(stack: Stack, residual: FloatArray, steps: IntArray, expecte
     for run in range(len(stack.runs)):
         of_run = number == run
         if np.count_nonzero(of_run & same) >= FEWEST_PAIRS:
-            ratio[of_run] = _pair_variance(difference[of_run & same]) / expected
+            ratio[of_run] = _class_variance(difference[of_run & same]) / expected
         for each in np.unique(rate_class[of_run]):
             of_class = of_run & (rate_class == each)
             if np.count_nonzero(of_class & same) >= FEWEST_PAIRS:
-                ratio[of_class] = _pair_variance(difference[of_class & same]) / expected
+                ratio[of_class] = _class_variance(difference[of_class & same]) / expected
     logarithm = np.log(np.clip(ratio, LEAST_RATIO, LARGEST_RATIO))
     return np.exp(np.where(np.abs(logarithm) < LIKELY_CHANCE, logarithm / 2, logarithm)) * _bursts(stack, rate_class)
 

@@ -20,7 +20,7 @@ START_NS = 1_763_683_200 * 10**9  # 2025-11-21 00:00 UTC
 SECOND_NS = 10**9
 DAY_NS = 86_400 * SECOND_NS
 RATES = (0.0, *(sign * rate for rate in np.geomspace(1.0, 100.0, 11) for sign in (1, -1)), 0.0)
-SPECIFICATION = '[product."FOG-70"]\naverage_s = {average_s}\nnonlinearity_ppm = 500.0\n'
+SPECIFICATION = 'revision = "A"\n[product."FOG-70"]\naverage_s = {average_s}\nnonlinearity_ppm = 500.0\n'
 
 
 class Work:

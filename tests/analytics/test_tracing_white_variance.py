@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analytics.tracing.white_variance import _pair_variance
+from analytics.tracing.white_variance import _class_variance
 
 
 def test_neighbours_tell_white_noise_beside_a_drift_and_outliers() -> None:
@@ -11,7 +11,7 @@ def test_neighbours_tell_white_noise_beside_a_drift_and_outliers() -> None:
     rng = np.random.default_rng(1)
     noise = rng.normal(0.0, 2.0, 20_000)
     noise[::50] += 1e3
-    found = _pair_variance(np.diff(noise + 0.01 * np.arange(noise.size)))
+    found = _class_variance(np.diff(noise + 0.01 * np.arange(noise.size)))
     assert found == pytest.approx(4.0, rel=0.15)
 
 
@@ -22,6 +22,6 @@ def test_coarse_steps_have_a_variance_though_most_neighbours_are_alike() -> None
     """
     rng = np.random.default_rng(2)
     steps = (rng.random(20_000) < 0.1).astype(np.float64)
-    found = _pair_variance(np.diff(steps))
+    found = _class_variance(np.diff(steps))
     assert found == pytest.approx(0.608**2 / 2)
     assert found > 0.09

@@ -154,23 +154,25 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     folder = options.folder or Path(tempfile.mkdtemp(prefix="gyrofleet-fleet-"))
+    sizes = (10, 100, 1000, 10_000) if options.mode == "growth" else (options.units or 1000,)
+    print(machine())
     try:
-        if options.mode == "fleet":
-            found = [fleet(folder, options.units or 1000, options.days, options.tries)]
-        elif options.mode == "raw":
-            found = [raw(folder, options.units or 100)]
+        if options.mode == "raw":
+            show(raw(folder, options.units or 100), as_json=options.json)
         else:
-            found = [fleet(folder, units, options.days, options.tries) for units in (10, 100, 1000, 10_000)]
+            for units in sizes:
+                show(fleet(folder, units, options.days, options.tries), as_json=options.json)
     finally:
         if options.folder is None:
             shutil.rmtree(folder)
-    print(machine())
-    for each in found:
-        if options.json:
-            print(json.dumps(each))
-            continue
-        for name, value in each.items():
-            print(f"{name:30} {value:,.4g}" if isinstance(value, float) else f"{name:30} {value:,}")
+
+
+def show(found: dict[str, Any], *, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(found), flush=True)
+        return
+    for name, value in found.items():
+        print(f"{name:30} {value:,.4g}" if isinstance(value, float) else f"{name:30} {value:,}", flush=True)
 
 
 if __name__ == "__main__":

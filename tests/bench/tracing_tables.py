@@ -86,8 +86,9 @@ def null_table(lines: Sequence[Line]) -> Iterator[str | tuple[str, bool]]:
 
 
 def _false(lines: Sequence[Line]) -> tuple[int, int]:
-    """Campaigns with an effect before the lockbox, and after it."""
-    return sum(bool(each["found"] or each["refused"]) for each in lines), sum(bool(each["found"]) for each in lines)
+    """Campaigns with an effect before the lockbox, and after it; a jump is told but never counts as confirmed."""
+    confirmed = sum(any(found["replicates"] for found in each["found"]) for each in lines)
+    return sum(bool(each["found"] or each["refused"]) for each in lines), confirmed
 
 
 def planted_table(lines: Sequence[Line]) -> Iterator[str | tuple[str, bool]]:
@@ -181,7 +182,7 @@ def peer_table(lines: Sequence[Line]) -> Iterator[str | tuple[str, bool]]:
         return
     yield f"\nSide by side: {len(null)} campaigns with nothing planted, {len(planted)} with one effect"
     yield f"    {'':22s} {'false effect':>14s} {'exact or set':>14s} {'truth + others':>15s} {'truth missed':>14s}"
-    false = sum(bool(each["found"]) for each in null)
+    _, false = _false(null)
     hit, beside = _right(planted), sum(each["outcome"] == "beside" for each in planted)
     yield _peer_row("gyrofleet diagnose", (false, len(null)), hit, beside, len(planted))
     for peer in PEERS:
