@@ -127,7 +127,7 @@ def test_an_interrupted_import_is_completed_by_giving_it_again(
     source = spawn("import", path, "--unit", "U1")
     log = tmp_path / "gyrofleet-data" / "log"
     deadline = time.monotonic() + 60
-    while not any(path.stat().st_size > 2_000_000 for path in log.glob("*.open")) and time.monotonic() < deadline:
+    while not any(path.stat().st_size > 400_000 for path in log.glob("*.open")) and time.monotonic() < deadline:
         time.sleep(0.005)
     source.send_signal(fault)
     source.communicate(timeout=60)
