@@ -211,8 +211,8 @@ def test_where_raw_rows_were_let_go_the_whole_seconds_tell_the_same(tested: Any)
         assert after[name] == before[name]
     for name in ("sd_1s", "sd_10s"):
         assert after[name] == exact(before[name])
-    # Of the same record, from samples and from seconds: both say how far another such record's mean would lie. Its drift
-    # is known to 3 degrees of freedom: sqrt(F(0.975; 3, 3)) is 3.9.
+    # Of the same record, from samples and from seconds: both say how far another such record's mean would lie.
+    # Its drift is known to 3 degrees of freedom: sqrt(F(0.975; 3, 3)) is 3.9.
     assert 1 / 3.9 < after["standard_uncertainty"] / before["standard_uncertainty"] < 3.9
 
 
