@@ -91,8 +91,10 @@ def _summary(state: "DemoState", folder: Path, plot: Path) -> dict[str, object]:
 
 
 def _tell_found(state: "DemoState") -> None:
-    """What the units' error models lack, in a sentence each."""
-    from analytics.demo_loop import DECLARED_MODEL, told_finding
+    """What the units' error models lack, in a sentence each, in both languages."""
+    from analytics.demo_loop import DECLARED_MODEL
+    from analytics.report.sentences import verdict_sentence
+    from analytics.report.wording import Wording
 
     assert state.found is not None
     console = results()
@@ -100,7 +102,9 @@ def _tell_found(state: "DemoState") -> None:
     silent = [unit for unit, each in state.found.units.items() if not each.diagnosis.effects]
     for unit, each in state.found.units.items():
         if each.diagnosis.effects:
-            console.print(told_finding(unit, each.diagnosis), soft_wrap=True)
+            for language in ("en", "zh"):
+                told = verdict_sentence(each.diagnosis, Wording(language))
+                console.print(f"{unit}: {told}", soft_wrap=True, markup=False)
     verdicts = sorted({state.found.units[unit].diagnosis.verdict.replace("_", " ") for unit in silent})
     console.print(f"{', '.join(silent)}: {', '.join(verdicts)}\n", soft_wrap=True)
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from analytics.tracing.result import Diagnosis, FoundEffect
 from analytics.unit_diagnosis import Question, UnitsDiagnosis, diagnose_units
 from ingest.instruments.simulated.cycle_runs import RUN_S, CycleRun, cycle_batches
 from ingest.instruments.simulated.gyro import GyroParameters
@@ -77,29 +76,3 @@ def trace_fleet(
     """
     with Catalog(Store.open(folder)) as catalog:
         return diagnose_units(catalog, units, Question(model=DECLARED_MODEL, runs=runs), told=told)
-
-
-def told_finding(unit: str, found: Diagnosis) -> str:
-    """A sentence on what a unit's model lacks."""
-    if not found.effects:
-        return f"{unit}: {found.verdict.replace('_', ' ')}"
-    what = "; ".join(_told_effect(each) for each in found.effects)
-    error = found.error
-    row = None if error is None else next((each for each in error.rows if each.averaging_s == 300.0), None)
-    if error is None or row is None:
-        return f"{unit}: {what}"
-    where = f"in the {len(error.runs)} held-out runs" if error.is_held_out else "in the runs it was fitted to"
-    return (
-        f"{unit}: {what}; error of 300 s means {where}: {row.before:.3g} before, {row.after:.3g} after, "
-        f"{row.floor:.3g} {error.unit_of_measure} is what its noise alone would leave"
-    )
-
-
-def _told_effect(effect: FoundEffect) -> str:
-    one = effect.coefficients[0]
-    others = [each.name.replace("_", " ") for each in effect.confounded]
-    told = (
-        f"{effect.name.replace('_', ' ')} is missing, {one.value:.3g} {one.unit_of_measure} "
-        f"({one.lo:.3g} to {one.hi:.3g})"
-    )
-    return f"{told}, or {' or '.join(others)}, which these runs do not tell apart" if others else told

@@ -3,8 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from scipy import stats
-
 from analytics.block_checks import Note, in_runs
 from analytics.block_reduction import BLOCK_S, BlockReducer
 from analytics.declared_noise import declared_noise
@@ -12,14 +10,11 @@ from analytics.effects.registry import effect
 from analytics.error_model import ErrorModel
 from analytics.run_blocks import RunBlocks
 from analytics.tracing.diagnosis import diagnose
-from analytics.tracing.fleet import FleetDiagnosis, benjamini_hochberg, diagnose_fleet
+from analytics.tracing.fleet import FleetDiagnosis, diagnose_fleet, standing
 from analytics.tracing.result import Diagnosis, NoiseCoefficients
 from storage.catalog import Catalog
 from stream.errors import BadInput, GyrofleetError, NotFound
 from stream.estimators.base import NoEstimate
-
-TESTS_IN_A_SEARCH = 50
-"""A search for what is missing in one unit is itself about so many independent tests."""
 
 
 @dataclass(frozen=True)
@@ -266,23 +261,6 @@ def held_out_runs(asked: Sequence[str] | None, runs: Sequence[RunBlocks]) -> tup
             f"{', '.join(names)}"
         )
     return tuple(name for name in names if name in asked or bases[name] in asked)
-
-
-def standing(alone: Mapping[str, Diagnosis]) -> dict[str, tuple[str, ...]]:
-    """Findings of single units that stand among so many units.
-
-    Examples
-    --------
-    >>> standing({})
-    {}
-    """
-    p_values = dict.fromkeys(alone, 1.0)
-    for unit, found in alone.items():
-        if found.effects:
-            largest = max(each.significance for each in found.effects)
-            p_values[unit] = min(1.0, TESTS_IN_A_SEARCH * float(stats.chi2.sf(largest**2, 1)))
-    kept = benjamini_hochberg(p_values)
-    return {unit: alone[unit].names for unit in kept}
 
 
 def units_with(catalog: Catalog, signal: str) -> list[str]:

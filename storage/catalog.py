@@ -100,7 +100,9 @@ class Catalog:
         for script in sorted(files("storage").joinpath("schema").iterdir(), key=lambda each: each.name):
             if script.name.endswith(".sql"):
                 self._run(script.read_text())
-        self.define(conversion_macros(unit for (unit,) in self._selected("select unit_of_measure from lake_channels")))
+        self.define(
+            conversion_macros(unit for (unit,) in self._selected("select distinct unit_of_measure from lake_channels"))
+        )
         folders = [store.lake, *(store.folder / layer.folder for layer in layers())]
         allowed = ", ".join("'" + str(each.resolve()).replace("'", "''") + "'" for each in folders)
         self._connection.execute(f"set allowed_directories = [{allowed}]")
@@ -158,6 +160,8 @@ class Catalog:
         self._fill(" ".join(table for layer in layers() for table in layer.tables))
 
     def _fill(self, sql: str) -> None:
+        if not self._unfilled:
+            return
         words = set(re.findall(r"\w+", sql.lower()))
         for layer in [each for each in self._unfilled if words.intersection(each.tables)]:
             self._unfilled.remove(layer)  # before: it asks this catalogue

@@ -1,5 +1,6 @@
 """Auxiliary channels that freeze or drop out, so that the model goes on with a reading that is no longer true."""
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -43,8 +44,9 @@ class _StaleChannel(Effect):
     role = Role.ALIAS
     reference = "IEEE 1431-2004, test instrumentation; IEEE 952-2020, data acquisition"
 
+    @abstractmethod
     def _truth(self, run: RunBlocks, is_frozen: Mask) -> FloatArray:
-        raise NotImplementedError
+        """What the channel was in its frozen blocks, as far as it can be known."""
 
     def unavailable(self, runs: Sequence[RunBlocks]) -> str | None:
         reason = super().unavailable(runs)

@@ -20,7 +20,8 @@ from analytics.metrics.limits_of_value import chi_square_limits, deviation_uncer
 from analytics.metrics.product_files import products_of
 from analytics.metrics.registry import Metric, metrics
 from analytics.metrics.scale_factor import keep_scale_fits
-from analytics.step_records.step_table import FOLDER, Told, step_means
+from analytics.step_records import FOLDER
+from analytics.step_records.step_table import Told, step_means
 from storage.catalog import Catalog
 from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate

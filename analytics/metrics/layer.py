@@ -1,17 +1,20 @@
 """The tables that metrics add to a store's catalogue."""
 
 from importlib.resources import files
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-from analytics.metrics.evaluation import unit_metrics
-from analytics.specification_tables import put_specifications
-from analytics.step_records.step_table import FOLDER
-from storage.catalog import Catalog
-from storage.sql_columns import Words, read_words
+from analytics.step_records import FOLDER
+
+if TYPE_CHECKING:
+    from storage.catalog import Catalog
+    from storage.sql_columns import Words
 
 
 class MetricsLayer:
-    """Step records and metrics; computed when a statement first names one of the tables, and kept in the store."""
+    """Step records and metrics; computed when a statement first names one of the tables, and kept in the store.
+
+    What computes them is imported only then: every command that opens a catalogue makes one of these.
+    """
 
     tables = (
         "step_means", "rate_steps", "static_steps", "unit_metrics", "bias_by_day", "temperature_curve", "unit_runs",
@@ -35,18 +38,24 @@ class MetricsLayer:
     }
 
     @property
-    def columns(self) -> Words:
+    def columns(self) -> "Words":
         """What the columns of its tables hold."""
+        from storage.sql_columns import read_words
+
         return read_words(files("analytics.metrics").joinpath("tables", "columns.toml"))
 
-    def fill(self, catalog: Catalog) -> None:
+    def fill(self, catalog: "Catalog") -> None:
         """Bring the metrics up to date, and define the tables."""
+        from analytics.metrics.evaluation import unit_metrics
+
         unit_metrics(catalog, catalog.told)
         define_tables(catalog)
 
 
-def define_tables(catalog: Catalog) -> None:
+def define_tables(catalog: "Catalog") -> None:
     """Define what stands on the step records and metrics of a catalogue, and on the specifications of its store."""
+    from analytics.specification_tables import put_specifications
+
     put_specifications(catalog)
     folder = files("analytics.metrics").joinpath("tables")
     for script in sorted(folder.iterdir(), key=lambda each: each.name):

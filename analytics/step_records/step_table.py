@@ -9,10 +9,10 @@ from importlib.resources import files
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from analytics.step_records import FOLDER
 from analytics.step_records.reduction import COLUMNS, reduce_run
 from storage.catalog import Catalog
 
-FOLDER = "metrics"
 _FILE = "steps.parquet"
 # Rises when a record would come out otherwise than it did.
 _VERSION = "4"

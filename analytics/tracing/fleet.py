@@ -22,6 +22,8 @@ from analytics.tracing.selection import Search, Selected, search
 from stream.batch import FloatArray
 
 FALSE_DISCOVERIES = 0.05
+TESTS_IN_A_SEARCH = 50
+"""A search for what is missing in one unit is itself about so many independent tests."""
 
 
 class UnitCoefficient(msgspec.Struct, frozen=True):
@@ -136,7 +138,7 @@ def diagnose_fleet(
             holdout=None,
             by_unit={},
             units=alone,
-            own_findings=_standing(alone),
+            own_findings=standing(alone),
             limits=(*limits, f"{len(cases)} units with enough data, 2 are needed to pool"),
         )
     records = [case.training for case in cases]
@@ -158,7 +160,7 @@ def diagnose_fleet(
         holdout=holdout,
         by_unit={each.contender.name: _by_unit(records, found, each) for each in found.selected if each.is_common},
         units=alone,
-        own_findings=_standing(alone),
+        own_findings=standing(alone),
         limits=tuple(limits),
     )
 
@@ -208,17 +210,20 @@ def _unlike_others(number: int, information: FloatArray, product: FloatArray) ->
     return float(2 * stats.norm.sf(abs(apart) / np.sqrt(1 / information[number] + 1 / others)))
 
 
-def _standing(alone: Mapping[str, Diagnosis]) -> dict[str, tuple[str, ...]]:
-    """Findings of single units that stand among so many."""
-    smallest = {
-        unit: float(stats.chi2.sf(max(each.significance for each in found.effects) ** 2, 1))
-        for unit, found in alone.items()
-        if found.effects
-    }
-    # the search in one unit is itself one of about fifty tests
-    tests = {unit: min(1.0, 50 * p_value) for unit, p_value in smallest.items()}
-    whole = {**dict.fromkeys(alone, 1.0), **tests}
-    return {unit: alone[unit].names for unit in benjamini_hochberg(whole)}
+def standing(alone: Mapping[str, Diagnosis]) -> dict[str, tuple[str, ...]]:
+    """Findings of single units that stand among so many units.
+
+    Examples
+    --------
+    >>> standing({})
+    {}
+    """
+    p_values = dict.fromkeys(alone, 1.0)
+    for unit, found in alone.items():
+        if found.effects:
+            largest = max(each.significance for each in found.effects)
+            p_values[unit] = min(1.0, TESTS_IN_A_SEARCH * float(stats.chi2.sf(largest**2, 1)))
+    return {unit: alone[unit].names for unit in benjamini_hochberg(p_values)}
 
 
 def benjamini_hochberg(p_values: Mapping[Any, float], rate: float = FALSE_DISCOVERIES) -> list[Any]:

@@ -27,9 +27,9 @@ from analytics.report.sentences import verdict_sentence
 from analytics.report.whitened_spectrum import whitened_spectrum
 from analytics.report.wording import Language, Wording
 from analytics.tracing.diagnosis import diagnose
-from analytics.tracing.fleet import diagnose_fleet
+from analytics.tracing.fleet import diagnose_fleet, standing
 from analytics.tracing.result import Coefficient, Diagnosis, FoundEffect, NoiseCoefficients, Verdict
-from analytics.unit_diagnosis import ReducedUnit, UnitDiagnosis, UnitsDiagnosis, held_out_runs, standing
+from analytics.unit_diagnosis import ReducedUnit, UnitDiagnosis, UnitsDiagnosis, held_out_runs
 from stream.errors import BadInput
 from tests.bench.loop_campaign import DECLARED_MODEL, Campaign, Planted
 
