@@ -40,6 +40,7 @@ Buffer = bytes | mmap.mmap
 
 _SCHEMAS = {number: name for name, number in SCHEMA_IDS.items()}
 _FOOTER_BYTES = FRAME.size + 8 + 8 + 4
+_ZSTD_HEAD_BYTES = 18  # at most, RFC 8878 section 3.1.1
 # what stands at a fixed distance behind the beginning of every chunk
 _NEEDLE = struct.pack("<I", len(COMPRESSION)) + COMPRESSION
 _NEEDLE_AT = CHUNK.size - 8 - len(_NEEDLE)
@@ -192,11 +193,10 @@ class SegmentScan:
             self.damaged.append(ByteSpan(0, len(MAGIC)))
         while position < end:
             frame = _frame_at(content, position, end)
-            is_chunk = frame is not None and frame[0] == Opcode.CHUNK
-            chunk = _chunk_at(content, position, end) if is_chunk else None
+            chunk = _chunk_at(content, position, end) if frame is not None and frame[0] == Opcode.CHUNK else None
             if chunk is not None:
                 yield chunk
-            if frame is None or (is_chunk and chunk is None):
+            if frame is None or (chunk is None and not _is_plain(content, position, *frame)):
                 found = _next_chunk(content, position + 1, end)
                 if found is None:
                     self._note_rest(content, position, end, frame)
@@ -249,6 +249,19 @@ def _frame_at(content: Buffer, position: int, end: int) -> tuple[int, int] | Non
     return (opcode, after) if Opcode.HEADER <= opcode <= Opcode.DATA_END and after <= end else None
 
 
+def _is_plain(content: Buffer, position: int, opcode: int, after: int) -> bool:
+    """Whether the frame at `position` is to be believed: no chunk, of a kind that is written, and of its length.
+
+    A single flipped bit makes an index or an end of a chunk's frame, or one that reaches across the next chunks.
+    """
+    if opcode == Opcode.MESSAGE_INDEX:
+        (length,) = struct.unpack_from("<I", content, position + FRAME.size + 2)
+        return bool(after - position == FRAME.size + 6 + length)
+    if opcode == Opcode.DATA_END:
+        return after - position == FRAME.size + 4
+    return opcode in {Opcode.HEADER, Opcode.SCHEMA, Opcode.METADATA} and _next_chunk(content, position, after) is None
+
+
 def _chunk_at(content: Buffer, position: int, end: int) -> _Chunk | None:
     """The chunk at `position`, if there is one and its CRC holds."""
     if position < 0 or position + CHUNK.size > end:
@@ -260,8 +273,10 @@ def _chunk_at(content: Buffer, position: int, end: int) -> _Chunk | None:
     if length != CHUNK.size - FRAME.size + packed or packed > end - begin:
         return None
     try:
-        data = zstandard.decompress(content[begin : begin + packed], max_output_size=size)
-    except (zstandard.ZstdError, MemoryError):
+        if zstandard.frame_content_size(content[begin : begin + min(packed, _ZSTD_HEAD_BYTES)]) != size:
+            return None  # before so much is allocated
+        data = zstandard.decompress(content[begin : begin + packed])
+    except (zstandard.ZstdError, MemoryError, OverflowError):
         return None
     if len(data) != size or zlib.crc32(data) != crc:
         return None

@@ -1,7 +1,6 @@
 """Fixtures for all tests: the measured recordings, and the command line as a user runs it."""
 
 import json
-import os
 import socket
 import subprocess
 import sys
@@ -11,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+from tests.forked_commands import CommandServer
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
@@ -44,21 +45,22 @@ def command_line() -> Callable[..., list[str]]:
     return lambda *arguments: [program, *(str(argument) for argument in arguments)]
 
 
+@pytest.fixture(scope="session")
+def command_server() -> Iterator[CommandServer]:
+    with CommandServer() as server:
+        yield server
+
+
 @pytest.fixture
-def gyrofleet(tmp_path: Path, command_line: Callable[..., list[str]]) -> Callable[..., Outcome]:
+def gyrofleet(tmp_path: Path, command_server: CommandServer) -> Callable[..., Outcome]:
     """Run a command in a process of its own, in an empty folder."""
 
     def run(*arguments: object, timeout_s: float = 120.0) -> Outcome:
-        done = subprocess.run(
-            command_line(*arguments),
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=timeout_s,
-            env={**os.environ, "PYTHONWARNINGS": "error", "COLUMNS": "200"},
+        outcome = Outcome(
+            *command_server.run([str(each) for each in arguments], tmp_path, {"COLUMNS": "200"}, timeout_s)
         )
-        assert "Traceback" not in done.stderr, done.stderr
-        return Outcome(done.returncode, done.stdout, done.stderr)
+        assert "Traceback" not in outcome.err, outcome.err
+        return outcome
 
     return run
 

@@ -15,7 +15,7 @@ from storage.catalog import Catalog
 
 _FILE = "steps.parquet"
 # Rises when a record would come out otherwise than it did.
-_VERSION = "4"
+_VERSION = "5"
 _PRINT = "fingerprint"
 _MARK = b"gyrofleet.written"
 

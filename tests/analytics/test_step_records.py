@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow.parquet as pq
 import pytest
+from scipy import stats
 
 from analytics.step_records.reduction import MOST_RAW
 from analytics.step_records.step_table import step_means
@@ -211,9 +212,11 @@ def test_where_raw_rows_were_let_go_the_whole_seconds_tell_the_same(tested: Any)
         assert after[name] == before[name]
     for name in ("sd_1s", "sd_10s"):
         assert after[name] == exact(before[name])
-    # Of the same record, from samples and from seconds: both say how far another such record's mean would lie.
-    # Its drift is known to 3 degrees of freedom: sqrt(F(0.975; 3, 3)) is 3.9.
-    assert 1 / 3.9 < after["standard_uncertainty"] / before["standard_uncertainty"] < 3.9
+    # of the same record, from samples and from seconds: each says how far another such record's mean would lie, and how
+    # well it knows that
+    ratio = after["standard_uncertainty"] / before["standard_uncertainty"]
+    f = stats.f(after["freedom"], before["freedom"])
+    assert f.ppf(0.025) < ratio**2 < f.ppf(0.975)
 
 
 def test_a_run_of_an_unknown_date_is_reduced_alike(tested: Any) -> None:

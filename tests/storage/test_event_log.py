@@ -11,7 +11,7 @@ from mcap.reader import NonSeekingReader, make_reader
 
 from storage.event_log import EventLog
 from storage.log_manifest import FIRST, ManifestWriter, SegmentEntry, manifest_path, read_log_manifest, rewrite_manifest
-from storage.mcap_records import CHUNK_BYTES, EVENTS, SAMPLES, LogRecord
+from storage.mcap_records import CHUNK, CHUNK_BYTES, EVENTS, SAMPLES, LogRecord
 from storage.recovery import salvage_segment, take_in
 from storage.segment_reader import SegmentScan, read_marks, read_segment
 from storage.sequence import SequenceCheck, place_of
@@ -121,6 +121,32 @@ def test_no_byte_of_a_segment_changes_unseen_and_the_rest_is_saved(tmp_path: Pat
             assert len(found) >= by_chunk * whole
         else:
             assert len(found) >= len(records) - 2 * by_chunk
+
+
+def test_no_bit_beside_the_contents_of_chunks_costs_another_chunk(tmp_path: Path) -> None:
+    store, records = written(tmp_path, syncs=3)
+    (segment,) = store.log.glob("*.mcap")
+    content = segment.read_bytes()
+    by_chunk = 6
+    chunks = _chunks(content, tmp_path)
+    packed = [(c.chunk_start_offset + CHUNK.size, c.chunk_start_offset + c.chunk_length) for c in chunks]
+    lost = 0
+    frames = [*range(40), *range(chunks[0].chunk_start_offset - 20, content.rindex(b"gyrofleet.marks"))]
+    for at in frames:
+        if any(begin <= at < end for begin, end in packed):
+            continue  # a CRC's business
+        for bit in range(8):
+            damaged = bytearray(content)
+            damaged[at] ^= 1 << bit
+            segment.write_bytes(damaged)
+            scan = SegmentScan(segment, sealed=True)
+            found = list(scan)
+            kept = set(found)
+            assert [record for record in records if record in kept] == found, f"bit {bit} of byte {at}"
+            assert len(found) >= len(records) - by_chunk, f"bit {bit} of byte {at} costs more than its chunk"
+            assert len(found) == len(records) or scan.damaged, f"bit {bit} of byte {at} loses a chunk unseen"
+            lost += len(records) - len(found)
+    assert lost >= 3 * 8 * by_chunk, "the heads of the chunks were never hit"
 
 
 def _chunks(content: bytes, folder: Path) -> list:  # type: ignore[type-arg]

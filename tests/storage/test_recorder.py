@@ -15,7 +15,7 @@ from storage.disk import Disk, OpenFile, Space
 from storage.event_log import EventLog
 from storage.mcap_records import EVENTS, PREVIEW, REJECTED, SAMPLES
 from storage.recorder import Recorder
-from storage.segment_reader import read_marks, read_segment
+from storage.segment_reader import SegmentScan, read_marks, read_segment
 from storage.store import Store, WriterLock
 from stream.batch import SampleBatch
 from stream.bus import LocalBus
@@ -174,7 +174,10 @@ def test_a_segment_left_open_is_recovered_without_its_damaged_chunk(tmp_path: Pa
     (left_open,) = store.log.glob("*.mcap.open")
     content = bytearray(left_open.read_bytes())
     del recorder  # as if killed: never sealed
-    content[len(content) // 2] ^= 0xFF
+    scan = SegmentScan(left_open)
+    list(scan)
+    chunk = scan.summary.chunks[10]
+    content[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 0xFF
     copy = Store.create(tmp_path / "copy")
     (copy.log / left_open.name).write_bytes(content[:-200])
 
