@@ -81,10 +81,10 @@ class CommandServer:
         answer = self._process.stdout.readline()
         assert answer, f"the server of commands ended with {self._process.poll()}"
         code: int | None = json.loads(answer)
-        texts = [file.read_bytes().decode() for file in files]
+        out, err = (file.read_text() for file in files)
         if code is None:
-            raise subprocess.TimeoutExpired(arguments, timeout_s, *texts)
-        return code, *texts
+            raise subprocess.TimeoutExpired(arguments, timeout_s, out, err)
+        return code, out, err
 
 
 def _serve() -> None:
