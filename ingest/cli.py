@@ -41,6 +41,12 @@ _LISTED_REMARKS = 20
 @click.option("--dbc", "databases", multiple=True, type=click.Path(path_type=Path), help="CAN database of a CAN log.")
 @click.option("--mapping", type=click.Path(path_type=Path), help="Which signal of the database is which (TOML file).")
 @click.option("--skip-bad", is_flag=True, help="Leave bad rows out, and list them, instead of refusing the file.")
+@click.option(
+    "--units",
+    "units_file",
+    metavar="FILE",
+    help="Product, lot, fixture of the units: columns serial, product, lot, fixture, ... (- for standard input).",
+)
 @click.option("--site", default="local", show_default=True, help="Site the samples come from.")
 @click.option("--station", default="files", show_default=True, help="Station the samples come from.")
 @click.option("--connect", help="Send to a `gyrofleet record` there instead of recording in this process.")
@@ -55,6 +61,7 @@ def import_files(
     sample_rate_hz: float | None,
     databases: tuple[Path, ...],
     mapping: Path | None,
+    units_file: str | None,
     site: str,
     station: str,
     connect: str | None,
@@ -72,10 +79,14 @@ def import_files(
     CAN logs are .blf, .asc, .trc, .log (candump) and .mf4. Without --mapping, every signal of the database comes
     under its own name in lower case; `gyrofleet can scan` proposes a mapping. Of a damaged log what is good is
     imported, and the exit code is 1.
+
+    What --units says of a unit, its product above all, which limits go by, can be added later too: give the same
+    command again with it.
     """
     from ingest.importer import import_file
     from ingest.instruments.table_columns import TableOptions
     from ingest.moment import moment_ns
+    from ingest.units_file import load_units
     from stream.identity import Place, check_name
 
     if connect and listen:
@@ -89,6 +100,7 @@ def import_files(
         skip_bad=skip_bad,
     )
     plan = _can_plan(files, unit, databases, mapping)
+    entries = () if units_file is None else load_units(units_file)
     intervals: dict[tuple[str, str, str], int] = {}
     imported: list[FileImport] = []
     with progress_bar(hidden=as_json) as progress:
@@ -114,13 +126,22 @@ def import_files(
                     place,
                     connect=connect,
                     listen=[listen] if listen else (),
+                    units=entries,
                     checking_s=checking_s,
                     progress=lambda done, task=task: progress.update(task, completed=done),  # type: ignore[misc]
                 )
             )
+    known = {entry.serial for entry in entries}
+    units = dict.fromkeys(signal.unit for each in imported for signal in each.signals)
+    left_out = [each for each in units if entries and each not in known]
     if as_json:
-        print_json({"store": str(folder), "files": imported})
+        print_json({"store": str(folder), "files": imported, "units_not_listed": left_out})
     else:
+        if len(units) > len(left_out) and entries:
+            notes().print(f"product, lot and the rest of {len(units) - len(left_out)} units as in {units_file}")
+        if left_out:
+            told = f"{units_file} says nothing of {len(left_out)} of the {len(units)} units: {', '.join(left_out[:10])}"
+            notes().print(told, markup=False, soft_wrap=True)
         for each in imported:
             _tell(each, folder)
         _tell_next(imported[-1], folder)

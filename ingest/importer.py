@@ -17,12 +17,13 @@ from ingest.instruments.table_summary import SignalSummary, TableSummary
 from ingest.pipeline import EmbeddedPipeline
 from ingest.sample_file import Progress, SampleFile
 from ingest.stored import StoredSamples
+from ingest.units_file import UnitEntry, mounted_documents
 from storage.catalog import Catalog
 from storage.store import Store, writer_endpoint
 from stream.batch import BoolArray, IntArray, SampleBatch
 from stream.delivery import DurablePublisher, Sender
 from stream.errors import BadInput, StoreError
-from stream.events import NoteAdded, RunEnded, RunStarted, StreamTotal
+from stream.events import NoteAdded, RunEnded, RunStarted, StreamTotal, UnitMounted
 from stream.identity import Place, event_key, sample_key
 from stream.zenoh_bus import ZenohBus
 
@@ -75,11 +76,14 @@ class FileImport:
 class _Sending:
     """One file on its way to a recorder."""
 
-    def __init__(self, path: Path, file: SampleFile, summary: TableSummary, place: Place) -> None:
+    def __init__(
+        self, path: Path, file: SampleFile, summary: TableSummary, place: Place, entries: Sequence[UnitEntry] = ()
+    ) -> None:
         self._path = path
         self._file = file
         self._summary = summary
         self._place = place
+        self._entries = {entry.serial: entry for entry in entries}
         self._stored: StoredSamples | None = None
         self._common: Counter[_Name] = Counter()
         self._sends_all = False
@@ -95,7 +99,8 @@ class _Sending:
         self._held = _held(catalog)
         runs = sorted({signal.run for signal in self._summary.signals})
         known = catalog.rows(
-            "select uid from events where (kind like 'Step%' or kind = 'RunStarted') and run in (select unnest($runs))",
+            "select uid from events where (kind like 'Step%' or kind in ('RunStarted', 'UnitMounted')) "
+            "and run in (select unnest($runs))",
             {"runs": runs},
         )
         self._known_uids = frozenset(str(uid) for (uid,) in known)
@@ -126,7 +131,7 @@ class _Sending:
         runs = dict.fromkeys(signal.run for signal in self._summary.signals)
         open_runs = set() if self._stored is None else self._stored.open_runs & set(runs)
         is_all_there = self._common.total() == sum(s.sampling.samples for s in self._summary.signals)
-        if is_all_there and not self._summary.steps and not open_runs:
+        if is_all_there and not self._summary.steps and not open_runs and not self._entries:
             return
         content = _sha256(self._path)
         owners = dict.fromkeys((s.unit, s.run) for s in self._summary.signals)
@@ -134,6 +139,8 @@ class _Sending:
         for run in runs:
             if self._stored is None or run not in self._stored.runs:
                 sender.send_event(event_key(self._place), self._started(run, content))
+            for mounted in self._mounted(run):
+                sender.send_event(event_key(self._place), mounted)
         news = self._send_file(sender, epochs, progress)
         for run in runs:
             is_ours = self._started(run, content).uid in self._known_uids  # killed before it could end the run
@@ -218,6 +225,13 @@ class _Sending:
             units=tuple(dict.fromkeys(signal.unit for signal in self._of(run))),
         )
 
+    def _mounted(self, run: str) -> list[UnitMounted]:
+        """What the list of units says of those in the run, and the store does not have."""
+        units = dict.fromkeys(signal.unit for signal in self._of(run))
+        entries = [self._entries[unit] for unit in units if unit in self._entries]
+        documents = mounted_documents(entries, run, min(signal.sampling.t_first_ns for signal in self._of(run)))
+        return [each for each in documents if each.uid not in self._known_uids]
+
     def _noted(self, run: str, content: str) -> NoteAdded:
         added = sum(self._sent[s.unit, s.run, s.signal] for s in self._of(run))
         text = f"imported {self._path.name} (sha256 {content}): {added} samples"
@@ -259,6 +273,7 @@ def import_file(
     *,
     connect: str | None = None,
     listen: Sequence[str] = (),
+    units: Sequence[UnitEntry] = (),
     progress: Progress | None = None,
     checking_s: float = 0.0,
 ) -> FileImport:
@@ -276,6 +291,8 @@ def import_file(
         Endpoint of a recorder in another process.
     listen : sequence of str
         Endpoints on which others may listen in (embedded path).
+    units : sequence of UnitEntry
+        Product, lot, fixture and so on of units; of each that the file has samples of.
     progress : callable, optional
         Called with the fraction that is sent.
     checking_s : float
@@ -291,7 +308,7 @@ def import_file(
         If no recorder acknowledges it.
     """
     began = time.monotonic()
-    sending = _Sending(path, file, summary, place)
+    sending = _Sending(path, file, summary, place, units)
     recovered: tuple[str, ...] = ()
     if connect is None:
         with EmbeddedPipeline(folder, "gyrofleet import", listen=listen) as pipeline:

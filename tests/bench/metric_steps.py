@@ -16,11 +16,13 @@ from analytics.step_records.series_statistics import series_statistics
 from analytics.step_records.step_table import step_means
 from storage.catalog import Catalog
 from storage.store import Store
+from stream.batch import FloatArray
 
 SECOND_NS = 10**9
 DAY_NS = 86_400 * SECOND_NS
 START_NS = 1_763_683_200 * SECOND_NS  # 2025-11-21 00:00 UTC
 NOISE = 2.0  # deg/h at 1 Hz, white
+PAUSE_S = 60  # between steps
 RATES = tuple(round(float(rate), 6) for rate in np.geomspace(1.0, 100.0, 11))
 TEMPERATURES = (20.0, -40.0, 0.0, 40.0, 60.0)
 AXES = ("X", "Y", "Z")
@@ -177,27 +179,51 @@ def _across(unit: Unit, mounting: int, turned: float, suffix: str, rate: float, 
 
 
 def records_of(
-    units: Iterable[Unit], rng: np.random.Generator, procedures: Sequence[str] | None = None, cut: int | None = None
+    units: Iterable[Unit],
+    rng: np.random.Generator,
+    procedures: Sequence[str] | None = None,
+    cut: int | None = None,
+    flicker: float = 0.0,
 ) -> list[dict[str, Any]]:
-    """Records of the units' steps; of `cut` only so many of each run."""
+    """Records of the units' steps, with `flicker` deg/h of bias instability; of `cut` only so many of each run."""
     return [
         record
         for unit in units
         for procedure, runs in tests_of(unit, rng).items()
         if procedures is None or procedure in procedures
         for number, steps in enumerate(runs)
-        for record in _run(unit, procedure, number, steps[:cut], rng)
+        for record in _run(unit, procedure, number, steps[:cut], rng, flicker)
     ]
 
 
+def flicker_noise(n: int, bias_instability: float, rng: np.random.Generator) -> FloatArray:
+    """Samples 1 s apart of a power spectral density of B**2/(2 pi f) (IEEE 952-2020 C.3), by its spectrum.
+
+    It goes down to a sixteenth of the record's own lowest frequency, so that the record has a mean.
+    """
+    whole = 16 * n
+    frequencies = np.fft.rfftfreq(whole)
+    two_sided = np.zeros(frequencies.size)
+    two_sided[1:] = bias_instability**2 / (2 * np.pi * frequencies[1:])
+    normal = rng.standard_normal((2, frequencies.size))
+    spectrum = np.sqrt(two_sided * whole / 2) * (normal[0] + 1j * normal[1])
+    return np.asarray(np.fft.irfft(spectrum, whole)[:n])
+
+
 def _run(
-    unit: Unit, procedure: str, number: int, steps: Sequence[Step], rng: np.random.Generator
+    unit: Unit, procedure: str, number: int, steps: Sequence[Step], rng: np.random.Generator, flicker: float
 ) -> Iterator[dict[str, Any]]:
     at_ns = START_NS + number * DAY_NS
+    wander = np.zeros(0)
+    if flicker:
+        wander = flicker_noise(sum(step.seconds + PAUSE_S for step in steps), flicker, rng)
     for index, step in enumerate(steps, start=1):
         true_ppm = unit.scale_ppm + step.scale_ppm
         mean = unit.bias + step.zero + step.rate * 3600 * (1 + true_ppm * 1e-6)
         values = mean + rng.normal(0, NOISE, step.seconds)
+        if flicker:
+            begin = (at_ns - START_NS - number * DAY_NS) // SECOND_NS
+            values += wander[begin : begin + step.seconds]
         end_ns = at_ns + (step.seconds - 1) * SECOND_NS
         found = series_statistics(
             at_ns + np.arange(step.seconds) * SECOND_NS,
@@ -217,7 +243,7 @@ def _run(
             "unit_of_measure": "deg/h", "input_rate": step.words.get("rate_command"),
             "temperature": step.words.get("temperature_command"),
         } | {name: None if value != value else value for name, value in found.items()} | step.words  # fmt: skip
-        at_ns = end_ns + 60 * SECOND_NS
+        at_ns = end_ns + PAUSE_S * SECOND_NS
 
 
 def metrics_of(store: Store, records: Sequence[dict[str, Any]], names: Iterable[str] | None = None) -> pa.Table:

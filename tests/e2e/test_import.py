@@ -231,3 +231,41 @@ def test_it_ends_with_what_to_ask_next(gyrofleet: Callable[..., Any], tmp_path: 
     asked = done.err.splitlines()[-1]
     assert asked == "Ask it: gyrofleet allan --unit FOG-1 --signal rate --run 'a(day)' --fit --store s"
     assert gyrofleet(*shlex.split(asked)[3:]).code == 0
+
+
+def test_product_lot_and_fixture_of_imported_units_are_said_then_or_later(
+    gyrofleet: Callable[..., Any], tmp_path: Path
+) -> None:
+    path = table(tmp_path / "a.csv")
+    units = tmp_path / "units.csv"
+    gyrofleet("import", path, "--unit", "U1")
+    query = ("sql", "select unit, product, lot, fixture from units order by unit", "--json")
+    assert gyrofleet(*query).json == []
+
+    units.write_text("serial,product,lot,fixture\nU1,FOG-70,L7,plate 2\nU9,FOG-80,L9,\n")
+    again = gyrofleet("import", path, "--unit", "U1", "--units", units)
+    assert again.code == 0
+    assert "Nothing to add: all 4,000 samples" in again.out
+    assert gyrofleet(*query).json == [{"unit": "U1", "product": "FOG-70", "lot": "L7", "fixture": "plate 2"}]
+    log = fingerprint(tmp_path / "gyrofleet-data" / "log")
+    gyrofleet("import", path, "--unit", "U1", "--units", units)
+    assert fingerprint(tmp_path / "gyrofleet-data" / "log") == log
+
+    units.write_text("serial,product,lot,fixture\nU1,FOG-70,L8,plate 2\n")
+    gyrofleet("import", path, "--unit", "U1", "--units", units)
+    other = gyrofleet("import", path, "--unit", "U2", "--units", units, "--json").json
+    assert other["units_not_listed"] == ["U2"]
+    assert [(row["unit"], row["lot"]) for row in gyrofleet(*query).json] == [("U1", "L8")]
+    assert samples(gyrofleet) == 8000
+
+
+def test_a_bad_list_of_units_is_refused_before_anything_is_imported(
+    gyrofleet: Callable[..., Any], tmp_path: Path
+) -> None:
+    units = tmp_path / "units.csv"
+    units.write_text("serial,product\nU1,FOG-70\nU1,FOG-80\n")
+    refused = gyrofleet("import", table(tmp_path / "a.csv"), "--unit", "U1", "--units", units)
+    assert refused.code == 1
+    assert "U1" in refused.err
+    assert "line" in refused.err
+    assert not (tmp_path / "gyrofleet-data").exists()
