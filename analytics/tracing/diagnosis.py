@@ -19,7 +19,7 @@ from analytics.tracing.detection_limits import detection_limits
 from analytics.tracing.error_report import error_table
 from analytics.tracing.findings import findings, fitted_model, unreplicated
 from analytics.tracing.joint_fit import fit_jointly
-from analytics.tracing.lockbox import judge, open_lockbox
+from analytics.tracing.lockbox import differs, judge, open_lockbox
 from analytics.tracing.record import Record
 from analytics.tracing.result import Diagnosis, FoundEffect, Holdout, NoiseCoefficients, Verdict
 from analytics.tracing.screening import screen
@@ -238,7 +238,7 @@ def _concluded(
         noise_excess=excess.ratio if declared is not None else None,
         detection_limits=limits,
         not_tested=_not_tested(case, candidates, blind),
-        limits=_limits(case, model, effects, declared, is_excess=is_excess),
+        limits=_limits(case, model, effects, holdout, declared, is_excess=is_excess),
         replication=case.replication,
         training_runs=case.training.stack.replicates,
         runs=case.stack.replicates,
@@ -301,6 +301,7 @@ def _limits(
     case: Case,
     model: ErrorModel,
     effects: Sequence[FoundEffect],
+    holdout: Holdout | None,
     declared: NoiseCoefficients | None,
     *,
     is_excess: bool,
@@ -319,6 +320,12 @@ def _limits(
     if is_excess:
         limits.append("more noise than declared at averages of 300 to 3600 s, and nothing in the channels explains it")
     names = [each.name for each in effects]
+    limits += [
+        f"{each.effect}: the held-out runs show {each.slope:.3g} ± {each.slope_se:.2g} times what was predicted, more "
+        "than chance: its form is not exact, or it changes from run to run"
+        for each in (holdout.effects if holdout else ())
+        if each.effect in names and each.effect != LINE and differs(each.slope, each.slope_se, each.training_se)
+    ]
     if JUMP in names:
         limits.append("a jump happens once: runs that were held out cannot confirm it")
     if LINE in names:

@@ -1,5 +1,6 @@
 """The lockbox: runs that took no part in the fit are predicted once, with frozen coefficients."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,6 +23,8 @@ IS_THERE = 1.64
 """Standard errors by which the slope has to exceed zero: 5 % one-sided."""
 SAME_SIZE = 3.29
 """Standard errors by which the slope may differ from one: of true effects 1 in 1000 is refused for its size."""
+WON = 0.9
+"""Share of the error that a prediction wins, as it is, of what it would win at its right size: then it will do."""
 LINE_P_VALUE = 0.005
 LEAST_POWER = 0.1  # of a line above noise: less cannot be told from none
 
@@ -155,8 +158,22 @@ def _slopes(
 
 
 def _slope(name: str, slope: float, slope_se: float, training_se: float) -> HoldoutSlope:
-    accepted = slope - IS_THERE * slope_se > 0 and abs(slope - 1) < SAME_SIZE * float(np.hypot(slope_se, training_se))
+    is_there = slope - IS_THERE * slope_se > 0
+    # of a large effect chance is a small part: its form is never exact, and it does not repeat to a thousandth
+    will_do = (slope - 1) ** 2 <= (1 - WON) * slope**2
+    accepted = is_there and (will_do or not differs(slope, slope_se, training_se))
     return HoldoutSlope(name, slope, slope_se, float(training_se), accepted)
+
+
+def differs(slope: float, slope_se: float, training_se: float) -> bool:
+    """Whether a slope differs from one by more than chance.
+
+    Examples
+    --------
+    >>> differs(0.7, 0.1, 0.1), differs(0.9, 0.02, 0.01)
+    (False, True)
+    """
+    return abs(slope - 1) >= SAME_SIZE * math.hypot(slope_se, training_se)
 
 
 def _line_slope(boxes: Sequence[Lockbox], trainings: Sequence[Record], found: Search, which: Selected) -> HoldoutSlope:

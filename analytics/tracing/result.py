@@ -97,7 +97,8 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
     training_se : float
         Relative standard error of the coefficient that was frozen.
     accepted : bool
-        slope - 1.64*SE > 0 and abs(slope - 1) < 3.29*sqrt(SE^2 + training_se^2).
+        slope - 1.64*SE > 0, and either abs(slope - 1) < 3.29*sqrt(SE^2 + training_se^2) or, of a large effect, the
+        prediction as it is wins at least 0.9 of what it would win at its right size: (slope - 1)^2 < 0.1*slope^2.
     """
 
     effect: str
