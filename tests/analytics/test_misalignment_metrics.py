@@ -96,8 +96,9 @@ def test_misalignment_uncertainty_against_simulation(tested: Any) -> None:
     draws = (
         np.hypot(OF_X + u_delta * rng.standard_normal(20_000), OF_Y + u_delta * rng.standard_normal(20_000)) * ARCMIN
     )
-    # the steps' own estimate of white noise has about 66 degrees of freedom: 9 % each, 4 of them
-    assert row["standard_uncertainty"] == pytest.approx(draws.std(), rel=0.3)
+    # Of white noise a step says 0.9 to 3.3 times its true uncertainty (95 %), as it may be drift; of 4 steps one or
+    # none says so much: sqrt((3 + 3.3**2) / 4) is 1.9.
+    assert 0.85 * draws.std() < row["standard_uncertainty"] < 1.9 * draws.std()
 
 
 def test_misalignment_near_zero_covers_zero(tested: Any) -> None:
