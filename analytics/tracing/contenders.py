@@ -32,6 +32,8 @@ SWALLOWED = 0.25
 """Logarithm by which a fitted noise coefficient exceeds the declared one when it may have swallowed an effect."""
 EXCESS_AVERAGE_S, GROSS_EXCESS = 3600.0, 4.0
 """Ratio of variances of hourly averages, fitted over declared, beyond which the noise model is not trusted."""
+LEAST_LEAD = 0.03
+"""Share of a large effect's evidence within which others are not told from it."""
 LINE, JUMP = "periodic_line", "jump"
 LINE_MOST_FROM_ONE = 0.9
 
@@ -89,7 +91,15 @@ class Contender:
 
         Here the noise at its pace is no argument: a wrong shape makes an effect disagree between runs as well.
         """
-        return best.evidence - (self.evidence if self.at_most is None else self.at_most) < PRICE
+        return best.evidence - (self.evidence if self.at_most is None else self.at_most) < best.lead
+
+    @property
+    def lead(self) -> float:
+        """Evidence by which it has to lead another to be told from it.
+
+        Of a large effect a share of its own: channels are measured and forms are idealised no better than that.
+        """
+        return max(PRICE, LEAST_LEAD * self.evidence)
 
     @property
     def significance(self) -> float:

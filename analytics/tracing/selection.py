@@ -1,7 +1,7 @@
 """The search for what is missing: rounds of contenders, then swap and prune."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,9 +25,9 @@ class Selected:
     contender : Contender
         The effect.
     confounded : tuple of Contender
-        Others within 9 of its evidence.
+        Others that it does not lead by 9, or 3 %, of evidence.
     companions : tuple of str
-        Proxies within 9 of its evidence.
+        Proxies of which the same is true.
     leading_proxy : str, optional
         A proxy that explains far more than this cause: then the cause acts in another way than its form says.
     """
@@ -126,9 +126,9 @@ def _chosen(found: Sequence[Contender]) -> Selected | None:
         return None
     causes = [each for each in usable if each.role is Role.CAUSE and each.candidate is not None and each.evidence > 0]
     if best.role is Role.PROXY and causes:
-        leading = best.name if best.evidence - causes[0].evidence > PRICE else None
+        leading = best.name if best.evidence - causes[0].evidence > best.lead else None
         best = causes[0]
-    elif best.role is Role.ALIAS and causes and best.evidence - causes[0].evidence < PRICE:
+    elif best.role is Role.ALIAS and causes and best.evidence - causes[0].evidence < best.lead:
         best = causes[0]
     near = [each for each in usable if each is not best and (each.is_near(best) or _by_design(each, best))]
     return Selected(
@@ -195,10 +195,26 @@ def _sweep(
         taken = [each.contender.name for each in others]
         best = _chosen(contenders(records, candidates, base, rng, taken, with_events=False))
         if best is None:
-            selected, joint = others, base
+            selected, joint = [_as_before(old, each) for each in others], base
         else:
-            selected, joint = [*others, best], best.contender.joint
+            selected, joint = [*others, _as_before(old, best)], best.contender.joint
     return selected, joint
+
+
+def _as_before(old: Selected, new: Selected) -> Selected:
+    """Return an effect that takes the place of another, with all that were not told from it when that was chosen.
+
+    A further effect may only mend what channels and forms lack, and must not decide between two of the first.
+    """
+    before = (old.contender, *old.confounded)
+    first = next((each for each in before if each.name == new.contender.name), None)
+    if first is None:
+        return new
+    shift, most = new.contender.evidence - first.evidence, new.contender.evidence
+    known = {new.contender.name, *(each.name for each in new.confounded)}
+    more = [each for each in before if each.name not in known]
+    carried = (replace(each, evidence=min(each.evidence + shift, most), at_most=None) for each in more)
+    return replace(new, confounded=(*new.confounded, *carried))
 
 
 def hypothesis_of(records: Sequence[Record], selected: Sequence[Selected]) -> Hypothesis:
