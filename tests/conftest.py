@@ -1,11 +1,13 @@
 """Fixtures for all tests: the measured recordings, and the command line as a user runs it."""
 
 import json
+import os
 import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -51,18 +53,23 @@ def command_server() -> Iterator[CommandServer]:
         yield server
 
 
-@pytest.fixture
-def gyrofleet(tmp_path: Path, command_server: CommandServer) -> Callable[..., Outcome]:
-    """Run a command in a process of its own, in an empty folder."""
+@pytest.fixture(scope="session")
+def run_command(command_server: CommandServer) -> Callable[..., Outcome]:
+    """Run a command in a process of its own, which must not fail with a traceback."""
 
-    def run(*arguments: object, timeout_s: float = 120.0) -> Outcome:
-        outcome = Outcome(
-            *command_server.run([str(each) for each in arguments], tmp_path, {"COLUMNS": "200"}, timeout_s)
-        )
-        assert "Traceback" not in outcome.err, outcome.err
-        return outcome
+    def run(*arguments: object, cwd: Path, timeout_s: float = 120.0) -> Outcome:
+        words = [str(argument) for argument in arguments]
+        done = command_server.run(words, timeout_s=timeout_s, cwd=cwd, env={**os.environ, "COLUMNS": "200"})
+        assert "Traceback" not in done.stderr, done.stderr
+        return Outcome(done.returncode, done.stdout, done.stderr)
 
     return run
+
+
+@pytest.fixture
+def gyrofleet(tmp_path: Path, run_command: Callable[..., Outcome]) -> Callable[..., Outcome]:
+    """Run a command in a process of its own, in an empty folder."""
+    return partial(run_command, cwd=tmp_path)
 
 
 @pytest.fixture
@@ -73,14 +80,13 @@ def endpoint() -> str:
 
 
 @pytest.fixture
-def spawn(tmp_path: Path, command_line: Callable[..., list[str]]) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+def spawn(tmp_path: Path, command_server: CommandServer) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Start a command in the background; whatever still runs at the end of the test is killed."""
     running: list[subprocess.Popen[str]] = []
 
     def start(*arguments: object) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            command_line(*arguments), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
+        words = [str(argument) for argument in arguments]
+        process = command_server.start(words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         running.append(process)
         return process
 

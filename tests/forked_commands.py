@@ -1,24 +1,25 @@
 """Processes for commands without the wait for their imports: a server that has loaded the program once and forks.
 
-``python tests/forked_commands.py`` reads requests, a line of JSON each, from its input and answers each with the exit
-code of the process that ran it. What a command does is done in a process of its own, with its own folder, files and
-end; only the start, which takes one to three seconds of importing, is that of the server. Tests of how a process
-starts, is signalled or killed begin real ones.
+What a command does is done in a process of its own, which is a child of the test's as any other, with its own folder,
+files, signals and end; only the start, one to three seconds of importing, is that of the server
+(``python -P tests/forked_commands.py SOCKET``). A few tests start the installed program itself.
 """
 
+import array
 import contextlib
+import ctypes
 import importlib
 import json
 import os
-import signal
+import socket
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
-_TICK_S = 0.005
+_PR_SET_CHILD_SUBREAPER = 36
+_MOST_BYTES = 1 << 20
 # what commands import when they come to it
 _WANTED = (
     "analytics.metrics.evaluation",
@@ -31,103 +32,135 @@ _WANTED = (
 
 
 class CommandServer:
-    """Runs commands of the program in forked processes, one after the other.
+    """Starts commands of the program in forked processes.
 
     Examples
     --------
-    >>> import tempfile
-    >>> with CommandServer() as server, tempfile.TemporaryDirectory() as folder:
-    ...     code, out, err = server.run(["--version"], Path(folder), {}, 60.0)
-    >>> code, out.startswith("gyrofleet"), err
-    (0, True, '')
+    >>> with CommandServer() as server:
+    ...     done = server.start(["--version"], stdout=subprocess.PIPE)
+    ...     out, _ = done.communicate(timeout=60)
+    >>> done.returncode, out.startswith("gyrofleet")
+    (0, True)
     """
 
     def __enter__(self) -> "CommandServer":
+        # a process whose parent has ended becomes a child of this one, and is waited for here
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
         self._folder = tempfile.TemporaryDirectory()
+        self.socket = str(Path(self._folder.name) / "socket")
         self._process = subprocess.Popen(
-            [sys.executable, "-P", __file__],  # beside its folder's packages, which are named like those of the program
-            stdin=subprocess.PIPE,
+            # -P: beside its folder's packages, which are named like those of the program
+            [sys.executable, "-P", __file__, self.socket],
             stdout=subprocess.PIPE,
             text=True,
             env={**os.environ, "PYTHONWARNINGS": "error"},
         )
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline(), f"the server of commands ended with {self._process.wait()}"
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._process.kill()
         self._process.communicate()
         self._folder.cleanup()
 
-    def run(self, arguments: list[str], folder: Path, env: dict[str, str], timeout_s: float) -> tuple[int, str, str]:
-        """Exit code, output and messages of a command in a folder.
+    def start(self, arguments: list[str], **options: Any) -> "ForkedProcess":
+        """Start a command; the options are those of `subprocess.Popen` for its folder, environment and files."""
+        return ForkedProcess(self.socket, arguments, **options)
+
+    def run(self, arguments: list[str], *, timeout_s: float, **options: Any) -> "subprocess.CompletedProcess[str]":
+        """Run a command to its end.
 
         Raises
         ------
         subprocess.TimeoutExpired
             If it was still running after `timeout_s`; it is killed.
         """
-        files = [Path(self._folder.name) / name for name in ("out", "err")]
+        with self.start(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options) as process:
+            try:
+                out, err = process.communicate(timeout=timeout_s)
+            except BaseException:
+                process.kill()
+                raise
+        return subprocess.CompletedProcess(arguments, process.returncode, out, err)
+
+
+class ForkedProcess(subprocess.Popen[str]):
+    """A process that the server has forked and this process has adopted; in text mode."""
+
+    def __init__(self, server: str, arguments: list[str], **options: Any) -> None:
+        self._server = server
+        super().__init__(arguments, text=True, **options)
+
+    def _execute_child(self, *parts: Any) -> None:
+        """Have the server fork, in place of forking here; the parts are those of Python 3.11 to 3.14."""
+        arguments, cwd, env = parts[0], parts[5], parts[6]
+        into, out, err = parts[10], parts[13], parts[15]
         request = {
             "arguments": arguments,
-            "folder": str(folder),
-            "env": env,
-            "timeout_s": timeout_s,
-            "out": str(files[0]),
-            "err": str(files[1]),
+            "folder": str(cwd or Path.cwd()),
+            "env": {**(env or os.environ)},
+            "new_session": parts[21],
         }
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps(request) + "\n")
-        self._process.stdin.flush()
-        answer = self._process.stdout.readline()
-        assert answer, f"the server of commands ended with {self._process.poll()}"
-        code: int | None = json.loads(answer)
-        out, err = (file.read_text() for file in files)
-        if code is None:
-            raise subprocess.TimeoutExpired(arguments, timeout_s, out, err)
-        return code, out, err
+        files = [own if given == -1 else given for own, given in ((0, into), (1, out), (2, err))]
+        with socket.socket(socket.AF_UNIX) as line:
+            line.connect(self._server)
+            socket.send_fds(line, [json.dumps(request).encode()], files)
+            self.pid = int.from_bytes(line.recv(8), "little")
+        self._child_created = True
+        self._close_pipe_fds(*parts[10:16])  # type: ignore[attr-defined]
 
 
-def _serve() -> None:
+def _serve(path: str) -> None:
     from gyrofleet import front_door
     from stream.estimators.base import warm_up
 
     for name in _WANTED:
         importlib.import_module(name)
     warm_up()
-    for line in sys.stdin:
-        request = json.loads(line)
-        process = os.fork()
-        if process == 0:
-            _become(request)
-            sys.argv = ["gyrofleet", *request["arguments"]]
-            front_door()
-        print(json.dumps(_end(process, request["timeout_s"])), flush=True)
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(path)
+        server.listen()
+        print("ready", flush=True)
+        while True:
+            line, _ = server.accept()
+            request, files = _received(line)
+            between = os.fork()
+            if between == 0:
+                process = os.fork()
+                if process:  # its parent ends here, so that the test's process adopts it
+                    line.sendall(process.to_bytes(8, "little"))
+                    os._exit(0)
+                line.close()
+                server.close()
+                _become(request, files)
+                sys.argv = ["gyrofleet", *request["arguments"]]
+                front_door()
+            os.waitpid(between, 0)
+            line.close()
+            for file in files:
+                os.close(file)
 
 
-def _become(request: dict[str, Any]) -> None:
+def _received(line: socket.socket) -> tuple[dict[str, Any], list[int]]:
+    message, files, _, _ = socket.recv_fds(line, _MOST_BYTES, 3)
+    request: dict[str, Any] = json.loads(message)
+    return request, list(array.array("i", files))
+
+
+def _become(request: dict[str, Any], files: list[int]) -> None:
+    if request["new_session"]:
+        os.setsid()
     os.chdir(request["folder"])
+    os.environ.clear()
     os.environ.update(request["env"])
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    new = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
-    for number, file in enumerate((nothing, os.open(request["out"], new), os.open(request["err"], new))):
+    for number, file in enumerate(files):
         os.dup2(file, number)
-        os.close(file)
-    sys.stdin = open(0)  # noqa: SIM115  the server's has read ahead
-
-
-def _end(process: int, timeout_s: float) -> int | None:
-    """Exit code as `subprocess` has it; None if it had to be killed."""
-    deadline = time.monotonic() + timeout_s
-    while time.monotonic() < deadline:
-        ended, status = os.waitpid(process, os.WNOHANG)
-        if ended:
-            return os.waitstatus_to_exitcode(status)
-        time.sleep(_TICK_S)
-    with contextlib.suppress(ProcessLookupError):
-        os.kill(process, signal.SIGKILL)
-    os.waitpid(process, 0)
-    return None
+    for file in files:
+        if file > 2:
+            with contextlib.suppress(OSError):
+                os.close(file)
 
 
 if __name__ == "__main__":
-    _serve()
+    _serve(sys.argv[1])

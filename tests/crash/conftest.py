@@ -13,14 +13,14 @@ from typing import Any
 
 import pytest
 
+from tests.forked_commands import CommandServer
+
 
 class Service:
     """A command in the background whose lines of JSON are gathered."""
 
-    def __init__(self, command: list[str], folder: Path) -> None:
-        self.process = subprocess.Popen(
-            command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-        )
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.process = process
         self.lines: list[dict[str, Any]] = []
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -75,18 +75,39 @@ class Service:
             pipe.close()
 
 
+_BACKGROUND: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "start_new_session": True}
+
+
 @pytest.fixture
-def start(tmp_path: Path) -> Iterator[Callable[..., Service]]:
-    """Start a command; whatever still runs at the end of the test is killed."""
+def services() -> Iterator[list[Service]]:
+    """Whatever of these still runs at the end of the test is killed."""
     running: list[Service] = []
-
-    def begin(*command: str) -> Service:
-        running.append(Service(list(command), tmp_path))
-        return running[-1]
-
-    yield begin
+    yield running
     for service in running:
         service.kill()
+
+
+@pytest.fixture
+def start(tmp_path: Path, command_server: CommandServer, services: list[Service]) -> Callable[..., Service]:
+    """Start a command of gyrofleet."""
+
+    def begin(*arguments: object) -> Service:
+        words = [str(argument) for argument in arguments]
+        services.append(Service(command_server.start(words, cwd=tmp_path, **_BACKGROUND)))
+        return services[-1]
+
+    return begin
+
+
+@pytest.fixture
+def start_program(tmp_path: Path, services: list[Service]) -> Callable[..., Service]:
+    """Start any program."""
+
+    def begin(*command: str) -> Service:
+        services.append(Service(subprocess.Popen(command, cwd=tmp_path, text=True, **_BACKGROUND)))
+        return services[-1]
+
+    return begin
 
 
 @pytest.fixture

@@ -48,7 +48,6 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 def test_a_full_disk_stops_recording_and_room_lets_it_go_on(
     gyrofleet: Callable[..., Any],
-    command_line: Callable[..., list[str]],
     start: Start,
     endpoint: str,
     small_disk: Path,
@@ -57,12 +56,10 @@ def test_a_full_disk_stops_recording_and_room_lets_it_go_on(
     store = small_disk / "store"
     ballast = small_disk / "ballast"
     ballast.write_bytes(bytes(6_500_000))
-    record = start(*command_line("record", "--listen", endpoint, "--store", store, "--rotate-mb", "1", "--json"))
+    record = start("record", "--listen", endpoint, "--store", store, "--rotate-mb", "1", "--json")
     record.until(lambda line: line["event"] == "recording")
     source = start(
-        *command_line(
-            "import", table(tmp_path / "a.parquet"), "--unit", "U1", "--connect", endpoint, "--store", store, "--json"
-        )
+        "import", table(tmp_path / "a.parquet"), "--unit", "U1", "--connect", endpoint, "--store", store, "--json"
     )
     paused = record.until(lambda line: line["event"] == "warning" and "recording is paused" in line["text"])
     assert "kept in reserve" in paused["text"] or "No space left" in paused["text"]
@@ -90,7 +87,7 @@ def test_a_full_disk_stops_recording_and_room_lets_it_go_on(
 def test_errors_of_the_disk_cost_a_segment_and_no_sample(
     gyrofleet: Callable[..., Any],
     command_line: Callable[..., list[str]],
-    start: Start,
+    start_program: Start,
     endpoint: str,
     tmp_path: Path,
     calls: str,
@@ -102,7 +99,7 @@ def test_errors_of_the_disk_cost_a_segment_and_no_sample(
     store = tmp_path / "store"
     paths = [argument for i in range(files) for argument in ("-P", str(store / "log" / f"{i + 1:08d}.mcap.open"))]
     trace = tmp_path / "trace"
-    record = start(
+    record = start_program(
         "strace", "-f", "-qq", "-o", str(trace), *paths, "-e", f"inject={calls}:error=EIO:when={when}",
         *command_line("record", "--listen", endpoint, "--store", store, "--rotate-mb", "1", "--json"),
     )  # fmt: skip

@@ -32,16 +32,15 @@ with ZenohBus(connect=[sys.argv[1]]) as bus:
 class Bench:
     """Stores, each with a recorder and a source of its own."""
 
-    def __init__(self, gyrofleet: Any, command_line: Any, start: Any, free_endpoint: Any, folder: Path) -> None:
+    def __init__(self, gyrofleet: Any, start: Any, free_endpoint: Any, folder: Path) -> None:
         self.gyrofleet = gyrofleet
         self.start = start
         self.free_endpoint = free_endpoint
-        self._command_line = command_line
         self._folder = folder
 
     def service(self, event: str, *arguments: object) -> Any:
         """A command in the background, once it says that it is ready."""
-        service = self.start(*self._command_line(*arguments, "--json"))
+        service = self.start(*arguments, "--json")
         service.said(event)
         return service
 
@@ -68,12 +67,11 @@ class Bench:
 @pytest.fixture
 def bench(
     gyrofleet: Callable[..., Any],
-    command_line: Callable[..., list[str]],
     start: Callable[..., Any],
     free_endpoint: Callable[[], str],
     tmp_path: Path,
 ) -> Bench:
-    return Bench(gyrofleet, command_line, start, free_endpoint, tmp_path)
+    return Bench(gyrofleet, start, free_endpoint, tmp_path)
 
 
 def stall(bench: Bench, stall_s: float, lasts_s: float) -> float:

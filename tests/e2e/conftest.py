@@ -16,6 +16,7 @@ from ingest.run_cli import run
 from storage.catalog import Catalog
 from storage.store import Store
 from storage.verify import verify
+from tests.forked_commands import CommandServer
 
 
 class Bench:
@@ -125,14 +126,12 @@ def finish(bench: Bench) -> None:
 
 
 @pytest.fixture(scope="session")
-def simulated(command_line: Callable[..., list[str]]) -> Callable[..., Bench]:
+def simulated(command_server: CommandServer) -> Callable[..., Bench]:
     """Start a simulated station; whoever does ends it."""
 
     def simulate(folder: Path, *more: object) -> Bench:
-        process = subprocess.Popen(
-            command_line("simulate", folder, "--units", 2, "--json", *more),
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+        words = [str(word) for word in ("simulate", folder, "--units", 2, "--json", *more)]
+        process = command_server.start(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         assert process.stdout is not None
         line = process.stdout.readline()
         assert line, process.communicate()[1]

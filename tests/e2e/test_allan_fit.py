@@ -17,9 +17,8 @@ WALK, INTERVAL_S = 0.02, 0.005
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory, command_line: Callable[..., list[str]]) -> Path:
+def store(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]) -> Path:
     """Five minutes of white noise at 200 Hz with a temperature, and a minute at 50 Hz."""
-    import subprocess
 
     folder = tmp_path_factory.mktemp("fit")
     rng = np.random.default_rng(2426)
@@ -30,7 +29,7 @@ def store(tmp_path_factory: pytest.TempPathFactory, command_line: Callable[..., 
             {"time[s]": i * interval_s, "rate[deg/s]": rate_deg_per_h / 3600, "temperature[degC]": 25 + i * 1e-4}
         ).write_parquet(folder / f"{name}.parquet")
     files = (folder / "fast.parquet", folder / "slow.parquet")
-    subprocess.run(command_line("import", *files, "--unit", "FOG-1", "--store", folder / "store"), check=True)
+    assert run_command("import", *files, "--unit", "FOG-1", "--store", folder / "store", cwd=folder).code == 0
     return folder / "store"
 
 

@@ -1,6 +1,5 @@
 """`gyrofleet allan` with every deviation and overlap, and over a rolling window, from a file to JSON and plot."""
 
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,12 +25,12 @@ def rate_deg_per_h() -> FloatArray:
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory, command_line: Callable[..., list[str]]) -> Path:
+def store(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]) -> Path:
     folder = tmp_path_factory.mktemp("forms")
     table = pl.DataFrame({"time[s]": np.arange(N) / RATE_HZ, "rate[deg/h]": rate_deg_per_h()})
     table.write_parquet(folder / "half-hour.parquet")
     file = folder / "half-hour.parquet"
-    subprocess.run(command_line("import", file, "--unit", "FOG-1", "--store", folder / "store"), check=True)
+    assert run_command("import", file, "--unit", "FOG-1", "--store", folder / "store", cwd=folder).code == 0
     return folder / "store"
 
 

@@ -27,14 +27,14 @@ HIT_MODEL = "rate = bias + channel:table_rate + cross_axis_o + cross_axis_s + fi
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory, command_line: Callable[..., list[str]]) -> Path:
+def store(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]) -> Path:
     """Two units in nine runs of one hour at 1 Hz, with temperature cycles and rates; FOG-2 has an effect of its own."""
     folder = tmp_path_factory.mktemp("diagnose")
     rng = np.random.default_rng(1980)
     for unit, shupe in (("FOG-1", 0.0), ("FOG-2", SHUPE)):
         pl.concat(one_run(unit, run, shupe, rng) for run in range(9)).write_parquet(folder / f"{unit}.parquet")
     files = sorted(folder.glob("*.parquet"))
-    subprocess.run(command_line("import", *files, "--store", folder / "store"), check=True)
+    assert run_command("import", *files, "--store", folder / "store", cwd=folder).code == 0
     return folder / "store"
 
 

@@ -1,6 +1,5 @@
 """The measured recordings through the whole path, in real processes."""
 
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,11 @@ RATES = ("rate_x", "rate_y", "rate_z")
 
 
 @pytest.fixture(scope="module")
-def adis_store(
-    measured: Path, tmp_path_factory: pytest.TempPathFactory, command_line: Callable[..., list[str]]
-) -> Path:
+def adis_store(measured: Path, tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]) -> Path:
     """Both static runs of the ADIS16405 as runs of one unit."""
     store = tmp_path_factory.mktemp("adis") / "store"
     files = [measured / f"adis16405_static_run{i}.parquet" for i in (1, 2)]
-    subprocess.run(command_line("import", *files, "--unit", "ADIS16405", "--store", store), check=True)
+    assert run_command("import", *files, "--unit", "ADIS16405", "--store", store, cwd=store.parent).code == 0
     return store
 
 

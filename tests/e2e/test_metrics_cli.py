@@ -3,7 +3,6 @@
 import csv
 import io
 import json
-import subprocess
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -41,7 +40,7 @@ Ask = Callable[..., Result]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory, command_line: Callable[..., list[str]]) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]) -> Path:
     """Two units at rest for 4000 s, and one for ten minutes, which the clauses find too short."""
     here = tmp_path_factory.mktemp("metrics")
     rng = np.random.default_rng(7)
@@ -52,11 +51,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory, command_line: Callable[...,
             for unit, bias in units.items():
                 noise = rng.normal(0, 0.5, seconds)
                 writer.writerows([unit, i, f"{bias + noise[i]:.6f}", "static_bias", "static"] for i in range(seconds))
-        done = subprocess.run(
-            command_line("import", f"{run}.csv", "--store", "S", "--start", START, "--station", "bench-1"), cwd=here,
-            capture_output=True, text=True, timeout=120,
-        )  # fmt: skip
-        assert done.returncode == 0, done.stderr
+        words = ("import", f"{run}.csv", "--store", "S", "--start", START, "--station", "bench-1")
+        assert run_command(*words, cwd=here).code == 0
     (here / "spec.toml").write_text(LIMITS)
     return here
 

@@ -1,7 +1,6 @@
 """The spectrum by `gyrofleet spectrum`, from a file on disk to lines, JSON and plot."""
 
 import re
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ WARM_HZ, WARM_AMPLITUDE = 0.111, 0.05
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory, command_line: Callable[..., list[str]]) -> Path:
+def store(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]) -> Path:
     """A rate with a sine and a quiet one, a temperature that hunts; one of uneven times, one of a second, one holed."""
     folder = tmp_path_factory.mktemp("spectrum")
     rng = np.random.default_rng(1967)
@@ -36,7 +35,7 @@ def store(tmp_path_factory: pytest.TempPathFactory, command_line: Callable[..., 
     uneven = np.cumsum(rng.uniform(0.2, 1.8, 2000))
     pl.DataFrame({"time[s]": uneven, "rate_x[deg/s]": rng.standard_normal(2000)}).write_csv(folder / "uneven.csv")
     files = sorted([*folder.glob("*.parquet"), *folder.glob("*.csv")])
-    subprocess.run(command_line("import", *files, "--unit", "FOG-1", "--store", folder / "store"), check=True)
+    assert run_command("import", *files, "--unit", "FOG-1", "--store", folder / "store", cwd=folder).code == 0
     return folder / "store"
 
 
