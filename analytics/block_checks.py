@@ -11,6 +11,7 @@ from storage.catalog import Catalog
 from stream.batch import FloatArray
 
 _COPY = 1.0 - 1e-9
+_ROUNDING = 1e-14
 _BY_NATURE = frozenset({"day", "time_since_power_on", "input_rate", "table_rate", "position"})
 _DERIVED = frozenset({"table_acceleration", "position", "gravity_i", "day"})
 _FEWEST_FOR_COPY = 10
@@ -54,6 +55,33 @@ def in_runs(found: Sequence[str], of: int) -> str:
         return f"in run {found[0]}" if of == 1 else f"in all {of} runs"
     listed = ", ".join(found[:3]) + (", ..." if len(found) > 3 else "")
     return f"in {len(found)} of {of} runs ({listed})"
+
+
+def check_runs(runs: Sequence[RunBlocks]) -> list[Note]:
+    """Notes on runs in which the signal stands still, and on runs that are copies of others."""
+    notes = []
+    still = [run.run for run in runs if len(run) > 1 and np.ptp(run.value) <= _ROUNDING * np.abs(run.value).max()]
+    if still:
+        text = (
+            f"signal {runs[0].signal} never changes {in_runs(still, len(runs))}, as of an output that is dead or "
+            "stuck: leave such runs out with --run"
+        )
+        notes.append(Note("still", text, runs=tuple(still), is_limit=True))
+    first: dict[bytes, str] = {}
+    same = [
+        (earlier, run.run)
+        for run in runs
+        if len(run) >= _FEWEST_FOR_COPY and run.run not in still
+        if (earlier := first.setdefault(run.value.tobytes(), run.run)) != run.run
+    ]
+    if same:
+        listed = ", ".join(f"{one} and {other}" for one, other in same[:3]) + (", ..." if len(same) > 3 else "")
+        text = (
+            f"runs hold the same samples ({listed}): the one confirms nothing that the other says; leave one of each "
+            "out with --run"
+        )
+        notes.append(Note("same_samples", text, is_limit=True))
+    return notes
 
 
 def check_channels(runs: Sequence[RunBlocks]) -> list[Note]:
@@ -122,7 +150,8 @@ def _is_copy(one: FloatArray, other: FloatArray) -> bool:
     both = np.isfinite(one) & np.isfinite(other)
     if both.sum() < _FEWEST_FOR_COPY or np.ptp(one[both]) == 0 or np.ptp(other[both]) == 0:
         return False
-    return abs(float(np.corrcoef(one[both], other[both])[0, 1])) > _COPY
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers whose squares are none are refused later
+        return abs(float(np.corrcoef(one[both], other[both])[0, 1])) > _COPY
 
 
 def clock_offsets(catalog: Catalog) -> dict[tuple[str, str], dict[str, float]]:

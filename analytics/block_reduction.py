@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analytics.block_checks import Note, check_channels, check_clocks, clock_offsets, in_runs
+from analytics.block_checks import Note, check_channels, check_clocks, check_runs, clock_offsets, in_runs
 from analytics.block_derived import (
     commanded_in,
     is_table,
@@ -29,6 +29,8 @@ from stream.quantities import report_unit
 BLOCK_S = 30.0
 _FEWEST_BLOCKS = 2
 _LEAST_SHARE = 0.2
+_MOST_SLOTS = 10_000_000
+_LONGEST_S = 1e9
 
 
 @dataclass(frozen=True)
@@ -94,8 +96,8 @@ class BlockReducer:
         until_ns: int | None = None,
         tolerance_s: float | None = None,
     ) -> None:
-        if not (np.isfinite(block_s) and block_s > 0):
-            raise BadInput(f"blocks of {block_s:g} s: give a positive number of seconds")
+        if not 0 < block_s <= _LONGEST_S:
+            raise BadInput(f"blocks of {block_s:g} s: give a positive number of seconds, {_LONGEST_S:g} at most")
         if tolerance_s is not None and not (np.isfinite(tolerance_s) and tolerance_s > 0):
             raise BadInput(f"a tolerance of {tolerance_s:g} s: give a positive number of seconds")
         self._catalog = catalog
@@ -142,9 +144,16 @@ class BlockReducer:
             raise NotFound(
                 f"unit {unit}, signal {self._signal}: no block is left: {'; '.join(note.text for note in notes)}"
             )
-        return Reduction(tuple(runs), (*notes, *_scatter(runs), *check_channels(runs)))
+        return Reduction(tuple(runs), (*notes, *_scatter(runs), *check_runs(runs), *check_channels(runs)))
 
     def _means(self, unit: str, records: Mapping[str, Record]) -> dict[str, Blocks]:
+        longest_s = max((record.last_ns - record.first_ns) / 1e9 for record in records.values())
+        shortest_s = max(longest_s / _MOST_SLOTS, 1e-6)
+        if self._block_s < shortest_s:
+            raise BadInput(
+                f"unit {unit}, signal {self._signal}: blocks of {self._block_s:g} s in runs of up to {longest_s:g} s; "
+                f"give blocks from {shortest_s:.2g} s on, 30 s where in doubt"
+            )
         gone = [run for run, record in records.items() if record.kept_raw < record.samples]
         if gone and self._block_s % 1.0:
             raise BadInput(
@@ -306,8 +315,10 @@ def _positions(
 def _scatter(runs: Sequence[RunBlocks]) -> list[Note]:
     if not all(is_table(run) for run in runs):
         return []
+    most = max(int(run.n.max()) for run in runs)
+    held = "hold one sample each" if most == 1 else f"hold up to {most:,} samples without scatter"
     text = (
-        f"blocks of {runs[0].block_s:g} s hold one sample each: nothing within them tells the noise, which is judged "
-        "by what the model leaves"
+        f"blocks of {runs[0].block_s:g} s {held}: nothing within them tells the noise, which is judged by what the "
+        "model leaves"
     )
     return [Note("no_scatter", text, is_limit=True)]

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _NOISE_TERMS = ("N", "B", "K", "turn_on")
+_LEAST_NOISE, _MOST_NOISE = 1e-20, 1e20
 
 
 @click.command("diagnose")
@@ -168,6 +169,8 @@ def noise_of(text: str) -> "NoiseCoefficients":
         raise BadInput(f"--noise {text}: {error}; give {form}") from error
     if not all(0 <= value < float("inf") for value in values.values()) or values["N"] == 0:
         raise BadInput(f"--noise {text}: terms are positive numbers, N above 0; give {form}")
+    if strange := [name for name, value in values.items() if value and not _LEAST_NOISE <= value <= _MOST_NOISE]:
+        raise BadInput(f"--noise {text}: {', '.join(strange)} is of no sensor's size; give {form}")
     return NoiseCoefficients(**values)
 
 

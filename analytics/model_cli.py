@@ -1,6 +1,7 @@
 """The command `gyrofleet model`: versions of the units' error models, and which of them are in use."""
 
 import getpass
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,23 +33,32 @@ def model() -> None:
 @reporting
 def list_models(folder: Path, unit: str | None, *, as_json: bool) -> None:
     """List the versions of all units, and which are live or only watched (shadow)."""
-    from rich.table import Table
-
     from analytics.model_registry import ModelRegistry
     from analytics.model_use import InUse, read_uses
     from storage.store import Store
 
     store = Store.open(folder)
     registry, uses = ModelRegistry(store), read_uses(store)
-    rows = [
-        _row(version, uses.get((version.unit, version.signal), InUse()))
-        for each in ([unit] if unit else registry.units())
-        for version in registry.versions(each)
-    ]
+    rows: list[dict[str, Any]] = []
+    damaged: list[str] = []
+    for each in [unit] if unit else registry.units():
+        versions, unreadable = registry.readable(each)
+        rows += [_row(version, uses.get((version.unit, version.signal), InUse())) for version in versions]
+        damaged += unreadable.values()
+    _tell_list(rows, unit, is_empty=not rows and not damaged, as_json=as_json)
+    for why in damaged:
+        notes().print(f"warning: {why}", markup=False, soft_wrap=True)
+    if damaged:
+        sys.exit(1)
+
+
+def _tell_list(rows: list[dict[str, Any]], unit: str | None, *, is_empty: bool, as_json: bool) -> None:
+    from rich.table import Table
+
     if as_json:
         print_json(rows)
         return
-    if not rows:
+    if is_empty:
         whose = f"unit {unit}" if unit else "any unit"
         notes().print(f"no version of the error model of {whose}: make one with `gyrofleet model promote`")
         return
@@ -76,7 +86,7 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
 
     store = Store.open(folder)
     registry = ModelRegistry(store)
-    version = _chosen(registry.versions(unit), unit, number)
+    version = _newest(registry.versions(unit), unit) if number is None else registry.version(unit, number)
     told = logged_documents(store, (ModelActivated, ResidualWatched))
     use = uses_of(told).get((version.unit, version.signal), InUse())
     history = [
@@ -212,14 +222,12 @@ def rollback(folder: Path, unit: str, signal: str, reason: str, by: str | None, 
         results().print(f"{unit}: version {document.version} is {document.stage}: {document.reason}", markup=False)
 
 
-def _chosen(versions: "list[ModelVersion]", unit: str, number: int | None) -> "ModelVersion":
+def _newest(versions: "list[ModelVersion]", unit: str) -> "ModelVersion":
     from stream.errors import NotFound
 
-    found = [each for each in versions if number is None or each.version == number]
-    if not found:
-        there = ", ".join(str(each.version) for each in versions) or "none"
-        raise NotFound(f"unit {unit} has no such version of its error model; there are: {there}")
-    return found[-1]
+    if not versions:
+        raise NotFound(f"unit {unit} has no version of its error model: make one with `gyrofleet model promote`")
+    return versions[-1]
 
 
 def _row(version: "ModelVersion", use: "InUse") -> dict[str, Any]:

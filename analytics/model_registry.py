@@ -141,6 +141,17 @@ class ModelRegistry:
         """
         return [self._read(path) for path in _files(self._folder / check_name("unit", unit))]
 
+    def readable(self, unit: str) -> tuple[list[ModelVersion], dict[int, str]]:
+        """Versions of a unit, the first first, and why others cannot be read, by number."""
+        found: list[ModelVersion] = []
+        damaged: dict[int, str] = {}
+        for path in _files(self._folder / check_name("unit", unit)):
+            try:
+                found.append(self._read(path))
+            except StoreError as error:
+                damaged[_number(path)] = str(error)
+        return found, damaged
+
     def version(self, unit: str, number: int) -> ModelVersion:
         """Return a version by its number.
 

@@ -3,6 +3,7 @@
 import ast
 import difflib
 import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -15,6 +16,7 @@ from stream.errors import BadInput
 BIAS = "bias"
 
 _WRITTEN = {"scale_factor": "scale_factor*input_rate"}
+_LONGEST = 10_000
 _TERM = re.compile(r"(?P<name>[^()=]+?)\s*(?:\((?P<shape>.*)\))?", re.DOTALL)
 _EXAMPLE = "write it like 'rate = bias + scale_factor*input_rate + warm_up(time_constant=1800)'"
 
@@ -43,11 +45,14 @@ def parse_model(text: str, channels: Collection[str] = ()) -> tuple[str | None, 
     ...
     stream.errors.BadInput: error model: term 'temprature' is not known; did you mean temperature...
     """
+    if len(text) > _LONGEST:
+        raise BadInput(f"error model of {len(text):,} characters, {text[:60]!r}...: write at most {_LONGEST:,}")
     signal, equals, right = _split_signal(text)
     if equals and not signal:
         raise BadInput(f"error model {text!r}: no signal stands before '='; {_EXAMPLE}")
     terms = tuple(_parse_term(each, text, channels) for each in _split_terms(right))
-    if twice := sorted({term_text(each) for each in terms if terms.count(each) > 1}):
+    written = Counter(map(term_text, terms))
+    if twice := sorted(term for term, times in written.items() if times > 1):
         raise BadInput(f"error model {text!r}: {', '.join(twice)} is there twice; name each term once")
     return signal or None, terms
 
@@ -110,7 +115,7 @@ def _resolved(name: str, channels: Collection[str]) -> str:
     bare = name.removeprefix(PREFIX)
     if bare in channels or bare in STANDARD_CHANNELS or name.startswith(PREFIX):
         return PREFIX + bare
-    known = [BIAS, *(each for each in effects() if "*" not in each), *sorted(channels)]
+    known = list(dict.fromkeys([BIAS, *(each for each in effects() if "*" not in each), *sorted(channels)]))
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
     hint = f"did you mean {', '.join(near)}? " if near else ""
     raise BadInput(

@@ -39,10 +39,13 @@ class InUse:
     ----------
     live, shadow : ModelActivated, optional
         The document that put the version to use; None where there is none.
+    before : tuple of ModelActivated
+        Live versions in whose place the live one came, the last one last.
     """
 
     live: ModelActivated | None = None
     shadow: ModelActivated | None = None
+    before: tuple[ModelActivated, ...] = ()
 
     def after(self, document: ModelActivated) -> "InUse":
         """What is in use when a document has come.
@@ -58,11 +61,20 @@ class InUse:
             shadow = None
         if live is not None and live.model == document.model:
             live = None
+        before = self.before
         if document.stage == Stage.LIVE:
-            live = document
+            live, before = document, self._before(document)
         elif document.stage == Stage.SHADOW:
             shadow = document
-        return InUse(live, shadow)
+        return InUse(live, shadow, before)
+
+    def _before(self, document: ModelActivated) -> tuple[ModelActivated, ...]:
+        """What a version that goes live comes in place of; one that comes back has what was before it then."""
+        models = [each.model for each in self.before]
+        if self.live is None:
+            return self.before[: models.index(document.model)] if document.model in models else ()
+        others = (*self.before, self.live)
+        return tuple(each for each in others if each.model != document.model)
 
     def stage(self, model: str) -> Stage:
         """How far a version with that hash is in use."""
@@ -171,7 +183,7 @@ def enter_activations(store: Store, documents: Sequence[AnyDocument]) -> None:
 def rollback_documents(
     registry: ModelRegistry, use: InUse, stage: Stage, *, reason: str, by: str
 ) -> list[ModelActivated]:
-    """The documents that take the live or the shadow version out of use; in a live one's place comes its parent.
+    """The documents that take the live or the shadow version out of use; in a live one's place comes the one before.
 
     Raises
     ------
@@ -183,15 +195,16 @@ def rollback_documents(
         raise BadInput(f"no version of the error model is {stage.value}: there is nothing to roll back")
     off_ns = max(time.time_ns(), (_last_ns(use) or 0) + 1)
     off = msgspec.structs.replace(taken, uid=new_uid(), t_ns=off_ns, stage=Stage.OFF.value, reason=reason, by=by)
-    try:
-        version = registry.by_hash(taken.unit, taken.model)
-    except (NotFound, StoreError):
-        return [off]  # a version that is damaged or lost can be taken out all the same
-    if stage is not Stage.LIVE or version.parent is None:
+    if stage is not Stage.LIVE or not use.before:
         return [off]
-    parent = registry.by_hash(taken.unit, version.parent)
-    why = f"in place of version {version.version}: {reason}"
-    return [off, activation(parent, Stage.LIVE, why, by, after_ns=off.t_ns)]
+    earlier = use.before[-1]
+    try:
+        back = registry.by_hash(taken.unit, earlier.model)
+    except (NotFound, StoreError):  # what is live goes out of use all the same
+        lost = f"{reason}; version {earlier.version}, live before it, cannot be read and does not take its place"
+        return [msgspec.structs.replace(off, reason=lost)]
+    why = f"in place of version {taken.version}: {reason}"
+    return [off, activation(back, Stage.LIVE, why, by, after_ns=off.t_ns)]
 
 
 def _last_ns(use: InUse) -> int | None:

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from analytics.block_checks import Note, in_runs
 from analytics.block_reduction import BLOCK_S, BlockReducer
 from analytics.declared_noise import declared_noise
@@ -15,6 +17,8 @@ from analytics.tracing.result import Diagnosis, NoiseCoefficients
 from storage.catalog import Catalog
 from stream.errors import BadInput, GyrofleetError, NotFound
 from stream.estimators.base import NoEstimate
+
+_LARGEST = 1e50
 
 
 @dataclass(frozen=True)
@@ -183,6 +187,7 @@ def diagnose_units(
             models[unit] = _model(question, runs)
             gone = {run for note in left_out for run in note.runs}
             notes = (*left_out, *(each for each in found.notes if not (each.runs and gone.issuperset(each.runs))))
+            _check_values(runs)
             reduced[unit] = ReducedUnit(runs, notes, *_noise(catalog, runs, models[unit], question))
         except GyrofleetError as error:
             if len(units) == 1:
@@ -195,9 +200,31 @@ def diagnose_units(
     done: dict[str, UnitDiagnosis] = {}
     for unit, data in reduced.items():
         told(f"tracing {unit}")
-        held_out = held_out_runs(question.holdout, data.runs)
-        done[unit] = UnitDiagnosis(data, diagnose(data.runs, models[unit], declared_noise=data.noise, holdout=held_out))
+        try:
+            held_out = held_out_runs(question.holdout, data.runs)
+            found_in = diagnose(data.runs, models[unit], declared_noise=data.noise, holdout=held_out)
+        except GyrofleetError as error:
+            if len(units) == 1:
+                raise
+            failed[unit] = str(error)
+            continue
+        done[unit] = UnitDiagnosis(data, found_in)
+    if not done:
+        raise NotFound(f"none of {len(units)} units can be diagnosed; {units[0]}: {failed[units[0]]}")
     return UnitsDiagnosis(done, failed, standing({unit: each.diagnosis for unit, each in done.items()}))
+
+
+def _check_values(runs: Sequence[RunBlocks]) -> None:
+    """Refuse numbers whose squares are none, which only a fill value or a damaged reading has."""
+    for run in runs:
+        means = {run.signal: run.value, **{name: channel.mean for name, channel in run.channels.items()}}
+        for name, mean in means.items():
+            known = mean[np.isfinite(mean)]
+            if len(known) and float(np.abs(known).max()) > _LARGEST:
+                raise BadInput(
+                    f"unit {run.unit}, run {run.run}: {name} reaches {float(known[np.abs(known).argmax()]):.3g}, which "
+                    "no sensor gives; leave such samples out and import the run anew"
+                )
 
 
 def _pooled(

@@ -1,5 +1,7 @@
 """Reading shape parameters, which may come from a text that a person wrote."""
 
+import math
+
 import numpy as np
 
 from analytics.effects.base import Shape
@@ -19,7 +21,7 @@ def number(shape: Shape, name: str) -> float:
     stream.errors.BadInput: time_constant is missing; give it as time_constant=NUMBER
     """
     value = shape.get(name)
-    if isinstance(value, int | float) and not isinstance(value, bool):
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < math.inf:
         return float(value)
     what = "is missing" if value is None else f"is {value!r}, not a number"
     raise BadInput(f"{name} {what}; give it as {name}=NUMBER")
@@ -39,6 +41,6 @@ def numbers(shape: Shape, name: str) -> FloatArray:
     if not isinstance(value, list | tuple) or not all(isinstance(each, int | float) for each in value):
         raise BadInput(f"{name} is {value!r}; a list of numbers is needed")
     found = np.asarray(value, dtype=np.float64)
-    if found.size < 2 or not np.all(np.diff(found) > 0):
+    if found.size < 2 or not np.isfinite(found).all() or not np.all(np.diff(found) > 0):
         raise BadInput(f"{name} is {value!r}; at least two increasing numbers are needed")
     return found

@@ -33,6 +33,8 @@ FEWEST_REPLICATES = 3
 """Fewer cannot be split into training and lockbox."""
 FEWEST_BLOCKS_TO_SPLIT = 60
 """A single run that is shorter cannot be split either."""
+ROUNDING = 1e-14
+"""What moves by less than so much of itself does not move."""
 FIRST_TIER = (Kind.LIBRARY, Kind.FUNCTION)
 SECOND_TIER = (*FIRST_TIER, Kind.SECOND_TIER)
 
@@ -96,7 +98,7 @@ def diagnose(
     _check(runs, holdout)
     model = model.shaped(runs)
     stack, report = stacked(runs, model)
-    if missing := _missing(stack, model):
+    if missing := _missing(stack, model) or _missing_to_fit(stack, model, holdout or ()):
         return _not_enough(runs, missing, report)
     case = _split(stack, report, declared_noise, holdout)
     available = effects_for(stack.runs) if effects is None else effects
@@ -127,6 +129,8 @@ def _check(runs: Sequence[RunBlocks], holdout: Sequence[str] | None) -> None:
     known = [run.run for run in runs]
     if unknown := sorted(set(holdout or ()) - set(known)):
         raise BadInput(f"run to hold out is not there: {', '.join(unknown)}; the runs are {', '.join(known)}")
+    if holdout and set(known) <= set(holdout):
+        raise BadInput(f"all runs ({', '.join(known)}) are to be held out: leave some that the model is fitted to")
 
 
 def _missing(stack: Stack, model: ErrorModel) -> tuple[str, ...]:
@@ -137,7 +141,18 @@ def _missing(stack: Stack, model: ErrorModel) -> tuple[str, ...]:
         return (
             f"{len(stack)} blocks for {stack.design.shape[1]} coefficients of '{model}'; three times as many needed",
         )
+    value = stack.value
+    if float(np.ptp(value)) <= ROUNDING * float(np.abs(value).max()):
+        return (f"the signal is {value[0]:g} throughout, as of an output that is dead or stuck",)
     return ()
+
+
+def _missing_to_fit(stack: Stack, model: ErrorModel, holdout: Sequence[str]) -> tuple[str, ...]:
+    """Say what is missing where the runs that were named are held out."""
+    if not holdout or len(stack.runs) == 1:
+        return ()
+    missing = _missing(stack.part(~stack.of_replicates(holdout)), model)
+    return tuple(f"without the runs held out: {each}" for each in missing)
 
 
 def _not_enough(runs: Sequence[RunBlocks], missing: tuple[str, ...], report: StackReport) -> Diagnosis:

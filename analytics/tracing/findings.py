@@ -11,7 +11,7 @@ from analytics.error_model import ErrorModel
 from analytics.tracing.adequacy import WRONG_FORM, form_p_values, homogeneity
 from analytics.tracing.candidates import Candidates
 from analytics.tracing.contenders import Contender
-from analytics.tracing.least_squares import solve
+from analytics.tracing.least_squares import Solution, solve
 from analytics.tracing.record import Record
 from analytics.tracing.result import Coefficient, ConfoundedEffect, FoundEffect, NoiseCoefficients
 from analytics.tracing.selection import Search, Selected
@@ -30,11 +30,14 @@ def unreplicated(records: Sequence[Record], contenders: Sequence[Contender]) -> 
     """What had evidence, but from one replicate alone."""
     every = []
     for each in contenders:
-        width = each.columns[0].shape[1]
-        at = slice(each.joint.common.coefficients.size - width, None)
-        coefficients = _coefficients(
-            _effect_of(each), records, each.joint.common.coefficients[at], each.joint.common.covariance[at, at]
-        )
+        if each.candidate is None:
+            place = _place(each)
+            at = slice(each.joint.own[place].coefficients.size - each.columns[place].shape[1], None)
+            coefficients = _event_coefficients(records, each, each.joint.own[place], at)
+        else:
+            at = slice(each.joint.common.coefficients.size - each.columns[0].shape[1], None)
+            theta, covariance = each.joint.common.coefficients[at], each.joint.common.covariance[at, at]
+            coefficients = _coefficients(_effect_of(each), records, theta, covariance)
         share = each.replication.largest_share if each.replication else 1.0
         every.append(
             FoundEffect(
@@ -73,7 +76,9 @@ def _finding(records: Sequence[Record], candidates: Candidates, found: Search, w
         theta, covariance = found.joint.common.coefficients[at], found.joint.common.covariance[at, at]
         coefficients = _coefficients(own, records, theta, covariance)
     else:
-        coefficients = _event_coefficients(records, found, which)
+        place = _place(contender)
+        at = found.own_columns(which, place)
+        coefficients = _event_coefficients(records, contender, found.joint.own[place], at)
     return FoundEffect(
         name=contender.name,
         parameters=contender.parameters,
@@ -121,14 +126,18 @@ def _coefficients(
     )
 
 
-def _event_coefficients(records: Sequence[Record], found: Search, which: Selected) -> tuple[Coefficient, ...]:
+def _place(event: Contender) -> int:
+    """Which record a line or a jump is in."""
+    return next(n for n, columns in enumerate(event.columns) if columns.shape[1])
+
+
+def _event_coefficients(
+    records: Sequence[Record], event: Contender, solution: Solution, at: slice
+) -> tuple[Coefficient, ...]:
     """Size of a jump, or amplitude of a line, root mean square over runs."""
     unit = records[0].stack.runs[0].unit_of_measure
-    place = next(n for n, columns in enumerate(which.contender.columns) if columns.shape[1])
-    at = found.own_columns(which, place)
-    solution = found.joint.own[place]
     values, variance = solution.coefficients[at], np.diag(solution.covariance)[at]
-    if which.contender.kind is Kind.EVENT:
+    if event.kind is Kind.EVENT:
         half = CONFIDENCE * float(np.sqrt(variance[0]))
         return (Coefficient("", float(values[0]), float(values[0] - half), float(values[0] + half), unit),)
     runs = values.size / 2

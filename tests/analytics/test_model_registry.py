@@ -99,6 +99,49 @@ def test_what_is_in_use_is_the_last_word_of_the_log(store: Store) -> None:
     assert read_uses(store)["U1", "rate"].activations == ()
 
 
+def test_what_comes_back_is_what_was_live_before(store: Store) -> None:
+    """And not what was live when the version was made, which may have been refused since."""
+    registry = ModelRegistry(store)
+    one, two = registry.add(version()), registry.add(version(note="two"))
+
+    def rolled_back() -> list[tuple[int, str]]:
+        use = read_uses(store)["U1", "rate"]
+        documents = rollback_documents(registry, use, Stage.LIVE, reason="worse", by="Li")
+        enter_activations(store, documents)
+        return [(each.version, each.stage) for each in documents]
+
+    activate(store, one, Stage.LIVE, reason="", by="Li")
+    activate(store, two, Stage.LIVE, reason="", by="Li")
+    three = registry.add(version(parent=two.hash, note="three"))
+    assert rolled_back() == [(2, "off"), (1, "live")]
+    assert rolled_back() == [(1, "off")]
+    activate(store, three, Stage.LIVE, reason="", by="Li")
+    assert rolled_back() == [(3, "off")]
+
+
+def test_a_version_goes_out_of_use_though_the_one_before_is_damaged(store: Store) -> None:
+    registry = ModelRegistry(store)
+    one, two = registry.add(version()), registry.add(version(note="two"))
+    activate(store, one, Stage.LIVE, reason="", by="Li")
+    activate(store, two, Stage.LIVE, reason="", by="Li")
+    (store.folder / "models" / "U1" / f"0001-{one.hash}.json").write_text("{")
+    (document,) = rollback_documents(registry, read_uses(store)["U1", "rate"], Stage.LIVE, reason="bad", by="Li")
+    assert (document.version, document.stage) == (2, "off")
+    assert "version 1, live before it, cannot be read" in document.reason
+
+
+def test_a_damaged_version_does_not_hide_the_others(store: Store) -> None:
+    registry = ModelRegistry(store)
+    one, _ = registry.add(version()), registry.add(version(note="two"))
+    (store.folder / "models" / "U1" / f"0001-{one.hash}.json").write_text("{")
+    listed = CliRunner().invoke(model, ["list", "--store", str(store.folder), "--json"])
+    assert listed.exit_code == 1
+    assert [row["version"] for row in json.loads(listed.stdout)] == [2]
+    assert "does not have its hash" in listed.stderr
+    shown = CliRunner().invoke(model, ["show", "--store", str(store.folder), "--unit", "U1", "--version", "2"])
+    assert shown.exit_code == 0
+
+
 def test_a_lost_version_can_be_taken_out_of_use(store: Store) -> None:
     registry = ModelRegistry(store)
     written = registry.add(version())

@@ -32,9 +32,10 @@ with ZenohBus(connect=[sys.argv[1]]) as bus:
 class Bench:
     """Stores, each with a recorder and a source of its own."""
 
-    def __init__(self, gyrofleet: Any, start: Any, free_endpoint: Any, folder: Path) -> None:
+    def __init__(self, gyrofleet: Any, start: Any, start_program: Any, free_endpoint: Any, folder: Path) -> None:
         self.gyrofleet = gyrofleet
         self.start = start
+        self.start_program = start_program
         self.free_endpoint = free_endpoint
         self._folder = folder
 
@@ -68,10 +69,11 @@ class Bench:
 def bench(
     gyrofleet: Callable[..., Any],
     start: Callable[..., Any],
+    start_program: Callable[..., Any],
     free_endpoint: Callable[[], str],
     tmp_path: Path,
 ) -> Bench:
-    return Bench(gyrofleet, start, free_endpoint, tmp_path)
+    return Bench(gyrofleet, start, start_program, free_endpoint, tmp_path)
 
 
 def stall(bench: Bench, stall_s: float, lasts_s: float) -> float:
@@ -133,7 +135,7 @@ def test_a_slow_consumer_beside_a_recorder_does_not_hold_it_up(bench: Bench) -> 
     def took(store: str, *, is_slow: bool) -> float:
         endpoint = bench.free_endpoint()
         record = bench.service("recording", "record", "--listen", endpoint, "--store", store, "--no-lake")
-        consumer = bench.start(sys.executable, "-c", SLOW, endpoint) if is_slow else None
+        consumer = bench.start_program(sys.executable, "-c", SLOW, endpoint) if is_slow else None
         if consumer is not None:
             consumer.until(lambda line: line == 0)
         began = time.monotonic()

@@ -1,0 +1,127 @@
+"""What a trace says of bad input: dead outputs, copies, fill values, everything held out, numbers of no size."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analytics.block_checks import check_runs
+from analytics.block_reduction import BlockReducer
+from analytics.diagnose_cli import noise_of
+from analytics.effects.shape_values import number
+from analytics.error_model import ErrorModel
+from analytics.model_text import parse_model
+from analytics.run_blocks import Channel, RunBlocks
+from analytics.tracing.diagnosis import diagnose
+from analytics.tracing.result import Verdict
+from analytics.unit_diagnosis import Question, diagnose_units
+from stream.batch import FloatArray
+from stream.errors import BadInput, NotFound
+from tests.analytics.conftest import TestedUnits
+
+MODEL = ErrorModel.parse("rate = bias + temperature")
+BLOCKS = 120
+DAY_NS = 86_400 * 10**9
+START_NS = 1_763_683_200 * 10**9
+
+
+def one_run(number: int, value: FloatArray) -> RunBlocks:
+    warm = 25.0 + 10.0 * np.sin(np.arange(BLOCKS) / 20.0 + number)
+    channels = {"temperature": Channel(warm, np.full(BLOCKS, 0.01), "degC")}
+    ones = np.ones(BLOCKS)
+    return RunBlocks(
+        "U1", f"r{number}", "rate", np.arange(BLOCKS), 30.0, START_NS + number * DAY_NS, value, 300 * ones.astype(int),
+        0.01 * ones, "deg/h", channels,
+    )  # fmt: skip
+
+
+def noisy_runs(count: int = 6) -> list[RunBlocks]:
+    rng = np.random.default_rng(3)
+    return [one_run(each, 1.0 + 0.1 * rng.standard_normal(BLOCKS)) for each in range(count)]
+
+
+def test_a_line_in_one_run_is_told_with_its_amplitude() -> None:
+    runs = noisy_runs()
+    line = 1.0 * np.sin(2.0 * np.pi * np.arange(BLOCKS) * 30.0 / 200.0)
+    runs[1] = one_run(1, np.asarray(runs[1].value + line))
+    found = diagnose(runs, MODEL)
+    assert found.verdict is Verdict.UNREPLICATED
+    seen = {each["name"]: each for each in found.document()["unreplicated"]}
+    # over the four training runs, three of which do not have it: 1 deg/h over sqrt(4)
+    assert seen["periodic_line"]["coefficient"] == pytest.approx(0.5, rel=0.15)
+    assert seen["periodic_line"]["unit_of_measure"] == "deg/h"
+
+
+@pytest.mark.parametrize("value", [0.0, 7.25])
+def test_an_output_that_stands_still_is_not_traced(value: float) -> None:
+    runs = [one_run(each, np.full(BLOCKS, value)) for each in range(4)]
+    found = diagnose(runs, MODEL)
+    assert found.verdict is Verdict.NOT_ENOUGH_DATA
+    assert "dead or stuck" in found.missing[0]
+
+
+def test_all_runs_held_out_leave_nothing_to_fit() -> None:
+    runs = noisy_runs(3)
+    with pytest.raises(BadInput, match="all runs"):
+        diagnose(runs, MODEL, holdout=["r0", "r1", "r2"])
+
+
+def test_too_little_beside_the_runs_held_out_is_said() -> None:
+    runs = noisy_runs(3)
+    short = runs[0]
+    few = {"temperature": Channel(short.mean("temperature")[:5], np.full(5, 0.01), "degC")}
+    runs[0] = replace(
+        short, slot=short.slot[:5], value=short.value[:5], n=short.n[:5], white_variance=short.white_variance[:5],
+        channels=few,
+    )  # fmt: skip
+    found = diagnose(runs, MODEL, holdout=["r1", "r2"])
+    assert found.verdict is Verdict.NOT_ENOUGH_DATA
+    assert found.missing[0].startswith("without the runs held out: 5 blocks")
+
+
+def test_dead_runs_and_copies_are_noted() -> None:
+    runs = noisy_runs(4)
+    assert check_runs(runs) == []
+    runs += [one_run(4, runs[1].value), one_run(5, np.zeros(BLOCKS))]
+    told = {note.what: note for note in check_runs(runs)}
+    assert set(told) == {"still", "same_samples"}
+    assert told["still"].runs == ("r5",)
+    assert "r1 and r4" in told["same_samples"].text
+    assert all(note.is_limit for note in told.values())
+
+
+def test_one_bad_unit_does_not_end_the_trace_of_others(tested: TestedUnits) -> None:
+    rng = np.random.default_rng(5)
+    for name in ("r1", "r2", "r3"):
+        tested.run(name)
+        good, filled = rng.normal(0.0, 1.0, (2, 6000))
+        filled[7] = 1e300
+        for unit, rate in (("U1", good), ("U2", filled)):
+            tested.samples(name, unit, "rate", rate, t0_ns=START_NS, dt_ns=10**8, unit_of_measure="deg/h")
+    with tested.catalog() as catalog:
+        found = diagnose_units(catalog, ["U1", "U2"], Question("rate = bias"))
+        assert list(found.units) == ["U1"]
+        assert "reaches 3.33e+297" in found.failed["U2"]
+        with pytest.raises(BadInput, match="which no sensor gives"):
+            diagnose_units(catalog, ["U2"], Question("rate = bias"))
+        with pytest.raises(NotFound, match="none of 2 units"):
+            diagnose_units(catalog, ["U1", "U2"], Question("rate = bias", holdout=("r9",)))
+        for block_s in (1e-12, 1e-9):
+            with pytest.raises(BadInput, match="give blocks from"):
+                BlockReducer(catalog, "rate", block_s=block_s).reduce("U1")
+        with pytest.raises(BadInput, match="at most"):
+            BlockReducer(catalog, "rate", block_s=1e300)
+
+
+@pytest.mark.parametrize("text", ["N=1e-300,B=0,K=0,turn_on=0", "N=1,B=0,K=1e300,turn_on=0"])
+def test_noise_of_no_size_is_refused(text: str) -> None:
+    with pytest.raises(BadInput, match="no sensor's size"):
+        noise_of(text)
+
+
+def test_long_texts_and_endless_numbers_are_refused() -> None:
+    with pytest.raises(BadInput, match="write at most") as told:
+        parse_model("rate = bias + " + "temperature+" * 20_000 + "temperature")
+    assert len(str(told.value)) < 200
+    with pytest.raises(BadInput, match="not a number"):
+        number({"time_constant": float("inf")}, "time_constant")
