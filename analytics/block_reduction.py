@@ -219,9 +219,9 @@ class BlockReducer:
             done.extend(part for part in parts if len(part) > 0)
         notes += source_of_input_rate(runs, moved)
         notes += _positions(runs, steps, numbers)
-        if unknown := [run.run for run in runs if run.run not in power_ons and not is_table(run)]:
-            where = in_runs(unknown, len(runs))
-            text = f"no power-on is recorded {where}: time_since_power_on counts from the first sample"
+        if unknown := [run.run for run in runs if run.run not in power_ons and not _tells_power_on(run)]:
+            where = f"any of {len(runs)} runs" if len(unknown) == len(runs) > 1 else in_runs(unknown, len(runs))[3:]
+            text = f"no power-on is recorded in {where}: time_since_power_on counts from the first sample"
             notes.append(Note("no_power_on", text, "time_since_power_on", tuple(unknown), is_limit=True))
         if left_out:
             text = (
@@ -295,6 +295,11 @@ def _without_rest(runs: Sequence[RunBlocks], sources: Mapping[str, Sequence[Sour
     if any(np.nan_to_num(run.mean(name)).any() for run in runs if name in run.channels):
         return list(runs)
     return [replace(run, channels={key: each for key, each in run.channels.items() if key != name}) for run in runs]
+
+
+def _tells_power_on(run: RunBlocks) -> bool:
+    """Whether the time since power-on is recorded, or has no meaning."""
+    return "time_since_power_on" in run.channels or is_table(run)
 
 
 def _positions(

@@ -19,6 +19,9 @@ _KEYS = ("angle_random_walk", "bias_instability", "rate_random_walk")
 _QUANTILE = 0.25
 _OF_LIMIT = 1.0 / 3.0
 _NORMAL_PER_MAD = 1.4826
+_RATES = ("input_rate", "table_rate")
+_MOST_DRIVEN = 4.0
+"""Variance of a run's blocks over what a line in the rate leaves of it: above, the Allan fit is of the motion."""
 
 
 def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorModel) -> NoiseCoefficients | NoEstimate:
@@ -37,7 +40,8 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
     -----
     An Allan deviation holds the effects as well as the noise, so that of several runs the lower quartile is taken; of a
     term that a run does not show, a third of what it leaves room for, if the fit says nothing better. Fits that are
-    off by more than a quarter do not count. The turn-on scatter is that of the runs' constants by least squares
+    off by more than a quarter do not count, nor do runs in which the unit was turned: their Allan deviation is that of
+    the motion, a million times the noise. The turn-on scatter is that of the runs' constants by least squares
     (1.4826 times the median distance from the median); of a single run it is not known, and the bias instability is
     taken in its place.
     """
@@ -46,18 +50,24 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
         return NoEstimate(
             f"signal {signal} is in {runs[0].unit_of_measure}: the noise terms are those of an angular rate"
         )
-    names = {name for run in runs for name in (run.run, run.run.rpartition("#")[0]) if name}
+    names = {name for run in runs for name in _names(run)}
+    turned = {name for run in runs if _is_turned(run) for name in _names(run)}
+    if names == turned:
+        return NoEstimate(
+            f"unit {unit}, signal {signal}: it was turned in all runs, whose Allan fits are of the motion; noise is "
+            "estimated from these runs alone, or give --noise"
+        )
     rows = catalog.rows(
         "select run, document->'$.coefficients' as coefficients from events "
         "where kind = 'NoiseFitted' and unit = $unit and signal = $signal order by t_ns",
         {"unit": unit, "signal": signal},
     )
-    fits = {str(run): msgspec.json.decode(text) for run, text in rows if text and run in names}
+    fits = {str(run): msgspec.json.decode(text) for run, text in rows if text and run in names - turned}
     usable = [fit for fit in fits.values() if fit is not None and fit.get("misfit", 0.0) <= MOST_MISFIT]
     if not usable:
         return NoEstimate(
-            f"unit {unit}, signal {signal}: none of {len(names)} runs has an Allan fit that describes it; noise is "
-            "estimated from these runs alone, or give --noise"
+            f"unit {unit}, signal {signal}: none of {len(names - turned)} runs has an Allan fit that describes it; "
+            "noise is estimated from these runs alone, or give --noise"
         )
     white, flicker, walk = (float(np.quantile([_value(fit[key]) for fit in usable], _QUANTILE)) for key in _KEYS)
     constants = _constants(runs, model)
@@ -66,6 +76,27 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
     else:
         turn_on = flicker
     return NoiseCoefficients(N=white, B=flicker, K=walk, turn_on=turn_on)
+
+
+def _names(run: RunBlocks) -> tuple[str, ...]:
+    """The run, and the run that it is a power-on of."""
+    whole = run.run.rpartition("#")[0]
+    return (run.run, whole) if whole else (run.run,)
+
+
+def _is_turned(run: RunBlocks) -> bool:
+    """Whether the signal of a run is mostly the rate at which the unit was turned."""
+    for name in _RATES:
+        if name not in run.channels:
+            continue
+        pairs = np.column_stack([run.mean(name), run.value])
+        pairs = pairs[np.isfinite(pairs).all(axis=1)]
+        if len(pairs) < 3 or np.ptp(pairs[:, 0]) == 0:
+            continue
+        rate, value = (pairs - pairs.mean(axis=0)).T
+        left = value - rate * (rate @ value) / (rate @ rate)
+        return bool(value @ value > _MOST_DRIVEN * (left @ left))
+    return False
 
 
 def _value(coefficient: dict[str, Any]) -> float:

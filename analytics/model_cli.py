@@ -81,6 +81,7 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
 
     from analytics.model_registry import ModelRegistry
     from analytics.model_use import InUse, logged_documents, uses_of
+    from analytics.report.wording import measured
     from storage.store import Store
     from stream.events import ModelActivated, ResidualWatched
 
@@ -103,7 +104,7 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
     for label, value, error, per in zip(
         version.model.labels(), version.model.coefficients, version.model.errors, version.model.units, strict=False
     ):
-        console.print(f"  {label}: {value:.6g} +- {error:.2g} {per}", markup=False)
+        console.print(f"  {label}: {measured(value, error)} +- {error:.2g} {per}", markup=False)
     confirmed = "confirmed by the held-out runs" if version.is_confirmed else "not confirmed by held-out runs"
     console.print(f"verdict {version.verdict}; added {', '.join(version.added) or 'nothing'}; {confirmed}")
     console.print(f"hash {version.hash}, parent {version.parent or 'none'}", markup=False)

@@ -117,9 +117,9 @@ def _resolved(name: str, channels: Collection[str]) -> str:
         return PREFIX + bare
     known = list(dict.fromkeys([BIAS, *(each for each in effects() if "*" not in each), *sorted(channels)]))
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
-    hint = f"did you mean {', '.join(near)}? " if near else ""
+    hint = f"did you mean {', '.join(near)}? A" if near else "a"
     raise BadInput(
-        f"error model: term {name!r} is not known; {hint}A term is {BIAS}, an effect or a channel: {', '.join(known)}"
+        f"error model: term {name!r} is not known; {hint} term is {BIAS}, an effect or a channel: {', '.join(known)}"
     )
 
 

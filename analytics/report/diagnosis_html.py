@@ -136,10 +136,10 @@ def _unit(found: UnitDiagnosis, words: Wording, *, with_pictures: bool) -> str:
 def _declared(found: UnitDiagnosis, words: Wording) -> str:
     diagnosis = found.diagnosis
     parts = [_heading(2, words.of("What was declared", "已声明的内容"))]
-    if diagnosis.declared is not None:
-        parts.append(f"<p><code>{escape(str(diagnosis.declared))}</code></p>")
+    if diagnosis.judged is not None:
+        parts.append(f"<p><code>{escape(str(diagnosis.judged))}</code></p>")
         title = words.of("Declared model as fitted", "已声明模型的拟合结果")
-        parts.append(_table(coefficient_rows(diagnosis.declared, title, words)))
+        parts.append(_table(coefficient_rows(diagnosis.judged, title, words)))
     parts.append(_table(noise_rows(diagnosis, words)))
     source = words.of("Declared noise", "已声明噪声的来源")
     parts.append(f'<p class="soft">{source}: {escape(found.data.noise_source)}</p>')

@@ -78,7 +78,7 @@ def write_figures(found: UnitDiagnosis, folder: Path, words: Wording) -> list[Pa
 
 
 def residual_figure(effect: FoundEffect, over: Drawn, unit_of_measure: str, words: Wording) -> Figure:
-    """Residual without one effect over its driver, and what the effect predicts."""
+    """Residual with one effect left in over its driver, and what the effect predicts."""
     freed = words.of("each run freed of its own constant", "已去除各试验常值")
     figure, axes = _figure(words.of("Residual over its driver", "残差与驱动量"), f"{words.effect(effect)}; {freed}")
     for mask, colour, label in (
@@ -91,7 +91,7 @@ def residual_figure(effect: FoundEffect, over: Drawn, unit_of_measure: str, word
     order = np.argsort(over.driver, kind="stable")
     axes.plot(over.driver[order], over.predicted[order], color=AFTER, linewidth=2, label=words.of("effect", "效应"))
     axes.plot(*over.binned(), "o", color=INK, markersize=4.5, label=words.of("means of the blocks", "数据块均值"))
-    what = words.of("residual without the effect", "未计该效应的残差")
+    what = words.of("residual with the effect left in", "未扣除该效应的残差")
     _labels(axes, over.label, f"{what} ({unit_of_measure})")
     low, high = np.quantile(over.partial, [0.001, 0.999])
     low, high = min(low, over.predicted.min()), max(high, over.predicted.max())
@@ -150,7 +150,7 @@ def spectrum_figure(spectrum: WhitenedSpectrum, words: Wording) -> Figure:
 def allan_figure(deviations: tuple[DeviationAt, ...], unit_of_measure: str, words: Wording) -> Figure:
     """Allan deviation of the residual before and after, and of the noise alone."""
     figure, axes = _figure(
-        words.of("Allan deviation of the residual", "残差的 Allan 偏差"),
+        words.of("Allan deviation of the residual", "残差的 Allan 标准差"),
         words.of("band: 95 % confidence of the model found", "色带：所得模型的95 %置信区间"),
     )
     tau_s = np.array([each.tau_s for each in deviations])
@@ -169,7 +169,7 @@ def allan_figure(deviations: tuple[DeviationAt, ...], unit_of_measure: str, word
     axes.plot(tau_s, floor, color=NOISE, linewidth=1, linestyle="--", label=words.of("noise alone", "仅噪声"))
     _before_after(axes, tau_s, before, after, words)
     _logarithmic(axes)
-    name = words.of("Allan deviation", "Allan 偏差")
+    name = words.of("Allan deviation", "Allan 标准差")
     _labels(axes, words.of("averaging time τ (s)", "平均时间 τ (s)"), f"{name} ({unit_of_measure})")
     return _finished(figure, axes)
 

@@ -46,8 +46,11 @@ def _common(found: FoundEffect, fleet: FleetDiagnosis, words: Wording) -> str:
     if found.confounded:
         others = words.listed([words.effect(other) for other in found.confounded], ("or", "或"))
         told += words.of(f", which these data cannot tell from {others}", f"（现有数据无法与{others}区分）")
-    differing = words.listed([each.unit for each in fleet.by_unit.get(found.name, ()) if each.differs])
-    if differing:
+    rows = fleet.by_unit.get(found.name, ())
+    differing = words.listed([each.unit for each in rows if each.differs])
+    if rows and all(each.differs for each in rows):
+        told += words.of(", which differs from unit to unit", "（各产品不一致）")
+    elif differing:
         told += words.of(f", with {differing} different from the others", f"（{differing}与其他产品不同）")
     return told
 

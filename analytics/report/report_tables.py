@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from analytics.error_model import ErrorModel
 from analytics.report.error_by_driver import ErrorOverDriver
 from analytics.report.residual_allan import DeviationAt
-from analytics.report.wording import Wording, number, told_unit
+from analytics.report.wording import Wording, measured, number, told_unit
 from analytics.tracing.result import Diagnosis, ErrorTable, NoiseCoefficients
 from stream.quantities import ANGULAR_RATE_UNIT
 
@@ -92,7 +92,7 @@ def allan_rows(deviations: Sequence[DeviationAt], unit_of_measure: str, words: W
          number(each.floor), f"{each.differences:,}")
         for each in deviations
     ]  # fmt: skip
-    name = words.of("Allan deviation of the residual", "残差的 Allan 偏差")
+    name = words.of("Allan deviation of the residual", "残差的 Allan 标准差")
     head = (words.of("averages of", "平均时间"), *_before_after(words), words.of("differences", "差分个数"))
     return TextTable(f"{name} ({unit_of_measure})", head, tuple(rows))
 
@@ -100,7 +100,7 @@ def allan_rows(deviations: Sequence[DeviationAt], unit_of_measure: str, words: W
 def coefficient_rows(model: ErrorModel, title: str, words: Wording) -> TextTable:
     """Coefficients of a fitted model with their standard uncertainty."""
     rows = [
-        (label, number(value), number(float(error)), told_unit(unit))
+        (label, measured(value, float(error)), number(float(error)), told_unit(unit))
         for label, value, error, unit in zip(model.labels(), model.coefficients, model.errors, model.units, strict=True)
     ]
     head = (words.of("term", "项"), words.of("coefficient", "系数"), "±", words.of("unit", "单位"))

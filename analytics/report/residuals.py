@@ -83,14 +83,14 @@ def _correlated_variance(record: Record, noise: NoiseCoefficients, of_run: BoolA
 
 def residuals_of(runs: Sequence[RunBlocks], diagnosis: Diagnosis) -> Residuals | None:
     """Return the residuals of a diagnosed unit; None where there was not enough data for a diagnosis."""
-    if diagnosis.declared is None or diagnosis.model is None or diagnosis.noise is None:
+    if diagnosis.judged is None or diagnosis.model is None or diagnosis.noise is None:
         return None
     held_out = [run for run in diagnosis.runs if run not in diagnosis.training_runs]
-    stack = case_of(runs, diagnosis.declared, diagnosis.noise, held_out).stack
+    stack = case_of(runs, diagnosis.judged, diagnosis.noise, held_out).stack
     return Residuals(
         record=record_of(stack, diagnosis.noise),
         noise=diagnosis.noise,
-        before=stack.column(diagnosis.declared.residual),
+        before=stack.column(diagnosis.judged.residual),
         after=stack.column(diagnosis.model.residual),
         held_out=stack.of_replicates(held_out),
     )

@@ -12,6 +12,7 @@ from analytics.tracing.result import Coefficient, ConfoundedEffect, FoundEffect
 Language = Literal["en", "zh"]
 
 _MOST_COLUMNS = 3
+_USUAL_DIGITS, _MOST_DIGITS, _SMALL = 3, 15, 1e-3
 _RUN = {"en": "run", "zh": "试验"}
 
 
@@ -30,6 +31,25 @@ def number(value: float | None) -> str:
     if abs(value) >= 1000:
         return f"{value:,.0f}" if abs(value) < 1e7 else f"{value:.3g}"
     return f"{value:.3g}"
+
+
+def measured(value: float, error: float) -> str:
+    """A number down to the second digit of its standard uncertainty, and with three digits at least.
+
+    Examples
+    --------
+    >>> measured(3600.195191, 0.00074), measured(0.0558, 0.000821), measured(3.0243, 0.05), measured(-14538.2, 120.0)
+    ('3,600.19519', '0.05580', '3.024', '-14,538')
+    >>> measured(3.0243, 0.0), measured(3.0243, float("nan"))
+    ('3.02', '3.02')
+    """
+    if not (math.isfinite(value) and math.isfinite(error)) or value == 0 or error <= 0:
+        return number(value)
+    place = 1 - math.floor(math.log10(error))
+    digits = math.floor(math.log10(abs(value))) + 1 + place
+    if not _USUAL_DIGITS < digits <= _MOST_DIGITS:
+        return number(value)
+    return f"{value:,.{max(0, place)}f}" if abs(value) >= _SMALL else f"{value:.{digits}g}"
 
 
 class Wording:

@@ -240,6 +240,7 @@ def _concluded(
     limits, blind = detection_limits(candidates, kept.joint, [each.name for each in effects], tests)
     box = open_lockbox(case.stack, held_out, case.training, kept)
     names = case.held_out or case.stack.replicates
+    declared_model = fitted_model(model, case.training, kept, kept.null.noises[0], with_effects=False)
     return Diagnosis(
         verdict=verdict_of(effects, seen_once, is_excess=is_excess, within_run=case.replication == "within_run"),
         units=(case.training.unit,),
@@ -257,8 +258,15 @@ def _concluded(
         replication=case.replication,
         training_runs=case.training.stack.replicates,
         runs=case.stack.replicates,
-        declared=fitted_model(model, case.training, kept, kept.null.noises[0], with_effects=False),
+        declared=declared_model,
         model=fitted_model(model, case.training, kept, noise, with_effects=True),
+        judged=declared_model.fitted(
+            box.declared,
+            box.covariance,
+            unit_of_measure=declared_model.unit_of_measure,
+            units=declared_model.units,
+            noise=msgspec.structs.asdict(noise),
+        ),
     )
 
 
@@ -347,5 +355,9 @@ def _limits(
         limits.append(
             f"a line faster than two blocks of {case.training.noise_model.block_s:g} s shows at a frequency folded "
             "into this band: the spectrum at the full sampling rate tells"
+        )
+        limits.append(
+            "the phase of a line is that of each run: no model predicts it, so that it is in the errors after as in "
+            "those before, and in what is told as noise alone"
         )
     return tuple(limits)

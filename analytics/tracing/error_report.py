@@ -9,15 +9,18 @@ from scipy import stats
 from analytics.tracing.least_squares import solve
 from analytics.tracing.lockbox import Lockbox
 from analytics.tracing.noise_floor import Averages, averages_of, expected_variance
+from analytics.tracing.record import Record
 from analytics.tracing.result import ErrorAt, ErrorTable
 from analytics.tracing.selection import Search
-from stream.batch import FloatArray
+from stream.batch import BoolArray, FloatArray, IntArray
 
 AVERAGING_S = (300.0, 1800.0, 3600.0)
 REFERENCE_S = 1800.0
 MOST_BY_CHANCE = 0.999
 LEAST_TO_WIN = 0.02
 """Part of the floor by which the squared error must exceed it for anything to be there to be won."""
+LEAST_SPANNED = 0.9
+"""Part of an averaging time that the longest run must span: a run may begin or end in the middle of a block."""
 EXCITED = 0.25
 """An effect is excited where it reaches this part of its largest average."""
 
@@ -45,7 +48,8 @@ def error_table(box: Lockbox, found: Search, names: Sequence[str], *, is_held_ou
     left, error = _noise_alone(box, found)
     trained = np.unique(record.stack.run_number[~box.held_out]).size if is_held_out else 1
     runs = np.unique(record.stack.run_number[rows]).size, trained
-    times = [block_s, *(each for each in AVERAGING_S if each > block_s)]
+    longest_s = max(np.ptp(record.stack.slot[rows][of_run]) + 1 for of_run in _by_run(record, rows)) * block_s
+    times = [block_s, *(each for each in AVERAGING_S if each > block_s and LEAST_SPANNED * each <= longest_s)]
     table, fractions = [], {}
     for seconds in times:
         averages = averages_of(record, max(1, round(seconds / block_s)), rows)
@@ -63,6 +67,11 @@ def error_table(box: Lockbox, found: Search, names: Sequence[str], *, is_held_ou
         fractions[seconds] = _fraction(squares), _fraction(_Squares(*(each[excited] for each in squares)))
     whole, on_excited = fractions.get(REFERENCE_S, (None, None)) if box.predictions.any() else (None, None)
     return ErrorTable(tuple(names), is_held_out, record.stack.runs[0].unit_of_measure, tuple(table), whole, on_excited)
+
+
+def _by_run(record: Record, rows: IntArray) -> list[BoolArray]:
+    number = record.stack.run_number[rows]
+    return [number == run for run in np.unique(number)]
 
 
 def _noise_alone(box: Lockbox, found: Search) -> tuple[FloatArray, FloatArray]:

@@ -11,10 +11,11 @@ from analytics.error_model import ErrorModel
 from analytics.tracing.adequacy import WRONG_FORM, form_p_values, homogeneity
 from analytics.tracing.candidates import Candidates
 from analytics.tracing.contenders import Contender
-from analytics.tracing.least_squares import Solution, solve
+from analytics.tracing.least_squares import solve
+from analytics.tracing.line_scan import amplitude_of
 from analytics.tracing.record import Record
 from analytics.tracing.result import Coefficient, ConfoundedEffect, FoundEffect, NoiseCoefficients
-from analytics.tracing.selection import Search, Selected
+from analytics.tracing.selection import Search, Selected, own_fit
 from stream.batch import FloatArray
 
 CONFIDENCE = 1.96
@@ -31,9 +32,10 @@ def unreplicated(records: Sequence[Record], contenders: Sequence[Contender]) -> 
     every = []
     for each in contenders:
         if each.candidate is None:
-            place = _place(each)
-            at = slice(each.joint.own[place].coefficients.size - each.columns[place].shape[1], None)
-            coefficients = _event_coefficients(records, each, each.joint.own[place], at)
+            last = [(each.joint.own[place], -each.columns[place].shape[1]) for place in _places(each)]
+            values = np.concatenate([solution.coefficients[start:] for solution, start in last])
+            variance = np.concatenate([np.diag(solution.covariance)[start:] for solution, start in last])
+            coefficients = _event_coefficients(records, each, values, variance)
         else:
             at = slice(each.joint.common.coefficients.size - each.columns[0].shape[1], None)
             theta, covariance = each.joint.common.coefficients[at], each.joint.common.covariance[at, at]
@@ -76,9 +78,7 @@ def _finding(records: Sequence[Record], candidates: Candidates, found: Search, w
         theta, covariance = found.joint.common.coefficients[at], found.joint.common.covariance[at, at]
         coefficients = _coefficients(own, records, theta, covariance)
     else:
-        place = _place(contender)
-        at = found.own_columns(which, place)
-        coefficients = _event_coefficients(records, contender, found.joint.own[place], at)
+        coefficients = _event_coefficients(records, contender, *own_fit(found, which, _places(contender)))
     return FoundEffect(
         name=contender.name,
         parameters=contender.parameters,
@@ -126,23 +126,21 @@ def _coefficients(
     )
 
 
-def _place(event: Contender) -> int:
-    """Which record a line or a jump is in."""
-    return next(n for n, columns in enumerate(event.columns) if columns.shape[1])
+def _places(event: Contender) -> list[int]:
+    """Which records a line or a jump is in."""
+    return [number for number, columns in enumerate(event.columns) if columns.shape[1]]
 
 
 def _event_coefficients(
-    records: Sequence[Record], event: Contender, solution: Solution, at: slice
+    records: Sequence[Record], event: Contender, values: FloatArray, variance: FloatArray
 ) -> tuple[Coefficient, ...]:
-    """Size of a jump, or amplitude of a line, root mean square over runs."""
+    """Size of a jump, or amplitude of a line, root mean square over the runs of all records."""
     unit = records[0].stack.runs[0].unit_of_measure
-    values, variance = solution.coefficients[at], np.diag(solution.covariance)[at]
     if event.kind is Kind.EVENT:
         half = CONFIDENCE * float(np.sqrt(variance[0]))
         return (Coefficient("", float(values[0]), float(values[0] - half), float(values[0] + half), unit),)
-    runs = values.size / 2
-    amplitude = float(np.sqrt(max(0.0, float(np.sum(values**2 - variance)) / runs)))
-    half = CONFIDENCE * float(np.sqrt(variance.mean() / runs))
+    amplitude, error = amplitude_of(values, variance)
+    half = CONFIDENCE * error
     return (Coefficient("amplitude", amplitude, max(0.0, amplitude - half), amplitude + half, unit),)
 
 

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 from scipy import stats
 
-from analytics.effects.base import Effect
+from analytics.effects.base import Effect, Kind
 from analytics.effects.registry import effects_for
 from analytics.error_model import ErrorModel
 from analytics.run_blocks import RunBlocks
@@ -15,10 +15,11 @@ from analytics.tracing.candidates import candidates_for
 from analytics.tracing.diagnosis import FIRST_TIER, Case, case_of, diagnose, verdict_of
 from analytics.tracing.evidence import by_replicate
 from analytics.tracing.findings import findings
+from analytics.tracing.line_scan import amplitude_of
 from analytics.tracing.lockbox import judge, open_lockbox
 from analytics.tracing.record import Record
 from analytics.tracing.result import Diagnosis, FoundEffect, Holdout, NoiseCoefficients, Verdict
-from analytics.tracing.selection import Search, Selected, search
+from analytics.tracing.selection import Search, Selected, own_fit, search
 from stream.batch import FloatArray
 
 FALSE_DISCOVERIES = 0.05
@@ -58,7 +59,7 @@ class FleetDiagnosis(msgspec.Struct, frozen=True, kw_only=True):
     effects : tuple of FoundEffect
         What all units lack, confirmed by the held-out runs of all.
     unreplicated : tuple of FoundEffect
-        What the held-out runs refused.
+        What the held-out runs refused, and jumps, which are of one run of one unit.
     holdout : Holdout, optional
         What they say.
     by_unit : mapping
@@ -147,18 +148,22 @@ def diagnose_fleet(
     candidates = candidates_for(records, available, model, FIRST_TIER, lost)
     found = search(records, candidates, np.random.default_rng(seed))
     holdout = _asked(cases, records, found)
-    every = findings(records, candidates, found)
-    refused = {each.effect for each in holdout.effects if not each.accepted} if holdout else set()
-    kept = tuple(
-        msgspec.structs.replace(each, confirmed=True if holdout else None) for each in every if each.name not in refused
-    )
-    gone = tuple(msgspec.structs.replace(each, confirmed=False) for each in every if each.name in refused)
+    answers = {each.effect: each.accepted for each in holdout.effects} if holdout else {}
+    every = [
+        msgspec.structs.replace(each, confirmed=answers.get(each.name)) for each in findings(records, candidates, found)
+    ]
+    kept = tuple(each for each in every if each.replicates and each.confirmed is not False)
+    gone = tuple(each for each in every if not each.replicates or each.confirmed is False)
     return FleetDiagnosis(
         verdict=verdict_of(kept, gone, is_excess=False, within_run=False),
         effects=kept,
         unreplicated=gone,
         holdout=holdout,
-        by_unit={each.contender.name: _by_unit(records, found, each) for each in found.selected if each.is_common},
+        by_unit={
+            each.contender.name: _by_unit(records, found, each)
+            for each in found.selected
+            if each.is_common or each.contender.kind is Kind.LINE
+        },
         units=alone,
         own_findings=standing(alone),
         limits=tuple(limits),
@@ -179,12 +184,17 @@ def _asked(cases: Sequence[Case], records: Sequence[Record], found: Search) -> H
 
 
 def _by_unit(records: Sequence[Record], found: Search, which: Selected) -> tuple[UnitCoefficient, ...]:
-    """First coefficient of a common effect in each unit, and whether it is that of the others."""
-    column = found.common_columns(which).start
-    whole = [np.zeros(len(record), dtype=np.int64) for record in records]
-    pairs = by_replicate(found.joint, whole, column)
-    information = np.array([float(each[0]) for each, _ in pairs])
-    product = np.array([float(each[0]) for _, each in pairs])
+    """First coefficient of a common effect, or amplitude of a line, in each unit; whether it is that of the others."""
+    if which.is_common:
+        column = found.common_columns(which).start
+        whole = [np.zeros(len(record), dtype=np.int64) for record in records]
+        pairs = by_replicate(found.joint, whole, column)
+        information = np.array([float(each[0]) for each, _ in pairs])
+        product = np.array([float(each[0]) for _, each in pairs])
+    else:
+        amplitudes = [amplitude_of(*own_fit(found, which, [number])) for number in range(len(records))]
+        information = np.array([error**-2 for _, error in amplitudes])
+        product = information * np.array([amplitude for amplitude, _ in amplitudes])
     told = [number for number, each in enumerate(information) if each > 1e-6 * information.sum()]
     own = {number: product[number] / information[number] for number in told}
     p_values = {number: _unlike_others(number, information, product) for number in told}

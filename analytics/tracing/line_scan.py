@@ -82,6 +82,21 @@ def line_columns(record: Record, frequency_hz: float) -> FloatArray:
     return np.column_stack([runs * np.cos(phase)[:, None], runs * np.sin(phase)[:, None]])
 
 
+def amplitude_of(values: FloatArray, variance: FloatArray) -> tuple[float, float]:
+    """Amplitude of a line, root mean square over runs, and its standard uncertainty.
+
+    Parameters
+    ----------
+    values, variance : array of shape (2 * runs,)
+        Cosines and sines, and the variance of each.
+    """
+    runs = values.size / 2
+    return (
+        float(np.sqrt(max(0.0, float(np.sum(values**2 - variance)) / runs))),
+        float(np.sqrt(variance.mean() / runs)),
+    )
+
+
 def powers_at(records: Sequence[Record], residuals: Sequence[FloatArray], frequency_hz: float) -> FloatArray:
     """Periodogram of each run at one frequency, mean 2 in white noise."""
     powers = []

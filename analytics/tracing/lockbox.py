@@ -10,11 +10,11 @@ from scipy import stats
 from analytics.effects.base import Kind
 from analytics.tracing.candidates import effect_columns
 from analytics.tracing.least_squares import solve
-from analytics.tracing.line_scan import powers_at
+from analytics.tracing.line_scan import amplitude_of, line_columns, powers_at
 from analytics.tracing.misfit import redness
 from analytics.tracing.record import Record
 from analytics.tracing.result import Holdout, HoldoutSlope
-from analytics.tracing.selection import Search, Selected
+from analytics.tracing.selection import Search, Selected, own_fit
 from analytics.tracing.stack import Stack
 from analytics.tracing.white_variance import record_of
 from stream.batch import BoolArray, FloatArray
@@ -26,7 +26,6 @@ SAME_SIZE = 3.29
 WON = 0.9
 """Share of the error that a prediction wins, as it is, of what it would win at its right size: then it will do."""
 LINE_P_VALUE = 0.005
-LEAST_POWER = 0.1  # of a line above noise: less cannot be told from none
 
 
 @dataclass(frozen=True)
@@ -39,8 +38,10 @@ class Lockbox:
         All blocks of the unit, the training included, so that the filter knows what was before.
     held_out : array of bool, shape (n,)
         Which of them were held out.
+    declared : array of shape (p,)
+        Coefficients of the declared model.
     before : array of shape (n,)
-        Residual of the declared model.
+        Its residual.
     predictions : array of shape (n, effects)
         What each common effect adds, less what the declared model would have taken of it.
     covariance : array of shape (p, p)
@@ -51,6 +52,7 @@ class Lockbox:
 
     record: Record
     held_out: BoolArray
+    declared: FloatArray
     before: FloatArray
     predictions: FloatArray
     covariance: FloatArray
@@ -103,6 +105,7 @@ def open_lockbox(stack: Stack, held_out: BoolArray, training: Record, found: Sea
     return Lockbox(
         record=record,
         held_out=held_out,
+        declared=declared,
         before=before,
         predictions=predictions,
         covariance=solve(normal, np.zeros(p)).covariance,
@@ -182,24 +185,25 @@ def _line_slope(boxes: Sequence[Lockbox], trainings: Sequence[Record], found: Se
     records = [record_of(box.record.stack.part(box.held_out), box.record.prior.center) for box in boxes]
     residuals = [box.whitened[:, 0] - box.whitened[:, 1 : 1 + box.predictions.shape[1]].sum(axis=1) for box in boxes]
     there = powers_at(records, residuals, frequency_hz)
-    with_line = [_with_line(found, which, number) for number in range(len(trainings))]
-    trained = powers_at(trainings, with_line, frequency_hz)
-    blocks_there = sum(map(len, records)) / there.size
-    blocks_trained = sum(map(len, trainings)) / trained.size
-    power_there = max(float(there.mean()) - 2.0, 0.0)
-    power_trained = max(float(trained.mean()) - 2.0, LEAST_POWER)
-    slope = float(np.sqrt(power_there / blocks_there / (power_trained / blocks_trained)))
-    slope_se = float(np.sqrt((1 + power_there) / there.size) / np.sqrt(max(power_there, LEAST_POWER) * power_trained))
-    training_se = float(np.sqrt((1 + power_trained) / trained.size) / power_trained)
+    amplitude, error = amplitude_of(*_line_on(boxes, found, frequency_hz))
+    trained, trained_error = amplitude_of(*own_fit(found, which, range(len(trainings))))
+    trained = max(trained, trained_error, 1e-300)
     accepted = float(stats.chi2.sf(there.sum(), 2 * there.size)) < LINE_P_VALUE
-    return HoldoutSlope(which.contender.name, slope, slope_se, training_se, accepted)
+    return HoldoutSlope(which.contender.name, amplitude / trained, error / trained, trained_error / trained, accepted)
 
 
-def _with_line(found: Search, which: Selected, number: int) -> FloatArray:
-    """Whitened training residual of one record with the line still in it."""
-    at = found.own_columns(which, number)
-    part = found.joint.whitened[number][:, 1 + at.start : 1 + at.stop] @ found.joint.own[number].coefficients[at]
-    return np.asarray(found.joint.residuals[number] + part)
+def _line_on(boxes: Sequence[Lockbox], found: Search, frequency_hz: float) -> tuple[FloatArray, FloatArray]:
+    """Cosine and sine of a line in each held-out run, in the unit of the signal, and the variance of each."""
+    values, variances = [], []
+    for number, box in enumerate(boxes):
+        columns = line_columns(box.record, frequency_hz)
+        columns = columns[:, np.any(columns[box.held_out] != 0, axis=0)]
+        whitened = box.record.whitener(found.joint.noises[number])(columns)[box.held_out]
+        residual = box.whitened[:, 0] - box.whitened[:, 1 : 1 + box.predictions.shape[1]].sum(axis=1)
+        solution = solve(whitened.T @ whitened, whitened.T @ residual)
+        values.append(solution.coefficients)
+        variances.append(np.diag(solution.covariance))
+    return np.concatenate(values), np.concatenate(variances)
 
 
 def _relative_error(found: Search, which: Selected) -> float:

@@ -330,7 +330,9 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     training_runs, runs : tuple of str
         Runs that were fitted; all runs.
     declared, model : ErrorModel
-        The declared model and the model with what was found, both fitted to the training runs.
+        The declared model and the model with what was found, both fitted to the training runs, each with its own noise.
+    judged : ErrorModel
+        The declared model as `error` judges it: fitted with the noise of the model found.
     missing : tuple of str
         What is missing where the verdict is not_enough_data.
     """
@@ -353,6 +355,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     runs: tuple[str, ...] = ()
     declared: ErrorModel | None = None
     model: ErrorModel | None = None
+    judged: ErrorModel | None = None
     missing: tuple[str, ...] = ()
 
     @property

@@ -1,6 +1,6 @@
 """The search for what is missing: rounds of contenders, then swap and prune."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from analytics.tracing.contenders import Contender, contenders
 from analytics.tracing.evidence import PRICE
 from analytics.tracing.joint_fit import Hypothesis, JointFit, fit_jointly, nothing_more
 from analytics.tracing.record import Record
+from stream.batch import FloatArray
 
 MOST_EFFECTS = 4
 _MOST_SWEEPS = 3
@@ -83,6 +84,15 @@ class Search:
                 return slice(start, start + width)
             start += width
         return slice(0, 0)
+
+
+def own_fit(found: Search, which: Selected, places: Iterable[int]) -> tuple[FloatArray, FloatArray]:
+    """Coefficients of a line or a jump in these records, and the variance of each."""
+    solutions = [(found.joint.own[place], found.own_columns(which, place)) for place in places]
+    return (
+        np.concatenate([solution.coefficients[at] for solution, at in solutions]),
+        np.concatenate([np.diag(solution.covariance)[at] for solution, at in solutions]),
+    )
 
 
 def search(records: Sequence[Record], candidates: Candidates, rng: np.random.Generator) -> Search:

@@ -404,6 +404,40 @@ def test_noise_comes_from_the_allan_fits_of_the_unit(tested: TestedUnits) -> Non
         assert "give --noise" in none.reason
 
 
+def test_allan_fits_of_runs_in_which_the_unit_was_turned_do_not_count(tested: TestedUnits) -> None:
+    """They are of the motion: white noise of 15 deg/sqrt(h) would hide everything."""
+    rng = np.random.default_rng(8)
+    for run, turned in (("r1", 0.0), ("r2", 1.0), ("r3", 1.0)):
+        tested.run(run)
+        rate = turned * np.repeat(np.tile([10.0, -10.0, 0.0], 4), 500)  # deg/s
+        tested.samples(run, "U1", "input_rate", rate, t0_ns=START_NS, unit_of_measure="deg/s")
+        tested.samples(run, "U1", "rate", 3600.0 * rate + rng.normal(0.0, 1.0, rate.size), t0_ns=START_NS)
+        seen = {"observable": True, "lo": 0.0, "hi": 0.9}
+        value = 15.0 if turned else 0.02
+        keys = ("angle_random_walk", "bias_instability", "rate_random_walk")
+        fit: dict[str, Any] = {key: {"value": value, **seen} for key in keys} | {"misfit": 0.0}
+        tested.document(NoiseFitted(run=run, t_ns=START_NS, unit="U1", signal="rate", coefficients=fit))
+    with tested.catalog() as catalog:
+        runs = BlockReducer(catalog, "rate").reduce("U1").runs
+        noise = declared_noise(catalog, runs, ErrorModel.parse("bias + scale_factor*input_rate"))
+        assert not isinstance(noise, NoEstimate)
+        assert pytest.approx(0.02) == noise.N
+        none = declared_noise(catalog, runs[1:], ErrorModel.parse("bias + scale_factor*input_rate"))
+        assert isinstance(none, NoEstimate)
+        assert "it was turned in all runs" in none.reason
+
+
+def test_a_time_since_power_on_that_is_recorded_is_taken(tested: TestedUnits) -> None:
+    tested.run("r1")
+    tested.samples("r1", "U1", "rate", np.arange(6000.0) % 2, t0_ns=START_NS)
+    since_s = 600.0 + np.arange(6000.0) / 10.0
+    tested.samples("r1", "U1", "time_since_power_on", since_s, t0_ns=START_NS, unit_of_measure="s")
+    reduction = reduced(tested)
+    (run,) = reduction.runs
+    np.testing.assert_allclose(run.mean("time_since_power_on"), 600.0 + run.time_s, atol=0.1)
+    assert not any("power" in limit for limit in reduction.limits)
+
+
 def test_a_table_of_means_is_a_block_a_row(gyrofleet: Any, tmp_path: Path) -> None:
     """The published means of a hemispherical resonator gyro (HIT 2012 table 1): what the paper's model leaves."""
     table = Path(__file__).parents[1] / "golden" / "hit2012_table1.csv"

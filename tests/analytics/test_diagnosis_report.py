@@ -69,6 +69,10 @@ def test_residuals_are_those_of_the_models_and_the_lockbox_is_the_last_third() -
     assert found.diagnosis.model is not None
     expected = np.concatenate([found.diagnosis.model.residual(run) for run in stack.runs])
     np.testing.assert_allclose(residuals.after, expected, rtol=0, atol=1e-12)
+    assert found.diagnosis.error is not None
+    told_error = found.diagnosis.error.rows[0]  # of one block
+    rms = [np.sqrt(np.mean(each[residuals.judged] ** 2)) for each in (residuals.before, residuals.after)]
+    np.testing.assert_allclose(rms, [told_error.before, told_error.after], rtol=1e-9)
 
 
 def test_noise_variance_is_that_of_the_dense_covariance_over_gaps_and_runs() -> None:

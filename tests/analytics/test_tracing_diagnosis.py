@@ -76,7 +76,20 @@ def test_a_line_is_found_and_confirmed(campaign: Campaign) -> None:
     assert found.names == ("periodic_line",)
     assert found.effects[0].parameters["frequency_hz"] == pytest.approx(1 / 400, abs=1e-5)
     assert found.effects[0].confirmed
+    assert found.holdout is not None
+    assert abs(found.holdout.total.slope - 1) < 3.3 * np.hypot(
+        found.holdout.total.slope_se, found.holdout.total.training_se
+    )
     assert any("folded" in each for each in found.limits)
+    assert any("no model predicts it" in each for each in found.limits)
+
+
+def test_no_average_is_told_that_is_longer_than_the_runs() -> None:
+    """Runs of half an hour have no averages of an hour."""
+    short = Campaign(seed=12, runs=9, duration_s=1800.0, types=("temperature", "static"))
+    found = told(short.runs(channels=("input_rate", "temperature")))
+    assert found.error is not None
+    assert [row.averaging_s for row in found.error.rows] == [30.0, 300.0, 1800.0]
 
 
 def test_a_jump_is_told_but_cannot_be_confirmed(campaign: Campaign) -> None:
@@ -224,6 +237,29 @@ def test_a_fleet_finds_what_one_unit_cannot(campaign: Campaign) -> None:
     assert "magnetic_i" in [each.name for each in found.effects]
     assert len(found.by_unit["magnetic_i"]) == 6
     assert json.loads(found.to_json())["verdict"] == found.verdict.value
+
+
+def test_what_one_unit_has_alone_is_not_common_to_all() -> None:
+    """A jump is of one run of one unit; a line is told with its amplitude in each."""
+    units = {}
+    for number in range(3):
+        of_unit = Campaign(seed=80 + number, unit=f"FOG-{number}", runs=10)
+        event = {"run": of_unit.names[1], "at_s": 9000.0}
+        line = {"frequency_hz": 1 / 400}
+        plants = {
+            1: [Planted("jump", of_unit.coefficients_for("jump", event, 14.0), event)],
+            2: [Planted("periodic_line", of_unit.coefficients_for("periodic_line", line, 20.0), line)],
+        }
+        units[of_unit.unit] = of_unit.runs(plants.get(number, []))
+    found = diagnose_fleet(units, MODEL, declared_noise=dict.fromkeys(units, DECLARED))
+    assert [each.name for each in found.effects] == ["periodic_line"]
+    assert [(each.name, each.confirmed) for each in found.unreplicated] == [("jump", None)]
+    own = {each.unit: each for each in found.by_unit["periodic_line"]}
+    (amplitude,) = found.units["FOG-2"].effects[0].coefficients
+    assert own["FOG-2"].coefficient == pytest.approx(amplitude.value, rel=0.05)
+    assert own["FOG-0"].coefficient < 0.2 * amplitude.value
+    (pooled,) = found.effects[0].coefficients
+    assert pooled.value == pytest.approx(amplitude.value / 3**0.5, rel=0.1)
 
 
 def test_false_discoveries_are_bounded() -> None:
