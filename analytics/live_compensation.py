@@ -25,6 +25,8 @@ from stream.quantities import report_unit
 SUFFIX = "_compensated"
 PATIENCE_S = 600.0
 """So far behind the signal a channel may be; one that is further behind is taken to stand still."""
+PATIENCE_BATCHES = 3.0
+"""Nor fewer than so many of the longest batches: an imported file of slow samples comes in pieces of hours."""
 
 _BLOCK_NS = round(LIVE_BLOCK_S * 1e9)
 # each time the whole run is gone through anew, which in long ones must not be done too often
@@ -110,7 +112,7 @@ class EpochCompensation:
     """Compensates one signal of one power-on in one run.
 
     What comes out is a function of the samples alone, not of how they were cut or when they came, as long as channels
-    are not further behind than `PATIENCE_S`. A batch goes out one to two minutes after it came, since a slope of a
+    are not further behind than `patience_s`. A batch goes out one to two minutes after it came, since a slope of a
     channel looks so far ahead; in long runs up to 0.2 % of the run later (three minutes in a day). What moves within
     blocks of 5 s is not compensated.
 
@@ -149,6 +151,7 @@ class EpochCompensation:
         self._channels: dict[str, ChannelBlocks] = {}
         self._waiting: deque[SampleBatch] = deque()
         self._raw_ns = first.t0_ns
+        self._longest_ns = 0
         self._correction = np.empty(0)
         self._held: dict[str, float] = {}
 
@@ -182,12 +185,19 @@ class EpochCompensation:
         if source not in self._sources[name]:
             self._sources[name][source] = ChannelBlocks(name, self.t0_ns)
         self._sources[name][source].take(batch)
+        self._longest_ns = max(self._longest_ns, batch.last_ns - batch.t0_ns)
+
+    @property
+    def patience_s(self) -> float:
+        """How far behind a channel may be, seconds of the signal."""
+        return max(PATIENCE_S, PATIENCE_BATCHES * self._longest_ns / 1e9)
 
     def take(self, batch: SampleBatch) -> None:
         """Take in raw samples, which follow each other."""
         self._waiting.append(batch)
         self.next_seq = batch.next_seq
         self._raw_ns = max(self._raw_ns, batch.last_ns)
+        self._longest_ns = max(self._longest_ns, batch.last_ns - batch.t0_ns)
 
     def due(self, *, is_last: bool = False) -> list[SampleBatch]:
         """The compensated samples that can be told now, each batch with the numbers and times of the raw one.
@@ -215,7 +225,7 @@ class EpochCompensation:
         if is_last:
             settled = blocks = self._block_of(self._raw_ns) + 1
         else:
-            patient_ns = self._raw_ns - round(PATIENCE_S * 1e9)
+            patient_ns = self._raw_ns - round(self.patience_s * 1e9)
             blocks = int((self._raw_ns - self.t0_ns) // _BLOCK_NS)
             for name, each in used.items():
                 assert each.last_ns is not None

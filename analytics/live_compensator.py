@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from uuid import UUID, uuid5
 
-from analytics.live_compensation import PATIENCE_S, SUFFIX, EpochCompensation
+from analytics.live_compensation import PATIENCE_BATCHES, PATIENCE_S, SUFFIX, EpochCompensation
 from analytics.live_terms import live_part, needed_channels
 from analytics.model_registry import ModelRegistry, ModelVersion
 from analytics.model_use import InUse, Uses
@@ -206,7 +206,8 @@ class LiveCompensator:
             return []
         kept = run.kept.setdefault((batch.unit, batch.signal), deque())
         kept.append(batch)
-        while kept[0].last_ns < batch.last_ns - _KEPT_NS:
+        span_ns = max(each.last_ns - each.t0_ns for each in kept)
+        while kept[0].last_ns < batch.last_ns - max(_KEPT_NS, round(PATIENCE_BATCHES * span_ns)):
             kept.popleft()
         out: list[Out] = []
         for (unit, _, _), own in run.epochs.items():
@@ -278,7 +279,7 @@ def _stopped(own: EpochCompensation, name: str, at_s: float) -> NoteAdded:
         own,
         uuid5(own.epoch, f"{name} stops").hex,
         f"is compensated with a last reading from now on: channel {name} stops at {at_s:.0f} s, and has not come for "
-        f"{PATIENCE_S:.0f} s; look at its source",
+        f"{own.patience_s:.0f} s; look at its source",
     )
 
 

@@ -145,7 +145,13 @@ COEFFICIENTS = [100.0, 0.5, 2.0, 0.3, 4.0]
 
 @pytest.mark.parametrize(
     ("cuts", "delays_s"),
-    [((7, 3), (0.0, 0.0)), ((1000, 60), (0.0, 0.0)), ((100, 10), (0.0, 300.0)), ((61, 7), (90, 0))],
+    [
+        ((7, 3), (0.0, 0.0)),
+        ((1000, 60), (0.0, 0.0)),
+        ((100, 10), (0.0, 300.0)),
+        ((61, 7), (90, 0)),
+        ((12_000, 10), (0.0, 1300.0)),  # as from a file, in a piece longer than the patience
+    ],
 )
 def test_the_result_is_a_function_of_the_samples_alone(
     tmp_path: Path, cuts: tuple[int, int], delays_s: tuple[float, float]
