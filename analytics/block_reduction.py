@@ -132,6 +132,7 @@ class BlockReducer:
             self._clock_offsets = clock_offsets(self._catalog)
         instruments = sorted({(run, each.unit) for run in order for each in sources[run] if each.unit != unit})
         notes += _not_finite(found, records) if whole_time else []
+        notes += _apart({run: records[run] for run in order}, self._block_s)
         notes += check_clocks(self._clock_offsets, unit, self._signal, instruments)
         found, partial = _whole(found)
         notes += partial
@@ -271,6 +272,18 @@ def _not_finite(found: Mapping[str, Blocks], records: Mapping[str, Record]) -> l
     where = in_runs(having, len(found))
     text = f"{sum(missing[run] for run in having):,} samples are no finite numbers {where}: left out"
     return [Note("not_finite", text, runs=tuple(having))]
+
+
+def _apart(records: Mapping[str, Record], block_s: float) -> list[Note]:
+    having = [run for run, record in records.items() if record.interval_s > 1.5 * block_s]
+    if not having:
+        return []
+    apart_s = max(records[run].interval_s for run in having)
+    text = (
+        f"samples are up to {apart_s:g} s apart {in_runs(having, len(records))}, blocks are {block_s:g} s long: most "
+        f"are empty, and the noise N is told too low; give blocks from {apart_s:g} s on"
+    )
+    return [Note("apart", text, runs=tuple(having), is_limit=True)]
 
 
 def _whole(found: Mapping[str, Blocks]) -> tuple[dict[str, Blocks], list[Note]]:

@@ -480,3 +480,13 @@ def test_measured_bursts_in_a_cold_chamber(gyrofleet: Any, tmp_path: Path, measu
     assert run.channels["temperature"].unit_of_measure == "count"
     assert np.isfinite(run.mean("temperature")).all()
     assert np.isfinite(run.white_variance).all()
+
+
+def test_blocks_shorter_than_the_interval_of_the_samples_are_told(tested: TestedUnits) -> None:
+    tested.run("r1")
+    values = np.random.default_rng(4).standard_normal(600)
+    tested.samples("r1", "U1", "rate", values, t0_ns=START_NS, dt_ns=10**9)
+    (told,) = [limit for limit in reduced(tested, block_s=0.1).limits if "apart" in limit]
+    assert "samples are up to 1 s apart" in told
+    assert "give blocks from 1 s on" in told
+    assert not any("apart" in limit for limit in reduced(tested, block_s=1.0).limits)
