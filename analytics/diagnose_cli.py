@@ -215,6 +215,8 @@ def _saved(catalog: "Catalog", folder: Path, found: "UnitsDiagnosis") -> dict[st
         written = registry.add(version_of(catalog, each, use, by=getpass.getuser(), note="gyrofleet diagnose --save"))
         saved[unit] = {"version": written.version, "hash": written.hash}
         notes().print(f"{unit}: version {written.version} of its error model: {written.text}", markup=False)
+        if left_out := [name for name in each.diagnosis.names if name not in written.added]:
+            notes().print(f"{unit}: no model predicts {', '.join(left_out)}: it is not in that version", markup=False)
     return saved
 
 

@@ -106,7 +106,8 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
     ):
         console.print(f"  {label}: {measured(value, error)} +- {error:.2g} {per}", markup=False)
     confirmed = "confirmed by the held-out runs" if version.is_confirmed else "not confirmed by held-out runs"
-    console.print(f"verdict {version.verdict}; added {', '.join(version.added) or 'nothing'}; {confirmed}")
+    added = f"added {', '.join(version.added)}; {confirmed}" if version.added else "added nothing to the declared model"
+    console.print(f"verdict {version.verdict}; {added}")
     console.print(f"hash {version.hash}, parent {version.parent or 'none'}", markup=False)
     console.print(f"made {_day(version.made_ns)} by {version.by} from {len(version.runs)} runs", markup=False)
     for document in history:

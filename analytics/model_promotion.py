@@ -7,11 +7,15 @@ import msgspec
 
 from analytics.model_registry import ModelRegistry, ModelVersion, run_hashes
 from analytics.model_use import InUse, Stage, activate, read_uses
+from analytics.tracing.contenders import JUMP, LINE
 from analytics.unit_diagnosis import Question, UnitDiagnosis, diagnose_units
 from storage.catalog import Catalog
 from storage.store import Store
 from stream.errors import BadInput
 from stream.events import ModelActivated
+
+EVENTS = (LINE, JUMP)
+"""What no model predicts: a line has a phase of its own in each run, a jump happens once."""
 
 
 def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: str, note: str = "") -> ModelVersion:
@@ -45,7 +49,7 @@ def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: str, n
         runs=run_hashes(catalog, tuple(run.run for run in runs)),
         training_runs=diagnosis.training_runs,
         verdict=diagnosis.verdict.value,
-        added=diagnosis.names,
+        added=tuple(name for name in diagnosis.names if name not in EVENTS),
         holdout=None if holdout is None else dict(msgspec.to_builtins(holdout)),
         made_ns=time.time_ns(),
         by=by,
