@@ -261,7 +261,7 @@ def _concluded(
         declared=declared_model,
         model=fitted_model(model, case.training, kept, noise, with_effects=True),
         judged=declared_model.fitted(
-            box.declared,
+            box.declared_alone,
             box.covariance,
             unit_of_measure=declared_model.unit_of_measure,
             units=declared_model.units,

@@ -57,7 +57,7 @@ def error_table(box: Lockbox, found: Search, names: Sequence[str], *, is_held_ou
             continue
         allowed = expected_variance(record, noise, averages)
         squares = _Squares(
-            averages.of(box.before) ** 2,
+            averages.of(box.before_alone) ** 2,
             averages.of(box.after) ** 2,
             _floor(averages, left, error, box, allowed, runs),
         )

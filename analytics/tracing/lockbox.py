@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import stats
@@ -62,6 +63,28 @@ class Lockbox:
     def after(self) -> FloatArray:
         """Residual of the model with all effects."""
         return np.asarray(self.before - self.predictions.sum(axis=1))
+
+    @cached_property
+    def declared_alone(self) -> FloatArray:
+        """Coefficients of the declared model for one who looks no further.
+
+        Fitted with the noise of the training or by plain least squares, whichever predicts the held-out blocks better:
+        with a random walk in the noise a slow effect is left to the noise, and what it wins would be flattered.
+        """
+        if not self.predictions.shape[1]:
+            return self.declared
+        value, design = self.record.value, self.record.design
+        trained = np.ones_like(self.held_out) if self.held_out.all() else ~self.held_out
+        scale = np.sqrt((design[trained] ** 2).mean(axis=0))
+        scale[scale == 0] = 1.0
+        plain = np.linalg.lstsq(design[trained] / scale, value[trained])[0] / scale
+        both = (self.declared, plain)
+        return min(both, key=lambda each: float(((value - design @ each)[self.held_out] ** 2).mean()))
+
+    @property
+    def before_alone(self) -> FloatArray:
+        """Residual of that."""
+        return np.asarray(self.record.value - self.record.design @ self.declared_alone)
 
 
 def open_lockbox(stack: Stack, held_out: BoolArray, training: Record, found: Search, number: int = 0) -> Lockbox:

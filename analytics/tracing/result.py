@@ -332,7 +332,8 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     declared, model : ErrorModel
         The declared model and the model with what was found, both fitted to the training runs, each with its own noise.
     judged : ErrorModel
-        The declared model as `error` judges it: fitted with the noise of the model found.
+        The declared model as `error` judges it: fitted with the noise of the model found or by plain least squares,
+        whichever predicts the held-out runs better.
     missing : tuple of str
         What is missing where the verdict is not_enough_data.
     """
