@@ -61,7 +61,10 @@ def outcome(case: Case, made: Built, said: Diagnosis) -> str:
         return "beside" if len(hit) < len(said.effects) else "part"
     channels = {channel for each in said.effects for channel in each.unknown_function_of}
     driven = {channel for name in truth for channel in effect(name).needs}
-    return "unknown" if channels and channels & driven else "wrong"
+    if channels & driven:
+        return "unknown"
+    is_left_open = said.verdict in (Verdict.UNEXPLAINED, Verdict.UNREPLICATED)
+    return "unexplained" if truth and is_left_open else "wrong"
 
 
 def _nothing_said(truth: Sequence[str], said: Diagnosis) -> str:
@@ -78,7 +81,8 @@ def _nothing_said(truth: Sequence[str], said: Diagnosis) -> str:
 def _means(found: FoundEffect, truth: str) -> bool:
     """Whether a finding names the truth, itself or as one of those that the data cannot tell apart.
 
-    A free function may also be found as an effect of that channel alone.
+    A free function may also be found as an effect of that channel alone; each run of a campaign begins with power-on,
+    so that a drift in the run is one of the time since then.
     """
     names = (found.name, *(each.name for each in found.confounded))
     if truth in (*names, *found.companions):
@@ -86,7 +90,8 @@ def _means(found: FoundEffect, truth: str) -> bool:
     needs = effect(truth).needs
     if not truth.startswith("function_of"):
         return False
-    return needs[0] in found.unknown_function_of or any(effect(name).needs == needs for name in names)
+    driven = {("time_since_power_on",) if name == "drift_in_run" else effect(name).needs for name in names}
+    return needs[0] in found.unknown_function_of or needs in driven
 
 
 def _outside(channels: Sequence[str], said: Diagnosis) -> str:
