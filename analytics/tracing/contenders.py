@@ -32,8 +32,8 @@ SWALLOWED = 0.25
 """Logarithm by which a fitted noise coefficient exceeds the declared one when it may have swallowed an effect."""
 EXCESS_AVERAGE_S, GROSS_EXCESS = 3600.0, 4.0
 """Ratio of variances of hourly averages, fitted over declared, beyond which the noise model is not trusted."""
-LEAST_LEAD = 0.03
-"""Share of a large effect's evidence within which others are not told from it."""
+LEAST_LEAD, LEAST_SHARE_OF_LEAD = 12.0, 0.03
+"""Evidence, and share of a large effect's own, within which others are not told from it."""
 LINE, JUMP = "periodic_line", "jump"
 LINE_MOST_FROM_ONE = 0.9
 
@@ -97,9 +97,11 @@ class Contender:
     def lead(self) -> float:
         """Evidence by which it has to lead another to be told from it.
 
-        Of a large effect a share of its own: channels are measured and forms are idealised no better than that.
+        The wrong one of two leads by L with a chance of at most Phi(-sqrt(L)), however alike they are: 1 in 3700 at 12,
+        and an effect has some ten that are alike. Of a large effect a share of its own: channels are measured and forms
+        are idealised no better than that.
         """
-        return max(PRICE, LEAST_LEAD * self.evidence)
+        return max(LEAST_LEAD, LEAST_SHARE_OF_LEAD * self.evidence)
 
     @property
     def significance(self) -> float:

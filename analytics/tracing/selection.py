@@ -26,7 +26,7 @@ class Selected:
     contender : Contender
         The effect.
     confounded : tuple of Contender
-        Others that it does not lead by 9, or 3 %, of evidence.
+        Others that it does not lead by 12, or 3 %, of evidence.
     companions : tuple of str
         Proxies of which the same is true.
     leading_proxy : str, optional
