@@ -231,7 +231,7 @@ def _concluded(
     every = [_asked(each, holdout) for each in every]
     refused = [each for each in every if each.confirmed is False]
     kept = _without(records, found, [each.name for each in refused])
-    effects = tuple(each for each in every if each.confirmed is not False)
+    effects = tuple(_of_open_form(each, refused) for each in every if each.confirmed is not False)
     seen_once = tuple(refused) + tuple(unreplicated(records, found.unreplicated) if not found.selected else ())
     excess = noise_excess(case.training, kept.joint)
     is_excess = declared is not None and excess.is_excess
@@ -274,6 +274,18 @@ def _asked(effect: FoundEffect, holdout: Holdout | None) -> FoundEffect:
     """Return the effect with what the held-out runs say of it."""
     answers = [each.accepted for each in holdout.effects if each.effect == effect.name] if holdout else []
     return msgspec.structs.replace(effect, confirmed=answers[0]) if answers else effect
+
+
+FUNCTION = "function_of_"
+
+
+def _of_open_form(found: FoundEffect, refused: Sequence[FoundEffect]) -> FoundEffect:
+    """Return the effect; of unknown form where a free function of its channel was needed beside it but did not hold."""
+    functions = [each for each in refused if each.name.startswith(FUNCTION)]
+    channels = {channel for each in functions for channel in each.roles}.intersection(found.roles)
+    if not channels or found.unknown_function_of:
+        return found
+    return msgspec.structs.replace(found, unknown_function_of=tuple(sorted(channels)))
 
 
 def _without(records: Sequence[Record], found: Search, names: Sequence[str]) -> Search:
