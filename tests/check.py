@@ -14,7 +14,8 @@ import venv
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PARALLEL = ("--numprocesses", "auto", "--dist", "worksteal")
+# one more than there are processors: many tests wait for processes of their own
+PARALLEL = ("--numprocesses", str((os.cpu_count() or 1) + 1), "--dist", "worksteal")
 
 
 def run(*command: str | Path, cwd: Path = ROOT) -> None:

@@ -35,7 +35,7 @@ EXCESS_AVERAGE_S, GROSS_EXCESS = 3600.0, 4.0
 LEAST_LEAD, LEAST_SHARE_OF_LEAD = 12.0, 0.03
 """Evidence, and share of a large effect's own, within which others are not told from it."""
 ALIAS_SHARE_OF_LEAD = 0.25
-"""The same of effects that the library calls aliases: as the rate of temperature and its difference between two places,
+"""The same of causes that the library calls aliases: as the rate of temperature and its difference between two places,
 they follow one cause, and which of them is measured with less noise must not decide."""
 LINE, JUMP = "periodic_line", "jump"
 LINE_MOST_FROM_ONE = 0.9
@@ -95,7 +95,7 @@ class Contender:
         Here the noise at its pace is no argument: a wrong shape makes an effect disagree between runs as well.
         """
         lead = best.lead
-        if best.is_alias_of(self) or self.is_alias_of(best):
+        if self.role is best.role is Role.CAUSE and (best.is_alias_of(self) or self.is_alias_of(best)):
             lead = max(lead, ALIAS_SHARE_OF_LEAD * best.evidence)
         return best.evidence - (self.evidence if self.at_most is None else self.at_most) < lead
 

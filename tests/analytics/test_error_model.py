@@ -84,7 +84,7 @@ def test_a_channel_that_is_no_effect_takes_part_in_proportion(cycled: RunBlocks)
     ("text", "says"),
     [
         ("rate = bias + temprature", "did you mean temperature"),
-        ("bias + zzzz", "A term is bias, an effect or a channel: bias, "),
+        ("bias + zzzz", "a term is bias, an effect or a channel: bias, "),
         ("bias + compresor", "did you mean compressor"),
         ("bias ++ temperature", "a term is missing beside a '\\+'"),
         ("= bias", "no signal stands before '='"),
