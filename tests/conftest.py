@@ -2,7 +2,6 @@
 
 import json
 import os
-import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -13,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from tests import free_ports as ports
 from tests.forked_commands import CommandServer
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
@@ -74,9 +74,7 @@ def gyrofleet(tmp_path: Path, run_command: Callable[..., Outcome]) -> Callable[.
 
 @pytest.fixture
 def endpoint() -> str:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    return ports.free_endpoint()
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-import socket
 import subprocess
 import threading
 import time
@@ -13,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from tests import free_ports as ports
 from tests.forked_commands import CommandServer
 
 
@@ -113,13 +113,7 @@ def start_program(tmp_path: Path, services: list[Service]) -> Callable[..., Serv
 @pytest.fixture
 def free_endpoint() -> Callable[[], str]:
     """Addresses on loopback at which nobody listens."""
-
-    def find() -> str:
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            return f"tcp/127.0.0.1:{free.getsockname()[1]}"
-
-    return find
+    return ports.free_endpoint
 
 
 @pytest.fixture
