@@ -1,9 +1,11 @@
-"""From the store to blocks: ``python tests/bench/block_reduction.py --units 20 --days 1 --rate-hz 10``.
+"""From the store to blocks and a verdict: ``python tests/bench/block_reduction.py --units 20 --days 10 --rate-hz 10``.
 
 Makes a lake of a fleet at a station (rate and temperature of each unit, the table's rate, the chamber's temperature; a
-run a day) and reduces all units, one after the other, to blocks of 30 s with their channels. It prints seconds a unit
-and the peak of memory of the reduction, which runs in a process of its own, and what both would be for a fleet of 100
-units over 10 days: rollups count, not samples, so that the sample rate hardly matters above 2 Hz.
+run a day, four temperature cycles each, in which every unit's rate follows the square of its temperature) and reduces
+all units, one after the other, to blocks of 30 s with their channels. It prints seconds a unit and the peak of memory
+of the reduction, which runs in a process of its own, and what both would be for a fleet of 100 units over 10 days:
+rollups count, not samples, so that the sample rate hardly matters above 2 Hz. With ``--trace`` it then runs ``gyrofleet
+diagnose --fleet`` on the store, which reduces and traces all units, and prints its seconds, memory and verdict.
 """
 
 import argparse
@@ -27,7 +29,7 @@ from storage.lake import Lake, build_missing, builder_lock
 from storage.mcap_records import SAMPLES, LogRecord
 from storage.sequence import place_of
 from storage.store import Store, WriterLock
-from stream.batch import SampleBatch
+from stream.batch import FloatArray, SampleBatch
 from stream.identity import Place, sample_key
 from stream.wire import encode_batch
 
@@ -35,6 +37,11 @@ PLACE = Place("plant", "chamber-1")
 DAY_S = 86_400
 START_NS = 1_763_683_200 * 10**9
 FLEET, DAYS = 100, 10
+CYCLE_S, SWING_DEGC = 21_600, 20.0
+SQUARE_DEG_PER_S = 5e-6
+"""What a rate gains where the temperature is farthest from its middle: a hundredth of the noise of a sample."""
+SCALE = {"rate": 1e-5, "temperature": 1e-3, "table_rate": 1e-5, "chamber_temperature": 1e-3}
+NOISE_COUNTS = {"rate": 50.0, "temperature": 5.0, "table_rate": 5.0, "chamber_temperature": 5.0}
 
 
 def append(log: EventLog, batch: SampleBatch) -> None:
@@ -44,6 +51,14 @@ def append(log: EventLog, batch: SampleBatch) -> None:
     place = place_of(record)
     assert place is not None
     log.append(place, record)
+
+
+def driven(signal: str, at_s: FloatArray) -> FloatArray:
+    """What a signal is without its noise, in its unit."""
+    swing = np.sin(2 * np.pi * at_s / CYCLE_S)
+    if signal == "rate":
+        return np.asarray(SQUARE_DEG_PER_S * swing**2)
+    return np.asarray(25.0 + SWING_DEGC * swing) if signal.endswith("temperature") else np.zeros_like(at_s)
 
 
 def write(store: Store, units: int, days: int, rate_hz: float) -> int:
@@ -60,14 +75,16 @@ def write(store: Store, units: int, days: int, rate_hz: float) -> int:
             day, start_ns = chunk * chunk_s // DAY_S, START_NS + chunk * chunk_s * 10**9
             for number, key in enumerate(signals):
                 owner, signal, measure, hz = key
-                counts = np.round(rng.normal(0.0, 50.0, round(chunk_s * hz))).astype(np.int32)
+                at_s = chunk * chunk_s + np.arange(round(chunk_s * hz)) / hz
+                noise = NOISE_COUNTS[signal] * rng.standard_normal(at_s.size)
+                counts = np.round(driven(signal, at_s) / SCALE[signal] + noise).astype(np.int32)
                 epoch = UUID(int=day * 10_000 + number + 1)
                 first = seq[key] if chunk * chunk_s % DAY_S else 0
                 append(
                     log,
                     SampleBatch(
                         owner, signal, f"day-{day}", epoch, first, start_ns, round(1e9 / hz), measure, counts=counts,
-                        scale=1e-5,
+                        scale=SCALE[signal],
                     ),
                 )  # fmt: skip
                 seq[key] = first + len(counts)
@@ -83,10 +100,14 @@ def write(store: Store, units: int, days: int, rate_hz: float) -> int:
     return sum(round(days * DAY_S * hz) for _, _, _, hz in signals)
 
 
-def peak_mb() -> float:
-    """Of this process alone: the resource module counts what its parent had when it forked."""
-    (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM")]
-    return int(line.split()[1]) / 1024
+def peak_mb(process: int | None = None) -> float:
+    """Of a process alone, by default this: the resource module counts what its parent had when it forked."""
+    try:
+        status = Path(f"/proc/{process or 'self'}/status").read_text()
+    except FileNotFoundError:
+        return 0.0
+    lines = [line for line in status.splitlines() if line.startswith("VmHWM")]
+    return int(lines[0].split()[1]) / 1024 if lines else 0.0
 
 
 def reduce_all(folder: Path) -> dict[str, Any]:
@@ -112,17 +133,45 @@ def reduce_all(folder: Path) -> dict[str, Any]:
     }
 
 
+def trace_all(folder: Path) -> dict[str, Any]:
+    """Run the command on all units together, and see what it takes and says."""
+    command = [sys.executable, "-m", "gyrofleet", "diagnose", "--store", str(folder), "--fleet", "--json"]
+    begin = time.perf_counter()
+    with (
+        tempfile.TemporaryFile("w+") as told,
+        subprocess.Popen(
+            [*command, "--model", "rate = bias + temperature"], stdout=told, cwd=Path(__file__).parents[2]
+        ) as process,
+    ):
+        peak = 0.0
+        while process.poll() is None:
+            peak = max(peak, peak_mb(process.pid))
+            time.sleep(0.2)
+        told.seek(0)
+        found = json.load(told)
+    if process.returncode != 0:
+        raise SystemExit(f"gyrofleet diagnose ended with {process.returncode}")
+    alone = [each["verdict"] for each in found["units"].values()]
+    return {
+        "trace_s": time.perf_counter() - begin,
+        "trace_peak_mb": peak,
+        "trace_verdict": f"{found['verdict']}: {', '.join(each['name'] for each in found['effects'])}",
+        "trace_alone": ", ".join(f"{alone.count(each)} {each}" for each in sorted(set(alone))),
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--units", type=int, default=20)
     parser.add_argument("--days", type=int, default=1)
     parser.add_argument("--rate-hz", type=float, default=10.0)
     parser.add_argument("--folder", type=Path, help="where to work; kept then")
+    parser.add_argument("--trace", action="store_true", help="trace the fleet as well")
     parser.add_argument("--reduce", type=Path, help="a store that is there")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     if options.reduce is not None:
-        print(json.dumps(reduce_all(options.reduce)))
+        print(json.dumps(reduce_all(options.reduce) | (trace_all(options.reduce) if options.trace else {})))
         return
     folder = options.folder or Path(tempfile.mkdtemp(prefix="gyrofleet-blocks-"))
     try:
@@ -130,16 +179,20 @@ def main() -> None:
         samples = write(store, options.units, options.days, options.rate_hz)
         command = [sys.executable, __file__, "--reduce", str(store.folder)]
         done = subprocess.run(command, check=True, capture_output=True, text=True)
+        traced = trace_all(store.folder) if options.trace else {}
     finally:
         if options.folder is None:
             shutil.rmtree(folder)
-    found = {"samples": samples, **json.loads(done.stdout)}
+    found = {"samples": samples, **json.loads(done.stdout), **traced}
     found["fleet_of_100_over_10_days_min"] = found["unit_s"] * DAYS / options.days * FLEET / 60.0
     if options.json:
         print(json.dumps(found))
         return
     for name, value in found.items():
-        print(f"{name:32} {value:,.4g}" if isinstance(value, float) else f"{name:32} {value:,}")
+        print(
+            f"{name:32} "
+            + (value if isinstance(value, str) else f"{value:,.4g}" if isinstance(value, float) else f"{value:,}")
+        )
 
 
 if __name__ == "__main__":
