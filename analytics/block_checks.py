@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analytics.run_blocks import RunBlocks
+from analytics.run_blocks import RunBlocks, stands_still
 from storage.catalog import Catalog
 from stream.batch import FloatArray
 
 _COPY = 1.0 - 1e-9
-_ROUNDING = 1e-14
 _BY_NATURE = frozenset({"day", "time_since_power_on", "input_rate", "table_rate", "position"})
 _DERIVED = frozenset({"table_acceleration", "position", "gravity_i", "day"})
 _FEWEST_FOR_COPY = 10
@@ -60,7 +59,7 @@ def in_runs(found: Sequence[str], of: int) -> str:
 def check_runs(runs: Sequence[RunBlocks]) -> list[Note]:
     """Notes on runs in which the signal stands still, and on runs that are copies of others."""
     notes = []
-    still = [run.run for run in runs if len(run) > 1 and np.ptp(run.value) <= _ROUNDING * np.abs(run.value).max()]
+    still = [run.run for run in runs if len(run) > 1 and stands_still(run.value)]
     if still:
         text = (
             f"signal {runs[0].signal} never changes {in_runs(still, len(runs))}, as of an output that is dead or "

@@ -17,6 +17,7 @@ STANDARD_CHANNELS = (
     *("vibration", "humidity", "time_since_power_on", "day", "position"),
 )
 HARMONICS = 4
+_ROUNDING = 1e-14
 
 
 @dataclass(frozen=True)
@@ -104,3 +105,14 @@ class RunBlocks:
     def mean(self, channel: str) -> FloatArray:
         """Block means of a channel that is there."""
         return self.channels[channel].mean
+
+
+def stands_still(value: FloatArray) -> bool:
+    """Whether a signal does not change by more than rounding: the output of a sensor that is dead or stuck.
+
+    Examples
+    --------
+    >>> stands_still(np.array([0.1 + 0.2, 0.3])), stands_still(np.array([0.3, 0.31]))
+    (True, False)
+    """
+    return bool(np.ptp(value) <= _ROUNDING * np.abs(value).max())

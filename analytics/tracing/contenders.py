@@ -37,6 +37,8 @@ LEAST_LEAD, LEAST_SHARE_OF_LEAD = 12.0, 0.03
 ALIAS_SHARE_OF_LEAD = 0.25
 """The same of causes that the library calls aliases: as the rate of temperature and its difference between two places,
 they follow one cause, and which of them is measured with less noise must not decide."""
+_SAME_EVIDENCE = 6
+"""Digits after the point beyond which evidence differs by rounding alone; then the name decides, on every machine."""
 LINE, JUMP = "periodic_line", "jump"
 LINE_MOST_FROM_ONE = 0.9
 
@@ -153,7 +155,7 @@ def contenders(
     found = [_discounted(records, each) for each in fitted if each is not None and each.evidence > -PRICE]
     if with_events:
         found += [each for each in (_line(records, base), _jump(records, base)) if each is not None]
-    return sorted(found, key=lambda each: -each.evidence)
+    return sorted(found, key=lambda each: (-round(each.evidence, _SAME_EVIDENCE), each.name))
 
 
 def _worth_fitting(

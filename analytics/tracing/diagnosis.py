@@ -10,7 +10,7 @@ import numpy as np
 from analytics.effects.base import Effect, Kind
 from analytics.effects.registry import effects_for, unavailable_effects
 from analytics.error_model import ErrorModel
-from analytics.run_blocks import RunBlocks
+from analytics.run_blocks import RunBlocks, stands_still
 from analytics.tracing.adequacy import noise_excess
 from analytics.tracing.candidates import Candidates, candidates_for
 from analytics.tracing.channel_limits import blind_terms, channel_limits
@@ -33,8 +33,8 @@ FEWEST_REPLICATES = 3
 """Fewer cannot be split into training and lockbox."""
 FEWEST_BLOCKS_TO_SPLIT = 60
 """A single run that is shorter cannot be split either."""
-ROUNDING = 1e-14
-"""What moves by less than so much of itself does not move."""
+FUNCTION = "function_of_"
+"""How the names of free functions begin."""
 FIRST_TIER = (Kind.LIBRARY, Kind.FUNCTION)
 SECOND_TIER = (*FIRST_TIER, Kind.SECOND_TIER)
 
@@ -142,7 +142,7 @@ def _missing(stack: Stack, model: ErrorModel) -> tuple[str, ...]:
             f"{len(stack)} blocks for {stack.design.shape[1]} coefficients of '{model}'; three times as many needed",
         )
     value = stack.value
-    if float(np.ptp(value)) <= ROUNDING * float(np.abs(value).max()):
+    if stands_still(value):
         return (f"the signal is {value[0]:g} throughout, as of an output that is dead or stuck",)
     return ()
 
@@ -261,8 +261,7 @@ def _concluded(
         declared=declared_model,
         model=fitted_model(model, case.training, kept, noise, with_effects=True),
         judged=declared_model.fitted(
-            box.declared_alone,
-            box.covariance,
+            *box.declared_alone,
             unit_of_measure=declared_model.unit_of_measure,
             units=declared_model.units,
             noise=msgspec.structs.asdict(noise),
@@ -274,9 +273,6 @@ def _asked(effect: FoundEffect, holdout: Holdout | None) -> FoundEffect:
     """Return the effect with what the held-out runs say of it."""
     answers = [each.accepted for each in holdout.effects if each.effect == effect.name] if holdout else []
     return msgspec.structs.replace(effect, confirmed=answers[0]) if answers else effect
-
-
-FUNCTION = "function_of_"
 
 
 def _of_open_form(found: FoundEffect, refused: Sequence[FoundEffect]) -> FoundEffect:

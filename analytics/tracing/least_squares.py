@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stream.batch import FloatArray
+from stream.batch import FloatArray, IntArray
 
 LEAST_EIGENVALUE = 1e-9  # of the scaled normal matrix; below it a combination of columns counts as nothing
 LEAST_SINGULAR = 1e-6
@@ -48,6 +48,32 @@ def log_determinant(normal: FloatArray) -> float:
 def fit(columns: FloatArray, value: FloatArray) -> Solution:
     """Least squares of whitened columns on whitened values."""
     return solve(columns.T @ columns, columns.T @ value)
+
+
+def fit_of_clusters(columns: FloatArray, value: FloatArray, cluster: IntArray) -> Solution | None:
+    """Plain least squares, and the covariance that clusters of values tell by how they differ.
+
+    It holds whatever the noise within a cluster is, and whatever the columns lack: the sum over clusters of the outer
+    products of their scores, times G / (G - 1) for G clusters (Liang and Zeger, doi:10.1093/biomet/73.1.13).
+
+    Returns
+    -------
+    Solution or None
+        None where there is one cluster only: it tells nothing of how clusters differ.
+
+    Examples
+    --------
+    >>> fit_of_clusters(np.ones((4, 1)), np.array([1.0, 1.0, 3.0, 3.0]), np.array([0, 0, 1, 1]))
+    Solution(coefficients=array([2.]), covariance=array([[1.]]))
+    """
+    numbers, at = np.unique(cluster, return_inverse=True)
+    if numbers.size < 2:
+        return None
+    coefficients, inverse = fit(columns, value)
+    scores = np.zeros((numbers.size, columns.shape[1]))
+    np.add.at(scores, at, columns * (value - columns @ coefficients)[:, None])
+    spread = numbers.size / (numbers.size - 1)
+    return Solution(coefficients, spread * inverse @ (scores.T @ scores) @ inverse)
 
 
 class Projected(NamedTuple):

@@ -10,7 +10,7 @@ from scipy import stats
 
 from analytics.effects.base import Kind
 from analytics.tracing.candidates import effect_columns
-from analytics.tracing.least_squares import solve
+from analytics.tracing.least_squares import Solution, fit_of_clusters, solve
 from analytics.tracing.line_scan import amplitude_of, line_columns, powers_at
 from analytics.tracing.misfit import redness
 from analytics.tracing.record import Record
@@ -65,26 +65,27 @@ class Lockbox:
         return np.asarray(self.before - self.predictions.sum(axis=1))
 
     @cached_property
-    def declared_alone(self) -> FloatArray:
-        """Coefficients of the declared model for one who looks no further.
+    def declared_alone(self) -> Solution:
+        """Coefficients of the declared model for one who looks no further, and their covariance.
 
         Fitted with the noise of the training or by plain least squares, whichever predicts the held-out blocks better:
         with a random walk in the noise a slow effect is left to the noise, and what it wins would be flattered.
         """
-        if not self.predictions.shape[1]:
-            return self.declared
-        value, design = self.record.value, self.record.design
+        weighted = Solution(self.declared, self.covariance)
         trained = np.ones_like(self.held_out) if self.held_out.all() else ~self.held_out
-        scale = np.sqrt((design[trained] ** 2).mean(axis=0))
-        scale[scale == 0] = 1.0
-        plain = np.linalg.lstsq(design[trained] / scale, value[trained])[0] / scale
-        both = (self.declared, plain)
-        return min(both, key=lambda each: float(((value - design @ each)[self.held_out] ** 2).mean()))
+        value, design, replicate = self.record.value, self.record.design, self.record.stack.replicate
+        plain = fit_of_clusters(design[trained], value[trained], replicate[trained])
+        if plain is None or not self.predictions.shape[1]:
+            return weighted
+        return min((weighted, plain), key=lambda each: float((self._residual(each)[self.held_out] ** 2).mean()))
 
-    @property
+    @cached_property
     def before_alone(self) -> FloatArray:
         """Residual of that."""
-        return np.asarray(self.record.value - self.record.design @ self.declared_alone)
+        return self._residual(self.declared_alone)
+
+    def _residual(self, model: Solution) -> FloatArray:
+        return np.asarray(self.record.value - self.record.design @ model.coefficients)
 
 
 def open_lockbox(stack: Stack, held_out: BoolArray, training: Record, found: Search, number: int = 0) -> Lockbox:
