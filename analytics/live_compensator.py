@@ -42,6 +42,7 @@ class _Run:
     epochs: dict[tuple[str, str, str], EpochCompensation] = field(default_factory=dict)
     power_ons: dict[tuple[str, str], int] = field(default_factory=dict)
     kept: dict[tuple[str, str], deque[SampleBatch]] = field(default_factory=dict)
+    longest_ns: dict[tuple[str, str], int] = field(default_factory=dict)
     units: set[str] = field(default_factory=set)
     next_seq: dict[tuple[str, str, str], int] = field(default_factory=dict)
     positions: set[str] = field(default_factory=set)
@@ -206,8 +207,9 @@ class LiveCompensator:
             return []
         kept = run.kept.setdefault((batch.unit, batch.signal), deque())
         kept.append(batch)
-        span_ns = max(each.last_ns - each.t0_ns for each in kept)
-        while kept[0].last_ns < batch.last_ns - max(_KEPT_NS, round(PATIENCE_BATCHES * span_ns)):
+        longest_ns = max(run.longest_ns.get((batch.unit, batch.signal), 0), batch.last_ns - batch.t0_ns)
+        run.longest_ns[batch.unit, batch.signal] = longest_ns
+        while kept[0].last_ns < batch.last_ns - max(_KEPT_NS, round(PATIENCE_BATCHES * longest_ns)):
             kept.popleft()
         out: list[Out] = []
         for (unit, _, _), own in run.epochs.items():

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from uuid import NAMESPACE_URL, UUID, uuid5
 
+import msgspec
 import numpy as np
 
 from ingest.instruments.can_samples import CanCounts
@@ -89,6 +90,7 @@ class _Sending:
         self._sends_all = False
         self._held: Counter[_Name] = Counter()
         self._known_uids: frozenset[str] = frozenset()
+        self._last_mounted: dict[tuple[str, str], UnitMounted] = {}
         self._sent: Counter[_Name] = Counter()
 
     def compare(self, store: Store) -> None:
@@ -99,11 +101,16 @@ class _Sending:
         self._held = _held(catalog)
         runs = sorted({signal.run for signal in self._summary.signals})
         known = catalog.rows(
-            "select uid from events where (kind like 'Step%' or kind in ('RunStarted', 'UnitMounted')) "
-            "and run in (select unnest($runs))",
+            "select uid from events where (kind like 'Step%' or kind = 'RunStarted') and run in (select unnest($runs))",
             {"runs": runs},
         )
         self._known_uids = frozenset(str(uid) for (uid,) in known)
+        mounted = catalog.rows(
+            "select document from events join units using (run, unit, uid) where run in (select unnest($runs))",
+            {"runs": runs},
+        )
+        documents = [msgspec.json.decode(text, type=UnitMounted) for (text,) in mounted]
+        self._last_mounted = {(each.run, each.unit): each for each in documents}
 
     def send_all(self) -> None:
         """Send everything under the file's own name, and leave it to the recorder to know again what it has.
@@ -226,11 +233,13 @@ class _Sending:
         )
 
     def _mounted(self, run: str) -> list[UnitMounted]:
-        """What the list of units says of those in the run, and the store does not have."""
+        """What the list of units says of those in the run, where the store's last word of them is another."""
         units = dict.fromkeys(signal.unit for signal in self._of(run))
         entries = [self._entries[unit] for unit in units if unit in self._entries]
-        documents = mounted_documents(entries, run, min(signal.sampling.t_first_ns for signal in self._of(run)))
-        return [each for each in documents if each.uid not in self._known_uids]
+        begin_ns = min(signal.sampling.t_first_ns for signal in self._of(run))
+        documents = mounted_documents(entries, run, begin_ns)
+        later = [_said_after(each, self._last_mounted.get((run, each.unit))) for each in documents]
+        return [each for each in later if each is not None]
 
     def _noted(self, run: str, content: str) -> NoteAdded:
         added = sum(self._sent[s.unit, s.run, s.signal] for s in self._of(run))
@@ -262,6 +271,15 @@ class _Sending:
 
     def _last_ns(self, run: str) -> int:
         return max(signal.sampling.t_last_ns for signal in self._of(run))
+
+
+def _said_after(new: UnitMounted, last: UnitMounted | None) -> UnitMounted | None:
+    """Return the document as what is said after another; None where that says the same already."""
+    if last is None:
+        return new
+    if msgspec.structs.replace(new, t_ns=last.t_ns, uid=last.uid) == last:
+        return None
+    return msgspec.structs.replace(new, t_ns=max(new.t_ns, last.t_ns), uid=_uid("mounted", new.uid, last.uid))
 
 
 def import_file(

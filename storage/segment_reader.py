@@ -255,6 +255,8 @@ def _is_plain(content: Buffer, position: int, opcode: int, after: int) -> bool:
     A single flipped bit makes an index or an end of a chunk's frame, or one that reaches across the next chunks.
     """
     if opcode == Opcode.MESSAGE_INDEX:
+        if after - position < FRAME.size + 6:
+            return False
         (length,) = struct.unpack_from("<I", content, position + FRAME.size + 2)
         return bool(after - position == FRAME.size + 6 + length)
     if opcode == Opcode.DATA_END:

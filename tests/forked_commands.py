@@ -20,6 +20,8 @@ from typing import Any
 
 _PR_SET_CHILD_SUBREAPER = 36
 _MOST_BYTES = 1 << 20
+_FILES = (None, subprocess.PIPE)
+_PARTS = 23
 # what commands import when they come to it
 _WANTED = (
     "analytics.metrics.evaluation",
@@ -86,14 +88,20 @@ class CommandServer:
 
 
 class ForkedProcess(subprocess.Popen[str]):
-    """A process that the server has forked and this process has adopted; in text mode."""
+    """A process that the server has forked and this process has adopted; in text mode.
+
+    Input, output and errors may be left alone, or be pipes of their own; nothing else.
+    """
 
     def __init__(self, server: str, arguments: list[str], **options: Any) -> None:
         self._server = server
+        if given := [options[name] for name in ("stdin", "stdout", "stderr") if options.get(name) not in _FILES]:
+            raise ValueError(f"{given} as a file of a forked process: only subprocess.PIPE is supported")
         super().__init__(arguments, text=True, **options)
 
     def _execute_child(self, *parts: Any) -> None:
         """Have the server fork, in place of forking here; the parts are those of Python 3.11 to 3.14."""
+        assert len(parts) == _PARTS, f"Popen of Python {sys.version} hands {len(parts)} parts on, not {_PARTS}"
         arguments, cwd, env = parts[0], parts[5], parts[6]
         into, out, err = parts[10], parts[13], parts[15]
         request = {
@@ -108,7 +116,8 @@ class ForkedProcess(subprocess.Popen[str]):
             socket.send_fds(line, [json.dumps(request).encode()], files)
             self.pid = int.from_bytes(line.recv(8), "little")
         self._child_created = True
-        self._close_pipe_fds(*parts[10:16])  # type: ignore[attr-defined]
+        for given in {into, out, err} - {-1}:  # the child's ends of the pipes
+            os.close(given)
 
 
 def _serve(path: str) -> None:

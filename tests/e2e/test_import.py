@@ -258,6 +258,13 @@ def test_product_lot_and_fixture_of_imported_units_are_said_then_or_later(
     assert [(row["unit"], row["lot"]) for row in gyrofleet(*query).json] == [("U1", "L8")]
     assert samples(gyrofleet) == 8000
 
+    units.write_text("serial,product,lot,fixture\nU1,FOG-70,L7,plate 2\n")
+    gyrofleet("import", path, "--unit", "U1", "--units", units)
+    assert [row["lot"] for row in gyrofleet(*query).json] == ["L7"], "what was said first is said again"
+    log = fingerprint(tmp_path / "gyrofleet-data" / "log")
+    gyrofleet("import", path, "--unit", "U1", "--units", units)
+    assert fingerprint(tmp_path / "gyrofleet-data" / "log") == log
+
 
 def test_a_bad_list_of_units_is_refused_before_anything_is_imported(
     gyrofleet: Callable[..., Any], tmp_path: Path

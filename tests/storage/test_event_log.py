@@ -7,11 +7,12 @@ from uuid import UUID
 
 import numpy as np
 import pytest
+from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader, make_reader
 
 from storage.event_log import EventLog
 from storage.log_manifest import FIRST, ManifestWriter, SegmentEntry, manifest_path, read_log_manifest, rewrite_manifest
-from storage.mcap_records import CHUNK, CHUNK_BYTES, EVENTS, SAMPLES, LogRecord
+from storage.mcap_records import CHUNK, CHUNK_BYTES, EVENTS, FRAME, SAMPLES, LogRecord
 from storage.recovery import salvage_segment, take_in
 from storage.segment_reader import SegmentScan, read_marks, read_segment
 from storage.sequence import SequenceCheck, place_of
@@ -323,3 +324,16 @@ def test_batches_come_back_as_they_were(tmp_path: Path) -> None:
     (segment,) = store.log.glob("*.mcap")
     read = [decode_batch(record.data) for record in read_segment(segment) if record.schema == SAMPLES]
     assert read == [decode_batch(record.data) for record in records if record.schema == SAMPLES]
+
+
+@pytest.mark.parametrize("length", range(6))
+def test_an_index_too_short_to_be_one_ends_a_file_without_an_error(tmp_path: Path, length: int) -> None:
+    store, records = written(tmp_path, syncs=2)
+    (segment,) = store.log.glob("*.mcap")
+    whole = SegmentScan(segment)
+    assert list(whole) == records
+    content = segment.read_bytes()[: whole.whole_bytes] + FRAME.pack(Opcode.MESSAGE_INDEX, length) + bytes(length)
+    segment.write_bytes(content)
+    scan = SegmentScan(segment)
+    assert list(scan) == records
+    assert scan.torn is not None or scan.damaged
