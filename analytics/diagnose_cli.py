@@ -12,7 +12,7 @@ from rich.table import Table
 
 from analytics.metrics_cli import language_option, opened_catalog
 from stream.console import notes, print_json, reporting, results, store_option
-from stream.errors import BadInput
+from stream.errors import BadInput, GyrofleetError
 
 if TYPE_CHECKING:
     from analytics.report.report_tables import TextTable
@@ -97,13 +97,11 @@ def diagnose(
         runs=runs or None,
         since_ns=None if since is None else dated(since),
     )
-    if fleet and question.holdout is not None:
-        raise BadInput("--fleet holds out the last third of each unit's runs: leave --holdout out")
     with opened_catalog(folder, quiet=as_json) as catalog:
         chosen = list(dict.fromkeys(units)) or units_with(catalog, question.signal_name)
         with notes().status("starting") as status:
             found = diagnose_units(catalog, chosen, question, is_pooled=fleet, told=status.update)
-        saved = _saved(catalog, folder, found) if save else None
+        saved, unsaved = _saved(catalog, folder, found) if save else (None, None)
     is_one = len(chosen) == 1 and not fleet
     _write(found, report_path, plot_folder, language)
     if as_json:
@@ -115,6 +113,8 @@ def diagnose(
         _tell_units(found, language)
     for unit, why in found.failed.items():
         notes().print(f"warning: unit {unit}: {why}", markup=False, soft_wrap=True)
+    if unsaved is not None:
+        raise unsaved
     if found.failed:
         sys.exit(1)
 
@@ -197,27 +197,35 @@ def holdout_of(text: str) -> tuple[str, ...] | None:
     return names
 
 
-def _saved(catalog: "Catalog", folder: Path, found: "UnitsDiagnosis") -> dict[str, dict[str, object]]:
-    """Write down the models found, as versions that nobody uses yet; number and hash by unit."""
+def _saved(
+    catalog: "Catalog", folder: Path, found: "UnitsDiagnosis"
+) -> tuple[dict[str, dict[str, object]], GyrofleetError | None]:
+    """Write down the models found, as versions that nobody uses yet; number and hash by unit, and why it ended."""
     from analytics.model_promotion import version_of
     from analytics.model_registry import ModelRegistry
     from analytics.model_use import InUse, read_uses
     from storage.store import Store
 
-    store = Store.open(folder)
-    registry, uses = ModelRegistry(store), read_uses(store)
     saved: dict[str, dict[str, object]] = {}
-    for unit, each in found.units.items():
-        if each.diagnosis.model is None:
-            notes().print(f"{unit}: not enough data, there is no model to save", markup=False)
-            continue
-        use = uses.get((unit, each.diagnosis.signal), InUse())
-        written = registry.add(version_of(catalog, each, use, by=getpass.getuser(), note="gyrofleet diagnose --save"))
-        saved[unit] = {"version": written.version, "hash": written.hash}
-        notes().print(f"{unit}: version {written.version} of its error model: {written.text}", markup=False)
-        if left_out := [name for name in each.diagnosis.names if name not in written.added]:
-            notes().print(f"{unit}: no model predicts {', '.join(left_out)}: it is not in that version", markup=False)
-    return saved
+    try:
+        store = Store.open(folder)
+        registry, uses = ModelRegistry(store), read_uses(store)
+        for unit, each in found.units.items():
+            if each.diagnosis.model is None:
+                notes().print(f"{unit}: not enough data, there is no model to save", markup=False)
+                continue
+            use = uses.get((unit, each.diagnosis.signal), InUse())
+            made = version_of(catalog, each, use, by=getpass.getuser(), note="gyrofleet diagnose --save")
+            written = registry.add(made)
+            saved[unit] = {"version": written.version, "hash": written.hash}
+            notes().print(f"{unit}: version {written.version} of its error model: {written.text}", markup=False)
+            if left_out := [name for name in each.diagnosis.names if name not in written.added]:
+                notes().print(
+                    f"{unit}: no model predicts {', '.join(left_out)}: it is not in that version", markup=False
+                )
+    except GyrofleetError as error:
+        return saved, error
+    return saved, None
 
 
 def _write(found: "UnitsDiagnosis", report_path: Path | None, plot_folder: Path | None, language: "Language") -> None:

@@ -236,6 +236,7 @@ def _pooled(
         runs,
         _model(question, [run for each in runs.values() for run in each]),
         declared_noise={unit: data.noise for unit, data in reduced.items() if data.noise is not None},
+        holdout=_held_out_of_each(question.holdout, runs),
     )
     done = {unit: UnitDiagnosis(data, fleet.units[unit]) for unit, data in reduced.items()}
     return UnitsDiagnosis(done, failed, fleet.own_findings, fleet)
@@ -268,6 +269,32 @@ def _noise(
     if isinstance(found, NoEstimate):
         return None, found.reason
     return found, "the unit's own Allan fits"
+
+
+def _held_out_of_each(
+    asked: Sequence[str] | None, runs: Mapping[str, Sequence[RunBlocks]]
+) -> dict[str, tuple[str, ...]]:
+    """Runs to hold out of each unit; a run need not be one of every unit, but of some.
+
+    Raises
+    ------
+    BadInput
+        If no unit has one of the runs.
+    """
+    if asked is None:
+        return {}
+    names = {name for each in runs.values() for run in each for name in _names_of(run)}
+    if strangers := sorted(set(asked) - names):
+        raise BadInput(f"run to hold out is not there in any unit: {', '.join(strangers)}")
+    return {
+        unit: held_out_runs([name for name in asked if any(name in _names_of(run) for run in of_unit)], of_unit) or ()
+        for unit, of_unit in runs.items()
+    }
+
+
+def _names_of(run: RunBlocks) -> tuple[str, str]:
+    """The name of a run, and of the whole run where it is one of its power-ons."""
+    return run.run, run.run.rpartition("#")[0] or run.run
 
 
 def held_out_runs(asked: Sequence[str] | None, runs: Sequence[RunBlocks]) -> tuple[str, ...] | None:

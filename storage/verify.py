@@ -1,7 +1,9 @@
 """Is a store what was written to it: log, lake, and the estimators' checkpoints, held against each other."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
 
 from storage.findings import Finding, Severity, Verification
@@ -17,6 +19,9 @@ from stream.spool import held_messages
 
 CHECKPOINT = Path("checkpoints") / "estimate.checkpoint"
 
+Check = Callable[[Store], Iterable[Finding]]
+"""Looks at what a package above this one keeps in a store; an entry point in the group `gyrofleet.verify`."""
+
 
 def verify(store: Store, progress: Callable[[float], None] | None = None) -> tuple[Verification, LogState]:
     """Read everything in a store and say what is not as it should be; nothing is changed.
@@ -31,6 +36,8 @@ def verify(store: Store, progress: Callable[[float], None] | None = None) -> tup
     began = time.monotonic()
     state = verify_log(store, progress)
     findings = [*state.findings, *lake_findings(store, state), *checkpoint_findings(store, state), *_spools(store)]
+    for check in checks():
+        findings += check(store)
     try:
         in_force = parts(store)
     except StoreError:
@@ -46,6 +53,12 @@ def verify(store: Store, progress: Callable[[float], None] | None = None) -> tup
         seconds=time.monotonic() - began,
     )
     return verification, state
+
+
+@cache
+def checks() -> tuple[Check, ...]:
+    """The further checks that are installed."""
+    return tuple(each.load() for each in sorted(entry_points(group="gyrofleet.verify"), key=lambda each: each.name))
 
 
 def lake_findings(store: Store, state: LogState) -> list[Finding]:

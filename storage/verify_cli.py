@@ -20,7 +20,8 @@ def verify(folder: Path, *, as_json: bool) -> None:
     """Read everything in the store and say what is wrong, where, and what would be done; nothing is changed.
 
     The exit code is 0 only for a sound store: every segment is what was written, the numbers of every stream go on
-    without a gap that is not said in the log, the lake agrees with the log, and so do the estimators' checkpoints.
+    without a gap that is not said in the log, the lake agrees with the log, and so do the estimators' checkpoints and
+    the error models in use.
     """
     from storage.store import Store
     from storage.verify import verify as verify_store

@@ -37,7 +37,8 @@ def fleet_sentence(fleet: FleetDiagnosis, words: Wording) -> str:
         )
     what = words.of("; and ", "；以及").join(_common(each, fleet, words) for each in fleet.effects)
     return words.of(
-        f"What the declared model lacks in all {units} units: {what}.", f"已声明模型在{units}个产品中共同缺少：{what}。"
+        f"What the declared model lacks by the {units} units together: {what}.",
+        f"{units}个产品合并分析，已声明模型缺少：{what}。",
     )
 
 

@@ -106,6 +106,7 @@ def diagnose_fleet(
     *,
     effects: Mapping[str, Effect] | None = None,
     declared_noise: Mapping[str, NoiseCoefficients] | None = None,
+    holdout: Mapping[str, Sequence[str]] | None = None,
     seed: int = 0,
 ) -> FleetDiagnosis:
     """Find what a declared error model lacks in all units together, and in each.
@@ -120,16 +121,20 @@ def diagnose_fleet(
         What to look for; by default all effects that find their channels in all units.
     declared_noise : mapping of str to NoiseCoefficients, optional
         Noise of the units.
+    holdout : mapping of str to sequence of str, optional
+        Runs of each unit that are held out; by default, and of a unit that is not named, the last third.
     seed : int
         Of the draws that give the number of independent tests.
     """
-    noises = declared_noise or {}
+    noises, held_out = declared_noise or {}, holdout or {}
     alone = {
-        unit: diagnose(runs, model, effects=effects, declared_noise=noises.get(unit), seed=seed)
+        unit: diagnose(
+            runs, model, effects=effects, declared_noise=noises.get(unit), holdout=held_out.get(unit), seed=seed
+        )
         for unit, runs in units.items()
     }
     enough = [unit for unit in units if alone[unit].verdict is not Verdict.NOT_ENOUGH_DATA]
-    cases = [case_of(units[unit], model, noises.get(unit)) for unit in enough]
+    cases = [case_of(units[unit], model, noises.get(unit), held_out.get(unit)) for unit in enough]
     limits = [f"unit {unit}: {alone[unit].missing[0]}" for unit in units if unit not in enough]
     if len(cases) < 2:
         return FleetDiagnosis(
@@ -147,8 +152,8 @@ def diagnose_fleet(
     lost = {name: why for case in cases for name, why in case.report.lost_channels.items()}
     candidates = candidates_for(records, available, model, FIRST_TIER, lost)
     found = search(records, candidates, np.random.default_rng(seed))
-    holdout = _asked(cases, records, found)
-    answers = {each.effect: each.accepted for each in holdout.effects} if holdout else {}
+    told = _asked(cases, records, found)
+    answers = {each.effect: each.accepted for each in told.effects} if told else {}
     every = [
         msgspec.structs.replace(each, confirmed=answers.get(each.name)) for each in findings(records, candidates, found)
     ]
@@ -158,7 +163,7 @@ def diagnose_fleet(
         verdict=verdict_of(kept, gone, is_excess=False, within_run=False),
         effects=kept,
         unreplicated=gone,
-        holdout=holdout,
+        holdout=told,
         by_unit={
             each.contender.name: _by_unit(records, found, each)
             for each in found.selected

@@ -338,8 +338,8 @@ def test_what_units_have_in_common_stands_first_in_the_report() -> None:
         fleet,
     )
     for language, words in (
-        ("en", "What the declared model lacks in all 3 units: temperature rate"),
-        ("zh", "共同缺少"),
+        ("en", "What the declared model lacks by the 3 units together: temperature rate"),
+        ("zh", "3个产品合并分析，已声明模型缺少"),
     ):
         page = Page()
         page.feed(report_html(found, language))  # type: ignore[arg-type]

@@ -10,11 +10,13 @@ from click.testing import CliRunner
 
 from analytics.compensate_cli import compensate
 from analytics.error_model import ErrorModel
+from analytics.model_check import model_findings
 from analytics.model_cli import model
 from analytics.model_registry import ModelRegistry, ModelVersion
 from analytics.model_use import Stage, activate, enter_activations, read_uses, rollback_documents
 from analytics.tracing.result import NoiseCoefficients
 from storage.store import Store
+from storage.verify import verify
 from stream.errors import BadInput, NotFound, StoreError
 
 MODEL = ErrorModel.parse("rate = bias + temperature").fitted(
@@ -56,6 +58,27 @@ def test_a_version_that_was_changed_is_not_read(store: Store) -> None:
     path.write_text(path.read_text().replace("0.5", "0.6"))
     with pytest.raises(StoreError, match="does not have its hash"):
         registry.version("U1", 1)
+
+
+def test_verify_sees_a_model_that_was_changed_and_one_in_use_that_is_gone(store: Store) -> None:
+    registry = ModelRegistry(store)
+    one, two = registry.add(version()), registry.add(version(note="again"))
+    activate(store, one, Stage.LIVE, reason="first", by="Li")
+    assert not [each for each in verify(store)[0].findings if each.kind.startswith("model")]
+    old, used = (store.folder / "models" / "U1" / f"{each.version:04d}-{each.hash}.json" for each in (two, one))
+    content = old.read_text()
+    old.write_text(content.replace("0.5", "0.6"))
+    (damaged,) = model_findings(store)
+    assert damaged.kind == "model_damaged"
+    assert str(old) in damaged.what
+    assert damaged in verify(store)[0].findings
+    old.unlink()
+    assert model_findings(store) == [], "what nobody uses may be taken away"
+    used.unlink()
+    (missing,) = model_findings(store)
+    assert missing.kind == "model_missing"
+    assert missing.what.startswith("version 1 of the error model of rate")
+    assert not verify(store)[0].is_sound
 
 
 def test_what_is_not_there_is_said_with_what_is(store: Store) -> None:

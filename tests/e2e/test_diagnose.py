@@ -113,6 +113,17 @@ def test_the_verdict_is_told_in_words_with_a_report_and_pictures(
     assert text.count("data:image/png;base64,") == len(list(plots.glob("FOG-2-*.png"))) >= 4
 
 
+def test_a_verdict_is_told_though_its_model_cannot_be_saved(
+    gyrofleet: Callable[..., Any], store: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(store, tmp_path / "full", ignore=shutil.ignore_patterns("models"))
+    (tmp_path / "full" / "models").write_text("a file stands in its place")
+    done = gyrofleet(*ask(tmp_path / "full", "--save"))
+    assert done.code == 1
+    assert "these data cannot tell which" in done.out
+    assert "its error model cannot be written" in done.err
+
+
 def test_several_units_are_a_list_and_a_fleet_is_pooled(gyrofleet: Callable[..., Any], store: Path) -> None:
     two = gyrofleet("diagnose", "--unit", "FOG-1", "--unit", "FOG-2", "--model", MODEL, "--store", store, "--json").json
     assert list(two["units"]) == ["FOG-1", "FOG-2"]
@@ -122,6 +133,13 @@ def test_several_units_are_a_list_and_a_fleet_is_pooled(gyrofleet: Callable[...,
     assert fleet.code == 0
     assert list(fleet.json["units"]) == ["FOG-1", "FOG-2"]
     assert {"verdict", "effects", "by_unit", "own_findings"} <= set(fleet.json)
+    words = ("diagnose", "--fleet", "--model", MODEL, "--store", store, "--json", "--holdout")
+    named = gyrofleet(*words, "runs=r1,r4").json["units"]["FOG-2"]
+    assert named["holdout"]["runs"] == ["r1", "r4"]
+    assert named["training_runs"] == ["r0", "r2", "r3", "r5", "r6", "r7", "r8"]
+    strange = gyrofleet(*words, "runs=r1,r99")
+    assert strange.code == 1
+    assert "not there in any unit: r99" in strange.json["error"]["message"]
     failed = gyrofleet("diagnose", "--unit", "FOG-2", "--unit", "FOG-9", "--model", MODEL, "--store", store, "--json")
     assert failed.code == 1
     assert "FOG-9" in failed.json["failed"]
