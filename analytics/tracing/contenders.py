@@ -148,11 +148,12 @@ def contenders(
         Whether to scan for lines and jumps.
     """
     first = screen(candidates, base.hypothesis.designs, base.noises, rng, taken)
-    fitted = [
-        _fitted(records, candidates, base, group, first)
-        for group in _worth_fitting(records, candidates, base, rng, taken, first)
-    ]
-    found = [_discounted(records, each) for each in fitted if each is not None and each.evidence > -PRICE]
+    found = []
+    for group in _worth_fitting(records, candidates, base, rng, taken, first):
+        fitted = _fitted(records, candidates, base, group, first)
+        if fitted is not None and fitted.evidence > -PRICE:
+            discounted = _discounted(records, fitted)
+            found.append(replace(discounted, joint=discounted.joint.light()))
     if with_events:
         found += [each for each in (_line(records, base), _jump(records, base)) if each is not None]
     return sorted(found, key=lambda each: (-round(each.evidence, _SAME_EVIDENCE), each.name))

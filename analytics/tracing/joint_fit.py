@@ -1,7 +1,8 @@
 """A hypothesis fitted to the records of one or several units: common coefficients, and the noise of each unit."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -58,26 +59,35 @@ class JointFit:
 
     Parameters
     ----------
+    records : tuple of Record
+        To which.
     hypothesis : Hypothesis
         Which.
     noises : tuple of NoiseCoefficients
         Of each record.
     log_likelihood : float
         Of all records, with the priors of the noise.
-    whitened : tuple of array
-        For each record: value, own and common columns, whitened by its noise.
     common : Solution
         Coefficients that all units share.
     own : tuple of Solution
         Coefficients of each unit, given the common ones.
     """
 
+    records: tuple[Record, ...]
     hypothesis: Hypothesis
     noises: tuple[NoiseCoefficients, ...]
     log_likelihood: float
-    whitened: tuple[FloatArray, ...]
     common: Solution
     own: tuple[Solution, ...]
+
+    @cached_property
+    def whitened(self) -> tuple[FloatArray, ...]:
+        """For each record: value, own and common columns, whitened by its noise."""
+        return tuple(_whitened(self.records, self.hypothesis, self.noises))
+
+    def light(self) -> "JointFit":
+        """Return it without what can be computed again: of a fleet there are many fits, and one is chosen."""
+        return replace(self) if len(self.records) > 1 else self
 
     @property
     def residuals(self) -> tuple[FloatArray, ...]:
@@ -111,7 +121,7 @@ def fit_jointly(
     begin: Sequence[NoiseCoefficients | None] = [None] * len(records) if start is None else start
     if len(records) == 1:
         one = fit_noise(records[0], hypothesis.designs[0], begin[0], restricted=restricted)
-        return _joined(hypothesis, [one.noise], one.log_likelihood, [one.whitened])
+        return _joined(records, hypothesis, [one.noise], one.log_likelihood, [one.whitened])
     noises = [record.prior.center if noise is None else noise for record, noise in zip(records, begin, strict=True)]
     has_common = hypothesis.common[0].shape[1] > 0
     for _ in range(_ALTERNATIONS if has_common else 1):
@@ -121,9 +131,8 @@ def fit_jointly(
             for record, columns, own, noise in zip(records, hypothesis.common, hypothesis.own, noises, strict=True)
         ]
         noises = [each.noise for each in fits]
-    return _joined(
-        hypothesis, noises, sum(each.log_likelihood for each in fits), _whitened(records, hypothesis, noises)
-    )
+    whitened = _whitened(records, hypothesis, noises)
+    return _joined(records, hypothesis, noises, sum(each.log_likelihood for each in fits), whitened)
 
 
 def _whitened(
@@ -141,6 +150,7 @@ def _common(whitened: Sequence[FloatArray], hypothesis: Hypothesis) -> Solution:
 
 
 def _joined(
+    records: Sequence[Record],
     hypothesis: Hypothesis,
     noises: Sequence[NoiseCoefficients],
     log_likelihood: float,
@@ -152,4 +162,6 @@ def _joined(
         width = 1 + columns.shape[1]
         residual = each[:, 0] - each[:, width:] @ common.coefficients
         own.append(solve(each[:, 1:width].T @ each[:, 1:width], each[:, 1:width].T @ residual))
-    return JointFit(hypothesis, tuple(noises), log_likelihood, tuple(whitened), common, tuple(own))
+    fit = JointFit(tuple(records), hypothesis, tuple(noises), log_likelihood, common, tuple(own))
+    fit.__dict__["whitened"] = tuple(whitened)  # it is there already
+    return fit
