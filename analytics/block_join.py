@@ -7,7 +7,7 @@ import pyarrow as pa
 
 from analytics.block_angles import AngleBlocks, without_aliases
 from analytics.block_channels import joined_blocks, joined_readings, ranges, readings_of, standard_unit
-from analytics.block_means import SECOND_NS, Blocks, Grid, block_means
+from analytics.block_means import SECOND_NS, Blocks, Far, Grid, block_means
 from analytics.block_records import is_rolled_up
 from analytics.block_sources import Source
 from analytics.run_blocks import Channel
@@ -55,6 +55,11 @@ class ChannelJoiner:
             found = block_means(self._catalog, unit, signal, wide, self._block_s, rolled_up=rolled_up)
             for run, grid in of_runs.items():
                 self._known[unit, signal, run, grid] = found.get(run)
+
+    def far(self, source: Source, grid: Grid) -> Far | None:
+        """What was left out of a channel that was prepared, as it lies far outside."""
+        blocks = self._known.get(_key(source, grid))
+        return None if blocks is None else blocks.far
 
     def forget(self, unit: str) -> None:
         """Let go of what belongs to a unit: no other unit asks for it."""

@@ -1,7 +1,7 @@
 """Block means of a stored signal, made in SQL from the rollups, or from the samples where rollups do not fit."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -10,6 +10,8 @@ from stream.batch import BoolArray, FloatArray, IntArray
 
 SECOND_NS = 10**9
 LEAST_PAIRS = 8
+FAR = 100.0
+"""A second's readings lie far outside where they leave those before and after by so many times their usual range."""
 _MEDIAN_OF_SQUARE = 0.4549364231195728  # of a standard normal
 
 
@@ -30,6 +32,8 @@ class Blocks:
         that are spread evenly from a whole second on.
     white_variance : array
         Of each mean, by the scatter within the block; NaN where nothing tells.
+    far : Far, optional
+        What was left out of the run, as it lies far outside.
     """
 
     slot: IntArray
@@ -40,10 +44,22 @@ class Blocks:
     first_s: FloatArray
     last_s: FloatArray
     white_variance: FloatArray
+    far: "Far | None" = None
 
     def part(self, rows: BoolArray) -> "Blocks":
         """Some of the blocks."""
-        return Blocks(**{each.name: getattr(self, each.name)[rows] for each in fields(self)})
+        return replace(
+            self, **{each.name: getattr(self, each.name)[rows] for each in fields(self) if each.name != "far"}
+        )
+
+
+@dataclass(frozen=True)
+class Far:
+    """What was left out: how many stretches of a second, with how many samples, and the one that is farthest out."""
+
+    stretches: int
+    samples: int
+    value: float
 
 
 @dataclass(frozen=True)
@@ -58,7 +74,7 @@ class Grid:
 _PIECES = {
     True: """
       select r.run, r.t_ns + 500000000 as t_ns, r.t_ns as start_ns, r.t_ns + 1000000000 * (r.n - 1) // r.n as end_ns,
-        r.n, r.mean, r.m2, g.t0_ns
+        r.n, r.mean, r.m2, r.lo, r.hi, g.t0_ns
       from rollup_1s r join (select unnest($runs) as run, unnest($t0) as t0_ns, unnest($first) as first_ns,
         unnest($last) as last_ns) g on r.run = g.run
       where r.unit = $unit and r.signal = $signal and list_contains($runs, r.run)
@@ -66,7 +82,7 @@ _PIECES = {
     False: """
       select s.run, avg(s.t_ns - g.t0_ns)::bigint + any_value(g.t0_ns) as t_ns, min(s.t_ns) as start_ns,
         max(s.t_ns) as end_ns, count(*) as n, avg(s.value) as mean, var_pop(s.value) * count(*) as m2,
-        any_value(g.t0_ns) as t0_ns
+        min(s.value) as lo, max(s.value) as hi, any_value(g.t0_ns) as t0_ns
       from samples s join (select unnest($runs) as run, unnest($t0) as t0_ns, unnest($first) as first_ns,
         unnest($last) as last_ns) g on s.run = g.run
       where s.unit = $unit and s.signal = $signal and list_contains($runs, s.run)
@@ -76,8 +92,24 @@ _PIECES = {
 
 # The white part from successive differences of the pieces: a drift within the block does not count.
 _BLOCKS = """
-with piece as (
+with read as (
   {pieces}
+), beside as (
+  select *, mean - lag(mean) over own as move,
+    greatest(hi - greatest(lag(hi) over own, lead(hi) over own), least(lag(lo) over own, lead(lo) over own) - lo)
+      as beyond
+  from read window own as (partition by run order by start_ns)
+), usual as (
+  select run, median(hi - lo) + median(abs(move)) as width from beside group by run
+), looked_at as (
+  select b.*, u.width > 0 and coalesce(b.beyond > $far * u.width, false) as is_far
+  from beside b join usual u using (run)
+), gone as (
+  select run, count(*) as stretches, sum(n)::bigint as samples,
+    arg_max(case when abs(hi - mean) > abs(mean - lo) then hi else lo end, beyond) as value
+  from looked_at where is_far group by run
+), piece as (
+  select * from looked_at where not is_far
 ), stepped as (
   select *, (start_ns - t0_ns) // $block_ns as slot,
     mean - lag(mean) over own as step, 1.0 / n + 1.0 / lag(n) over own as pair
@@ -92,8 +124,9 @@ with piece as (
 ), typical as (
   select run, median(step * step / pair) as middle, avg(step * step / pair) as average from stepped group by run
 )
-select run, slot, n, mean, spread, centre_s, first_s, last_s, sample_variance, pairs, middle, average
-from block join typical using (run) order by run, slot
+select run, slot, n, mean, spread, centre_s, first_s, last_s, sample_variance, pairs, middle, average,
+  coalesce(stretches, 0) as far, coalesce(samples, 0) as far_samples, coalesce(value, 0.0) as far_value
+from block join typical using (run) left join gone using (run) order by run, slot
 """
 
 
@@ -112,6 +145,9 @@ def block_means(
     (m_i - m_j)**2/(1/n_i + 1/n_j), that of the block's mean this over the samples in it. Noise that is white from one
     piece on counts in full, whatever the samples within a piece share; slow change hardly counts. A block of fewer than
     8 such pairs takes the median over its run (over 0.455, the median of the square of a normal deviate).
+
+    A piece whose readings leave those of the pieces before and after it by more than a hundred times their usual range
+    is left out and counted: a fill value, a bit that was flipped on the way, a knock. What lasts longer stays.
     """
     if not grids:
         return {}
@@ -129,6 +165,7 @@ def block_means(
             "last": [grids[run].last_ns for run in runs],
             "block_ns": block_ns,
             "piece_ns": max(1, block_ns // 32),
+            "far": FAR,
         },
     ).read_all()
     names = np.array(table.column("run").to_pylist(), dtype=object)
@@ -147,6 +184,7 @@ def _blocks(columns: Mapping[str, FloatArray]) -> Blocks:
     typical = middle / _MEDIAN_OF_SQUARE if middle > 0 else average
     pairs, own = columns["pairs"], columns["sample_variance"].astype(np.float64)
     variance = np.where(pairs >= LEAST_PAIRS, own, typical if typical > 0 else np.nan)
+    far = int(columns["far"][0])
     return Blocks(
         slot=columns["slot"].astype(np.int64),
         n=n,
@@ -156,4 +194,5 @@ def _blocks(columns: Mapping[str, FloatArray]) -> Blocks:
         first_s=columns["first_s"].astype(np.float64),
         last_s=columns["last_s"].astype(np.float64),
         white_variance=variance / n,
+        far=Far(far, int(columns["far_samples"][0]), float(columns["far_value"][0])) if far else None,
     )

@@ -173,6 +173,55 @@ def test_samples_that_are_no_numbers_are_left_out_and_counted(tested: TestedUnit
     assert note.text == "300 samples are no finite numbers in run r1: left out"
 
 
+@pytest.mark.parametrize("block_s", [30.0, 0.8])
+def test_a_reading_far_outside_costs_its_second_and_is_told(tested: TestedUnits, block_s: float) -> None:
+    rng = np.random.default_rng(15)
+    clean = {}
+    for run, fill in (("r1", None), ("r2", -99999.0), ("r3", 1e6)):
+        tested.run(run)
+        rate, warm = rng.normal(10.0, 1.0, 6000), 25.0 + np.cumsum(rng.normal(0.0, 0.002, 6000))
+        clean[run] = rate.copy(), warm.copy()
+        if fill is not None:
+            rate[[455, 3000, 5999]], warm[1234] = fill, fill
+        tested.step(run, "U1", {"rate": (rate, "deg/h"), "temperature": (warm, "degC")}, t0_ns=START_NS)
+        tested.power_on(run, "U1", START_NS)
+    reduction = reduced(tested, block_s=block_s)
+    far = {note.channel: note for note in reduction.notes if note.what == "far_outside"}
+    assert far["rate"].runs == far["temperature"].runs == ("r2", "r3")
+    assert far["rate"].text.startswith("6 stretches of a second of rate are left out in 2 of 3 runs (r2, r3)")
+    assert "1e+06 deg/h the largest" in far["rate"].text
+    assert not [note for note in reduction.notes if note.what == "not_finite"]
+    per_block = round(10 * block_s)
+    for blocks in reduction.runs:
+        rate, warm = clean[blocks.run]
+        means = rate.reshape(-1, per_block).mean(axis=1)[blocks.slot]
+        # a second is 10 of the samples at most, which scatter by 1 deg/h
+        least = per_block - 10
+        if blocks.run == "r1":
+            assert blocks.n.tolist() == [per_block] * len(blocks)
+            np.testing.assert_allclose(blocks.value, means, rtol=1e-12)
+        elif least > 0:
+            assert int(blocks.n.sum()) == 6000 - 30
+            assert blocks.n.min() == least
+            assert np.abs(blocks.value - means).max() < 5 * np.sqrt(10) / per_block
+        else:
+            assert np.abs(blocks.value - means).max() < 5.0
+        assert (
+            np.nanmax(np.abs(blocks.mean("temperature") - warm.reshape(-1, per_block).mean(axis=1)[blocks.slot])) < 0.1
+        )
+
+
+def test_what_lasts_longer_than_a_second_stays(tested: TestedUnits) -> None:
+    tested.run("r1")
+    rate = np.random.default_rng(16).normal(10.0, 1.0, 6000)
+    rate[1005:1025] += 1e4  # two seconds across three
+    rate[3000:] += 1e4
+    tested.samples("r1", "U1", "rate", rate, t0_ns=START_NS)
+    reduction = reduced(tested)
+    assert not [note for note in reduction.notes if note.what == "far_outside"]
+    np.testing.assert_array_equal(reduction.runs[0].n, 300)
+
+
 def rate_test(tested: TestedUnits, *, table_s: float, position: str | None = None, signal: str = "rate") -> None:
     """Six rates of 40 s each, with the table's readings every `table_s`; gyro of 3600.36 deg/h for 1 deg/s."""
     rng = np.random.default_rng(6)

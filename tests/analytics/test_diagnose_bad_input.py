@@ -95,13 +95,13 @@ def test_one_bad_unit_does_not_end_the_trace_of_others(tested: TestedUnits) -> N
     for name in ("r1", "r2", "r3"):
         tested.run(name)
         good, filled = rng.normal(0.0, 1.0, (2, 6000))
-        filled[7] = 1e300
+        filled[7:57] = 1e300
         for unit, rate in (("U1", good), ("U2", filled)):
             tested.samples(name, unit, "rate", rate, t0_ns=START_NS, dt_ns=10**8, unit_of_measure="deg/h")
     with tested.catalog() as catalog:
         found = diagnose_units(catalog, ["U1", "U2"], Question("rate = bias"))
         assert list(found.units) == ["U1"]
-        assert "reaches 3.33e+297" in found.failed["U2"]
+        assert "reaches 1.6" in found.failed["U2"]
         with pytest.raises(BadInput, match="which no sensor gives"):
             diagnose_units(catalog, ["U2"], Question("rate = bias"))
         with pytest.raises(NotFound, match="none of 2 units"):
@@ -111,6 +111,31 @@ def test_one_bad_unit_does_not_end_the_trace_of_others(tested: TestedUnits) -> N
                 BlockReducer(catalog, "rate", block_s=block_s).reduce("U1")
         with pytest.raises(BadInput, match="at most"):
             BlockReducer(catalog, "rate", block_s=1e300)
+
+
+def test_a_fill_value_in_every_run_blinds_no_trace(tested: TestedUnits) -> None:
+    rng = np.random.default_rng(6)
+    for at in range(6):
+        tested.run(f"r{at}")
+        warm = 25.0 + 10.0 * np.sin(np.arange(36_000) / 4000.0 + at)
+        rate = rng.normal(10.0, 1.0, 36_000) + 2e-3 * (warm - 25.0) ** 2
+        filled = rate.copy()
+        filled[5000 + 100 * at] = -99999.0
+        for unit, values in (("U1", rate), ("U2", filled)):
+            signals = {"rate": (values, "deg/h"), "temperature": (warm, "degC")}
+            tested.power_on(f"r{at}", unit, START_NS)
+            tested.step(f"r{at}", unit, signals, t0_ns=START_NS + at * 10**13)
+    with tested.catalog() as catalog:
+        found = diagnose_units(catalog, ["U1", "U2"], Question("rate = bias + temperature"))
+    clean, filled_too = (found.units[unit].diagnosis for unit in ("U1", "U2"))
+    assert clean.names == filled_too.names == ("temperature_squared",)
+    assert clean.noise is not None
+    assert filled_too.noise is not None
+    # each has lost a second of an hour
+    assert pytest.approx(clean.noise.N, rel=0.01) == filled_too.noise.N
+    one, other = clean.effects[0].coefficients[0], filled_too.effects[0].coefficients[0]
+    assert abs(one.value - other.value) < 0.1 * (one.hi - one.lo)
+    assert [note.what for note in found.units["U2"].data.notes if note.what == "far_outside"] == ["far_outside"]
 
 
 @pytest.mark.parametrize("text", ["N=1e-300,B=0,K=0,turn_on=0", "N=1,B=0,K=1e300,turn_on=0"])
