@@ -1,9 +1,10 @@
 """Fonts of plots: a Chinese one where it is installed, and never a character that no font can draw."""
 
+from contextlib import suppress
 from functools import lru_cache
 
 from matplotlib.figure import Figure
-from matplotlib.font_manager import FontProperties, fontManager, get_font
+from matplotlib.font_manager import FontProperties, findSystemFonts, fontManager, get_font
 from matplotlib.text import Text
 
 LATIN_FONT = "DejaVu Sans"
@@ -24,11 +25,20 @@ _CHINESE_FONTS = (
 
 @lru_cache(maxsize=1)
 def chinese_font() -> str | None:
-    """Name of an installed font with Chinese characters, None where there is none.
+    """Name of an installed font with Chinese characters, None where there is none."""
+    found = _first_installed()
+    if found is None:
+        # matplotlib keeps a list of fonts in its cache: what was installed later is not in it
+        known = {entry.fname for entry in fontManager.ttflist}
+        for path in findSystemFonts():
+            if path not in known:
+                with suppress(OSError, RuntimeError):  # a file that is no font that it can read
+                    fontManager.addfont(path)
+        found = _first_installed()
+    return found
 
-    matplotlib keeps a list of fonts in its cache directory: a font installed later is seen once that is
-    deleted.
-    """
+
+def _first_installed() -> str | None:
     installed = {entry.name for entry in fontManager.ttflist}
     return next((name for name in _CHINESE_FONTS if name in installed), None)
 

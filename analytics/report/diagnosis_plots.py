@@ -1,6 +1,8 @@
 """Pictures of a diagnosis: residual over the driver, coefficient by run, whitened spectrum, Allan deviation."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -123,12 +125,26 @@ def coefficient_figure(effect: FoundEffect, slope: HoldoutSlope | None, words: W
         label = words.of("held-out runs", "留出试验")
         axes.errorbar([len(names) - 1], [value], 1.96 * error, fmt="s", color=BEFORE, capsize=3, label=label)
     axes.axhline(0.0, color=FLEET, linewidth=0.8)
-    axes.set_xticks(
-        np.arange(len(names)), names, rotation=45 if len(names) > 6 else 0, ha="right" if len(names) > 6 else "center"
-    )
+    shown = [*short_names(list(runs)), *names[len(runs) :]]
+    are_many = len(shown) > 6
+    axes.set_xticks(np.arange(len(shown)), shown, rotation=45 if are_many else 0, ha="right" if are_many else "center")
     first = f"{pooled.name} " if pooled.name else ""
     _labels(axes, "", f"{first}({pooled.unit_of_measure})")
     return _finished(figure, axes)
+
+
+def short_names(names: Sequence[str]) -> list[str]:
+    """Names of runs without the words that all begin with, the last of these kept.
+
+    Examples
+    --------
+    >>> short_names(["lot7-t1-cycle-1", "lot7-t1-cycle-12"]), short_names(["r1", "r2"]), short_names(["lot7-t1"])
+    (['…cycle-1', '…cycle-12'], ['r1', 'r2'], ['lot7-t1'])
+    """
+    words = [re.findall(r"[^-_. ]*[-_. ]?", name) for name in names]
+    alike = list(takewhile(lambda each: len(set(each)) == 1, zip(*words, strict=False)))
+    begin = "".join(each[0] for each in alike[:-1]) if len(names) > 1 else ""
+    return ["…" + name.removeprefix(begin) for name in names] if len(begin) > 2 else list(names)
 
 
 def spectrum_figure(spectrum: WhitenedSpectrum, words: Wording) -> Figure:
