@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from analytics.diagnose_cli import diagnose
+from tests import browser
 
 MODEL = "rate = bias + scale_factor*input_rate + temperature"
 SHUPE = 30.0  # deg/h per degC/s
@@ -243,15 +243,22 @@ def test_psim_x_lacks_a_thermal_transient_of_a_kind_that_the_record_cannot_tell(
     assert all(each["separating_test"] for each in found["confounded"])
 
 
-@pytest.mark.skipif(
-    shutil.which("chromium") is None or shutil.which("chromium-driver") is None, reason="no chromium to look with"
+@pytest.mark.skipif(not browser.IS_THERE, reason="no chromium and chromedriver to look with")
+@pytest.mark.parametrize(
+    ("language", "words"), [("en", ("What would tell", "Error before and after")), ("zh", ("可区分的试验", "前后误差"))]
 )
-def test_a_browser_shows_the_report_without_a_fault(gyrofleet: Callable[..., Any], store: Path, tmp_path: Path) -> None:
+def test_a_browser_shows_the_report_without_a_fault(
+    gyrofleet: Callable[..., Any], store: Path, tmp_path: Path, language: str, words: tuple[str, ...]
+) -> None:
     report = tmp_path / "report.html"
-    gyrofleet(*ask(store, "--report", report))
-    program = shutil.which("chromium") or ""
-    shown = subprocess.run(
-        [program, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom", report.as_uri()],
-        capture_output=True, text=True, timeout=60, check=True,
-    )  # fmt: skip
-    assert "What would tell" in shown.stdout
+    assert gyrofleet(*ask(store, "--report", report, "--lang", language)).code == 0
+    with browser.Browser() as window:
+        for width in (1400, 700):
+            window.open(report.as_uri(), width=width)
+            shown = window.ask("document.body.innerText")
+            assert all(each in shown for each in words)
+            sizes = window.ask("[...document.images].map(each => [each.naturalWidth, each.clientWidth])")
+            assert len(sizes) >= 4
+            assert all(natural > 0 and 0 < client <= width for natural, client in sizes), "a picture is not shown"
+            assert window.ask("document.documentElement.scrollWidth <= window.innerWidth"), "the page is too wide"
+            assert window.complaints() == []
