@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from analytics.report.wording import Language
     from analytics.tracing.result import NoiseCoefficients
     from analytics.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
-    from storage.catalog import Catalog
 
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _NOISE_TERMS = ("N", "B", "K", "turn_on")
@@ -82,7 +81,7 @@ def diagnose(
     gyrofleet diagnose --fleet --signal rate --model 'bias + temperature' --report november.html
     """  # noqa: D301  click's mark for lines that are not to be joined
     from analytics.metrics_selection import dated
-    from analytics.unit_diagnosis import Question, diagnose_units, units_with
+    from analytics.unit_diagnosis import Question, reduce_units, trace_units, units_with
 
     if not units and not fleet:
         raise BadInput("which units? give --unit, once or several times, or --fleet for all that have the signal")
@@ -97,11 +96,13 @@ def diagnose(
         runs=runs or None,
         since_ns=None if since is None else dated(since),
     )
-    with opened_catalog(folder, quiet=as_json) as catalog:
-        chosen = list(dict.fromkeys(units)) or units_with(catalog, question.signal_name)
-        with notes().status("starting") as status:
-            found = diagnose_units(catalog, chosen, question, is_pooled=fleet, told=status.update)
-        saved, unsaved = _saved(catalog, folder, found) if save else (None, None)
+    with notes().status("starting") as status:
+        with opened_catalog(folder, quiet=as_json) as catalog:
+            chosen = list(dict.fromkeys(units)) or units_with(catalog, question.signal_name)
+            read = reduce_units(catalog, chosen, question, told=status.update)
+        # the catalogue's memory is free for the trace
+        found = trace_units(read, question, is_pooled=fleet, told=status.update)
+    saved, unsaved = _saved(folder, found) if save else (None, None)
     is_one = len(chosen) == 1 and not fleet
     _write(found, report_path, plot_folder, language)
     if as_json:
@@ -197,9 +198,7 @@ def holdout_of(text: str) -> tuple[str, ...] | None:
     return names
 
 
-def _saved(
-    catalog: "Catalog", folder: Path, found: "UnitsDiagnosis"
-) -> tuple[dict[str, dict[str, object]], GyrofleetError | None]:
+def _saved(folder: Path, found: "UnitsDiagnosis") -> tuple[dict[str, dict[str, object]], GyrofleetError | None]:
     """Write down the models found, as versions that nobody uses yet; number and hash by unit, and why it ended."""
     from analytics.model_promotion import version_of
     from analytics.model_registry import ModelRegistry
@@ -210,19 +209,19 @@ def _saved(
     try:
         store = Store.open(folder)
         registry, uses = ModelRegistry(store), read_uses(store)
-        for unit, each in found.units.items():
-            if each.diagnosis.model is None:
-                notes().print(f"{unit}: not enough data, there is no model to save", markup=False)
-                continue
-            use = uses.get((unit, each.diagnosis.signal), InUse())
-            made = version_of(catalog, each, use, by=getpass.getuser(), note="gyrofleet diagnose --save")
-            written = registry.add(made)
-            saved[unit] = {"version": written.version, "hash": written.hash}
-            notes().print(f"{unit}: version {written.version} of its error model: {written.text}", markup=False)
-            if left_out := [name for name in each.diagnosis.names if name not in written.added]:
-                notes().print(
-                    f"{unit}: no model predicts {', '.join(left_out)}: it is not in that version", markup=False
-                )
+        with opened_catalog(folder, quiet=True) as catalog:
+            for unit, each in found.units.items():
+                if each.diagnosis.model is None:
+                    notes().print(f"{unit}: not enough data, there is no model to save", markup=False)
+                    continue
+                use = uses.get((unit, each.diagnosis.signal), InUse())
+                made = version_of(catalog, each, use, by=getpass.getuser(), note="gyrofleet diagnose --save")
+                written = registry.add(made)
+                saved[unit] = {"version": written.version, "hash": written.hash}
+                notes().print(f"{unit}: version {written.version} of its error model: {written.text}", markup=False)
+                if left_out := [name for name in each.diagnosis.names if name not in written.added]:
+                    text = f"{unit}: no model predicts {', '.join(left_out)}: it is not in that version"
+                    notes().print(text, markup=False)
     except GyrofleetError as error:
         return saved, error
     return saved, None

@@ -145,6 +145,25 @@ class UnitsDiagnosis:
         }
 
 
+@dataclass(frozen=True)
+class ReducedUnits:
+    """Units that were read, and what each is asked.
+
+    Parameters
+    ----------
+    units : mapping of str to ReducedUnit
+        Those that could be read.
+    models : mapping of str to ErrorModel
+        The declared model, on the channels of each.
+    failed : mapping of str to str
+        The others, and why.
+    """
+
+    units: Mapping[str, ReducedUnit]
+    models: Mapping[str, ErrorModel]
+    failed: Mapping[str, str]
+
+
 def diagnose_units(
     catalog: Catalog,
     units: Sequence[str],
@@ -153,7 +172,14 @@ def diagnose_units(
     is_pooled: bool = False,
     told: Callable[[str], None] = lambda _: None,
 ) -> UnitsDiagnosis:
-    """Reduce and trace units of a store.
+    """Reduce and trace units of a store; see `reduce_units` and `trace_units`."""
+    return trace_units(reduce_units(catalog, units, question, told=told), question, is_pooled=is_pooled, told=told)
+
+
+def reduce_units(
+    catalog: Catalog, units: Sequence[str], question: Question, *, told: Callable[[str], None] = lambda _: None
+) -> ReducedUnits:
+    """Read units of a store as blocks.
 
     Parameters
     ----------
@@ -163,15 +189,13 @@ def diagnose_units(
         Which units.
     question : Question
         What is asked of them.
-    is_pooled : bool
-        Whether to search for what they have in common as well.
     told : callable, optional
         Is told what is being done.
 
     Raises
     ------
     GyrofleetError
-        If there is one unit only and it cannot be diagnosed, or none of several can.
+        If there is one unit only and it cannot be read, or none of several can.
     """
     reducer = BlockReducer(
         catalog, question.signal_name, block_s=question.block_s, runs=question.runs, since_ns=question.since_ns
@@ -195,22 +219,54 @@ def diagnose_units(
             failed[unit] = str(error)
     if not reduced:
         raise NotFound(f"none of {len(units)} units can be diagnosed; {units[0]}: {failed[units[0]]}")
+    return ReducedUnits(reduced, models, failed)
+
+
+def trace_units(
+    read: ReducedUnits,
+    question: Question,
+    *,
+    is_pooled: bool = False,
+    told: Callable[[str], None] = lambda _: None,
+) -> UnitsDiagnosis:
+    """Trace units that were read.
+
+    Parameters
+    ----------
+    read : ReducedUnits
+        The units.
+    question : Question
+        What is asked of them.
+    is_pooled : bool
+        Whether to search for what they have in common as well.
+    told : callable, optional
+        Is told what is being done.
+
+    Raises
+    ------
+    GyrofleetError
+        If there is one unit only and it cannot be diagnosed, or none of several can.
+    """
     if is_pooled:
-        return _pooled(reduced, question, failed, told)
+        return _pooled(read.units, question, read.failed, told)
+    failed = dict(read.failed)
+    is_one = len(read.units) + len(failed) == 1
     done: dict[str, UnitDiagnosis] = {}
-    for unit, data in reduced.items():
+    for unit, data in read.units.items():
         told(f"tracing {unit}")
         try:
             held_out = held_out_runs(question.holdout, data.runs)
-            found_in = diagnose(data.runs, models[unit], declared_noise=data.noise, holdout=held_out)
+            found_in = diagnose(data.runs, read.models[unit], declared_noise=data.noise, holdout=held_out)
         except GyrofleetError as error:
-            if len(units) == 1:
+            if is_one:
                 raise
             failed[unit] = str(error)
             continue
         done[unit] = UnitDiagnosis(data, found_in)
     if not done:
-        raise NotFound(f"none of {len(units)} units can be diagnosed; {units[0]}: {failed[units[0]]}")
+        count = len(read.units) + len(read.failed)
+        unit, why = next(iter(failed.items()))
+        raise NotFound(f"none of {count} units can be diagnosed; {unit}: {why}")
     return UnitsDiagnosis(done, failed, standing({unit: each.diagnosis for unit, each in done.items()}))
 
 

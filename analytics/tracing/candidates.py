@@ -2,16 +2,18 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from analytics.effects.base import Effect, Kind, Shape
 from analytics.error_model import ErrorModel
+from analytics.tracing.made_anew import MadeAnew
 from analytics.tracing.record import Record
 from analytics.tracing.stack import Stack
 from stream.batch import FloatArray
 
-_CACHE_BYTES = 200_000_000
+_CACHE_BYTES = 100_000_000
 FLAT = 1e-9  # a column that varies by less than this part of its size is constant
 
 
@@ -76,6 +78,12 @@ class Candidates:
         if number in self._cache:
             return self._cache[number][:, candidate.columns] * self.scale[candidate.columns]
         return effect_columns(self.records[number].stack, candidate.effect, candidate.shape)
+
+    def of_all(self, candidate: Candidate) -> Sequence[FloatArray]:
+        """Columns of one candidate on each record, in natural units; of several they are made when asked for."""
+        if len(self.records) == 1:
+            return (self.of(candidate, 0),)
+        return MadeAnew(partial(self.of, candidate), len(self.records))
 
 
 def effect_columns(stack: Stack, effect: Effect, shape: Shape) -> FloatArray:

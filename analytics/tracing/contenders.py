@@ -59,7 +59,7 @@ class Contender:
         Values of the shape parameters.
     candidate : Candidate, optional
         None for a line or a jump.
-    columns : tuple of array
+    columns : sequence of array
         On each record, in natural units.
     joint : JointFit
         Fit with it.
@@ -82,7 +82,7 @@ class Contender:
     role: Role
     parameters: dict[str, Any]
     candidate: Candidate | None
-    columns: tuple[FloatArray, ...]
+    columns: Sequence[FloatArray]
     joint: JointFit
     likelihood_ratio: float
     degrees: int
@@ -201,7 +201,7 @@ def _fitted(
     best: Contender | None = None
     for result in group[: 2 if len(records) == 1 else 1]:
         item = result.candidate
-        columns = tuple(candidates.of(item, number) for number in range(len(records)))
+        columns = candidates.of_all(item)
         joint = fit_jointly(records, base.hypothesis.with_common(columns), base.noises)
         ratio = 2 * (joint.log_likelihood - base.log_likelihood)
         p_value = float(stats.chi2.sf(max(ratio, 0.0), result.degrees))

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from analytics.tracing.least_squares import Solution, project, solve
+from analytics.tracing.made_anew import joined
 from analytics.tracing.noise_fit import fit_noise
 from analytics.tracing.record import Record
 from analytics.tracing.result import NoiseCoefficients
@@ -21,29 +22,27 @@ class Hypothesis:
 
     Parameters
     ----------
-    own : tuple of array
+    own : sequence of array
         For each record: columns whose coefficients are its own; the declared model, lines and jumps.
-    common : tuple of array
+    common : sequence of array
         For each record: columns whose coefficients all units share.
     """
 
-    own: tuple[FloatArray, ...]
-    common: tuple[FloatArray, ...]
+    own: Sequence[FloatArray]
+    common: Sequence[FloatArray]
 
     def with_common(self, columns: Sequence[FloatArray]) -> "Hypothesis":
         """One more effect that all units share."""
-        joined = [np.column_stack([before, more]) for before, more in zip(self.common, columns, strict=True)]
-        return Hypothesis(self.own, tuple(joined))
+        return Hypothesis(self.own, joined(self.common, columns))
 
     def with_own(self, columns: Sequence[FloatArray]) -> "Hypothesis":
         """More columns of each record alone."""
-        joined = [np.column_stack([before, more]) for before, more in zip(self.own, columns, strict=True)]
-        return Hypothesis(tuple(joined), self.common)
+        return Hypothesis(joined(self.own, columns), self.common)
 
     @property
-    def designs(self) -> tuple[FloatArray, ...]:
+    def designs(self) -> Sequence[FloatArray]:
         """All columns of each record."""
-        return tuple(np.column_stack(pair) for pair in zip(self.own, self.common, strict=True))
+        return joined(self.own, self.common)
 
 
 def nothing_more(records: Sequence[Record]) -> Hypothesis:

@@ -245,7 +245,7 @@ def test_psim_x_lacks_a_thermal_transient_of_a_kind_that_the_record_cannot_tell(
 
 @pytest.mark.skipif(not browser.IS_THERE, reason="no chromium and chromedriver to look with")
 @pytest.mark.parametrize(
-    ("language", "words"), [("en", ("What would tell", "Error before and after")), ("zh", ("可区分的试验", "前后误差"))]
+    ("language", "words"), [("en", ("What would tell", "Error before and after")), ("zh", ("可区分的测试", "前后误差"))]
 )
 def test_a_browser_shows_the_report_without_a_fault(
     gyrofleet: Callable[..., Any], store: Path, tmp_path: Path, language: str, words: tuple[str, ...]
