@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from analytics.unit_diagnosis import Question, UnitsDiagnosis, diagnose_units
+from analytics.unit_diagnosis import UnitsDiagnosis, diagnose_units
+from analytics.unit_reduction import Question
 from ingest.instruments.simulated.cycle_runs import RUN_S, CycleRun, cycle_batches
 from ingest.instruments.simulated.gyro import GyroParameters
 from ingest.pipeline import EmbeddedPipeline

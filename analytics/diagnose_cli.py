@@ -81,7 +81,8 @@ def diagnose(
     gyrofleet diagnose --fleet --signal rate --model 'bias + temperature' --report november.html
     """  # noqa: D301  click's mark for lines that are not to be joined
     from analytics.metrics_selection import dated
-    from analytics.unit_diagnosis import Question, reduce_units, trace_units, units_with
+    from analytics.unit_diagnosis import trace_units
+    from analytics.unit_reduction import Question, reduce_units, units_with
 
     if not units and not fleet:
         raise BadInput("which units? give --unit, once or several times, or --fleet for all that have the signal")

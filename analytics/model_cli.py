@@ -164,7 +164,7 @@ def promote(
     from analytics.model_promotion import check_usable, promote_trace
     from analytics.model_registry import ModelRegistry
     from analytics.model_use import Stage, activate
-    from analytics.unit_diagnosis import Question
+    from analytics.unit_reduction import Question
     from storage.store import Store
 
     if (number is None) is (text is None):

@@ -8,7 +8,8 @@ import msgspec
 from analytics.model_registry import ModelRegistry, ModelVersion, run_hashes
 from analytics.model_use import InUse, Stage, activate, read_uses
 from analytics.tracing.contenders import JUMP, LINE
-from analytics.unit_diagnosis import Question, UnitDiagnosis, diagnose_units
+from analytics.unit_diagnosis import UnitDiagnosis, diagnose_units
+from analytics.unit_reduction import Question
 from storage.catalog import Catalog
 from storage.store import Store
 from stream.errors import BadInput

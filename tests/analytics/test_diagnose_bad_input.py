@@ -14,7 +14,8 @@ from analytics.model_text import parse_model
 from analytics.run_blocks import Channel, RunBlocks
 from analytics.tracing.diagnosis import diagnose
 from analytics.tracing.result import Verdict
-from analytics.unit_diagnosis import Question, diagnose_units
+from analytics.unit_diagnosis import diagnose_units
+from analytics.unit_reduction import Question
 from stream.batch import FloatArray
 from stream.errors import BadInput, NotFound
 from tests.analytics.conftest import TestedUnits

@@ -29,7 +29,8 @@ from analytics.report.wording import Language, Wording
 from analytics.tracing.diagnosis import diagnose
 from analytics.tracing.fleet import diagnose_fleet, standing
 from analytics.tracing.result import Coefficient, Diagnosis, FoundEffect, NoiseCoefficients, Verdict
-from analytics.unit_diagnosis import ReducedUnit, UnitDiagnosis, UnitsDiagnosis, held_out_runs
+from analytics.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis, held_out_runs
+from analytics.unit_reduction import ReducedUnit
 from stream.errors import BadInput
 from tests.bench.loop_campaign import DECLARED_MODEL, Campaign, Planted
 

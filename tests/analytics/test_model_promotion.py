@@ -4,7 +4,8 @@ import numpy as np
 
 from analytics.model_promotion import version_of
 from analytics.model_use import InUse
-from analytics.unit_diagnosis import Question, diagnose_units
+from analytics.unit_diagnosis import diagnose_units
+from analytics.unit_reduction import Question
 from tests.analytics.conftest import START_NS, TestedUnits
 
 DAY_NS = 86_400 * 10**9
