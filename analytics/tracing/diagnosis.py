@@ -185,7 +185,7 @@ def _split(
 def _searched(
     case: Case, effects: Mapping[str, Effect], model: ErrorModel, rng: np.random.Generator
 ) -> tuple[Candidates, Search]:
-    """Search the library; where that leaves an unknown function or too much noise, products and thresholds too."""
+    """Search the library; where that leaves structure, products and thresholds too."""
     records = [case.training]
     candidates = candidates_for(records, effects, model, FIRST_TIER, case.report.lost_channels)
     found = search(records, candidates, rng)
@@ -208,7 +208,13 @@ def _without_false_outliers(case: Case, found: Search, declared: NoiseCoefficien
 
 
 def _leaves_structure(records: Sequence[Record], candidates: Candidates, found: Search) -> bool:
+    """Whether too much noise is left, an unknown function, or what a threshold crossed now and then looks like.
+
+    That is a jump, or a function of temperature that does not replicate.
+    """
     if noise_excess(records[0], found.joint).is_excess:
+        return True
+    if any(each.contender.kind is Kind.EVENT for each in found.selected) or (found.unreplicated and not found.selected):
         return True
     return any(each.unknown_function_of for each in findings(records, candidates, found))
 
