@@ -16,7 +16,7 @@ from stream.errors import BadInput, GyrofleetError
 
 if TYPE_CHECKING:
     from analytics.report.report_tables import TextTable
-    from analytics.report.wording import Language
+    from analytics.report.wording import Language, Wording
     from analytics.tracing.result import NoiseCoefficients
     from analytics.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
 
@@ -268,17 +268,18 @@ def _tell_unit(found: "UnitDiagnosis", language: "Language") -> None:
     if diagnosis.noise is not None:
         console.print(_rich(noise_rows(diagnosis, words)))
         source = words.of("declared noise", "已声明噪声的来源")
-        console.print(f"{source}: {found.data.noise_source}", markup=False)
+        console.print(f"{source}: {words.remark(found.data.noise_source)}", markup=False)
     if diagnosis.detection_limits:
         console.print(_rich(absent_rows(diagnosis, words)))
-    _tell_remarks(found, words.of("limit", "局限"), words.of("note", "说明"))
+    _tell_remarks(found, words)
 
 
-def _tell_remarks(found: "UnitDiagnosis", limit: str, note: str) -> None:
+def _tell_remarks(found: "UnitDiagnosis", words: "Wording") -> None:
+    limit, note = words.of("limit", "局限"), words.of("note", "说明")
     for text in found.diagnosis.limits:
-        notes().print(f"{limit}: {text}", markup=False, soft_wrap=True)
+        notes().print(f"{limit}: {words.remark(text)}", markup=False, soft_wrap=True)
     for each in found.data.notes:
-        notes().print(f"{limit if each.is_limit else note}: {each.text}", markup=False, soft_wrap=True)
+        notes().print(f"{limit if each.is_limit else note}: {words.remark(each.text)}", markup=False, soft_wrap=True)
 
 
 def _tell_units(found: "UnitsDiagnosis", language: "Language") -> None:

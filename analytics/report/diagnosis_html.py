@@ -108,7 +108,7 @@ def _overview(found: UnitsDiagnosis, words: Wording, title: str) -> str:
         parts.append(f'<p class="verdict">{escape(fleet_sentence(found.fleet, words))}</p>')
         parts += [_effect(each, found.fleet, words) for each in found.fleet.effects]
         parts += [_table(fleet_rows(name, rows, words)) for name, rows in found.fleet.by_unit.items()]
-        parts.append(_listed(found.fleet.limits))
+        parts.append(_listed(map(words.remark, found.fleet.limits)))
     parts.append(_table(unit_rows(found, words)))
     return "\n".join(parts)
 
@@ -142,7 +142,7 @@ def _declared(found: UnitDiagnosis, words: Wording) -> str:
         parts.append(_table(coefficient_rows(diagnosis.judged, title, words)))
     parts.append(_table(noise_rows(diagnosis, words)))
     source = words.of("Declared noise", "已声明噪声的来源")
-    parts.append(f'<p class="soft">{source}: {escape(found.data.noise_source)}</p>')
+    parts.append(f'<p class="soft">{source}: {escape(words.remark(found.data.noise_source))}</p>')
     trained, runs = words.of("Training", "训练"), words.of("of", "共")
     counted = f"{trained}: {', '.join(diagnosis.training_runs)} ({runs} {', '.join(diagnosis.runs)})"
     parts.append(f'<p class="soft">{escape(counted)}</p>')
@@ -194,14 +194,17 @@ def _limits(found: UnitDiagnosis, words: Wording) -> str:
     diagnosis = found.diagnosis
     parts = [_heading(2, words.of("Limits of this verdict", "本判定的局限"))]
     of_data = [note.text for note in found.data.notes if note.is_limit]
-    parts.append(_listed([*diagnosis.limits, *of_data]) or f"<p>{words.of('None is known.', '无已知局限。')}</p>")
+    limits = _listed(map(words.remark, [*diagnosis.limits, *of_data]))
+    parts.append(limits or f"<p>{words.of('None is known.', '无已知局限。')}</p>")
     if remarks := [note.text for note in found.data.notes if not note.is_limit]:
-        parts += [_heading(3, words.of("Reduction", "数据归约")), _listed(remarks)]
+        parts += [_heading(3, words.of("Reduction", "数据归约")), _listed(map(words.remark, remarks))]
     if diagnosis.detection_limits:
         parts.append(_table(absent_rows(diagnosis, words)))
     if diagnosis.not_tested:
         parts.append(_heading(3, words.of("Could not be looked for", "无法查找的效应")))
-        parts.append(_listed(f"{words.name(name)}: {why}" for name, why in diagnosis.not_tested.items()))
+        colon = words.of(": ", "：")
+        reasons = diagnosis.not_tested.items()
+        parts.append(_listed(f"{words.name(name)}{colon}{words.remark(why)}" for name, why in reasons))
     return "\n".join(parts)
 
 

@@ -20,7 +20,7 @@ def verdict_sentence(diagnosis: Diagnosis, words: Wording) -> str:
     """
     match diagnosis.verdict:
         case Verdict.NOT_ENOUGH_DATA:
-            missing = "; ".join(diagnosis.missing)
+            missing = words.of("; ", "；").join(map(words.remark, diagnosis.missing))
             return words.of(f"Not enough data for a verdict: {missing}.", f"数据不足，无法判定：{missing}。")
         case Verdict.NOTHING_MISSING:
             return _nothing_missing(diagnosis, words)

@@ -6,6 +6,7 @@ from typing import Literal
 
 from analytics.effects.coefficient_units import parameter_unit
 from analytics.effects.registry import effect
+from analytics.report.remarks_zh import in_chinese
 from analytics.run_blocks import RunBlocks
 from analytics.tracing.result import Coefficient, ConfoundedEffect, FoundEffect
 
@@ -70,6 +71,10 @@ class Wording:
     def of(self, en: str, zh: str) -> str:
         """The text in this language."""
         return zh if self.language == "zh" else en
+
+    def remark(self, text: str) -> str:
+        """A limit, a note or a reason in this language."""
+        return in_chinese(text) if self.language == "zh" else text
 
     def listed(self, parts: Sequence[str], last: tuple[str, str] = ("and", "和")) -> str:
         """Parts as a list in a sentence.

@@ -1,7 +1,8 @@
 """Stores with tested units: runs that are written sample by sample, and records of steps as they are kept."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -9,10 +10,13 @@ from uuid import uuid4
 import pyarrow as pa
 import pytest
 
+from analytics.block_checks import Note
 from analytics.metrics.evaluation import define_views, evaluate
 from analytics.metrics.product_files import products_of
 from analytics.metrics.registry import metrics
+from analytics.report.remarks_zh import in_chinese
 from analytics.step_records.step_table import step_means
+from analytics.tracing import diagnosis
 from storage.catalog import Catalog
 from storage.event_log import EventLog
 from storage.lake import build_missing, builder_lock
@@ -197,3 +201,31 @@ def recorded(tmp_path: Path) -> Recorded:
             return _evaluated(catalog, pa.Table.from_pylist(told, schema=schema), metric)
 
     return run
+
+
+@pytest.fixture(autouse=True)
+def everything_told_is_told_in_chinese(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever limit, note or reason comes up in any test has its sentence in Chinese."""
+
+    def known(texts: Iterable[str]) -> None:
+        for text in texts:
+            assert in_chinese(text) != text, f"no Chinese in analytics/report/remarks_zh.py for: {text}"
+
+    def checked(function: Callable[..., Any], told: Callable[[Any], Iterable[str]]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            found = function(*arguments, **options)
+            known(told(found))
+            return found
+
+        return call
+
+    original = Note.__init__
+
+    def note(self: Note, *arguments: Any, **options: Any) -> None:
+        original(self, *arguments, **options)
+        if sys._getframe(1).f_globals["__name__"].startswith("analytics."):
+            known([self.text])
+
+    monkeypatch.setattr(Note, "__init__", note)
+    for name, told in (("_limits", tuple), ("_missing", tuple), ("_not_tested", dict.values)):
+        monkeypatch.setattr(diagnosis, name, checked(getattr(diagnosis, name), told))

@@ -297,7 +297,7 @@ def test_the_report_needs_nothing_but_itself(language: Language) -> None:
         assert head == "data:image/png;base64"
         assert base64.b64decode(data).startswith(b"\x89PNG")
     text = "".join(page.text)
-    for words in ("a <remark>", "a limit", "as given", "scale_factor"):
+    for words in ("a <remark>", "a limit", {"en": "as given", "zh": "用户给定"}[language], "scale_factor"):
         assert words in text
     wanted = {
         "en": ("temperature rate (Shupe)", "What would tell", "absent above", "Limits of this verdict", "Allan"),

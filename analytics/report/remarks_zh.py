@@ -1,0 +1,157 @@
+"""Limits of a verdict, notes on the reduction, and reasons, in Chinese: what they say is made in English."""
+
+import re
+from collections.abc import Mapping
+from functools import cache
+from typing import Final
+
+_SENTENCES: Final[Mapping[str, str]] = {
+    # limits of a verdict
+    "one run only: its segments stand for replicates, so that what is tied to this run shows as an effect":
+        "只有一次试验：以其分段代替重复试验，凡与这次试验相关的变化都会表现为效应",
+    "no lockbox: one run of {blocks} blocks; {least} or {runs} runs are needed":
+        "无留出数据：只有一次试验，共{blocks}个数据块；需要{least}个数据块或{runs}次试验",
+    "no lockbox: {count} runs, {needed} are needed": "无留出数据：{count}次试验，需要{needed}次",
+    "no lockbox: none of the runs was held out": "无留出数据：没有留出任何试验",
+    "no noise was declared: it was guessed from these runs, so that an excess of noise cannot be told":
+        "未声明噪声：噪声由这些试验估计，因此无法判定噪声是否过大",
+    "more noise than declared at averages of 300 to 3600 s, and nothing in the channels explains it":
+        "在300至3600 s的平均时间上噪声大于声明值，各通道均不能解释",
+    "{effect}: the held-out runs show {slope} times what was predicted, more than chance: its form is not exact, or it "
+    "changes from run to run":
+        "{effect}：留出试验所示为预测值的{slope}倍，超出偶然范围：其形式不精确，或随试验而变",
+    "a jump happens once: runs that were held out cannot confirm it": "跳变只发生一次：留出试验不能予以证实",
+    "a line faster than two blocks of {block} s shows at a frequency folded into this band: the spectrum at the full "
+    "sampling rate tells":
+        "比两个{block} s数据块更快的谱线会折叠到本频带内：用全采样率的频谱判别",
+    "the phase of a line is that of each run: no model predicts it, so that it is in the errors after as in those "
+    "before, and in what is told as noise alone":
+        "谱线的相位随试验而异：没有模型能预测，因此前后误差以及“仅噪声”中都含有它",
+    "channel {name} is constant: its effects cannot be looked for": "通道{name}为常值：无法查找其效应",
+    "channels {first} and {second} are copies of each other: their effects cannot be told apart":
+        "通道{first}与{second}互为副本：其效应无法区分",
+    "term {label} of the declared model cannot be told from the terms before it in these runs":
+        "在这些试验中，声明模型的{label}项无法与其前面的项区分",
+    "{gone} of {blocks} blocks left out: a channel of the declared model has no value there":
+        "略去{blocks}个数据块中的{gone}个：声明模型所需的某通道在该处无值",
+    "{gone} of {blocks} blocks left out: a channel has no value there":
+        "略去{blocks}个数据块中的{gone}个：某通道在该处无值",
+    "channel {name} not used: {reason}": "未使用通道{name}：{reason}",
+    # reasons
+    "{blocks} blocks with signal and channels of the model are there, {needed} are needed":
+        "有信号及模型所需通道的数据块有{blocks}个，需要{needed}个",
+    "the signal is {value} throughout, as of an output that is dead or stuck": "信号始终为{value}，如同输出失效或卡死",
+    "without the runs held out: {reason}": "除去留出试验：{reason}",
+    "no value in {bad} of {blocks} blocks of unit {unit}": "产品{unit}的{blocks}个数据块中有{bad}个无值",
+    "no value in {bad} of {blocks} blocks": "{blocks}个数据块中有{bad}个无值",
+    "{channels} does not vary in these runs": "{channels}在这些试验中不变化",
+    "it has no shape to try here": "此处没有可试的形状",
+    "these runs cannot tell it from the terms of the model": "这些试验无法将其与模型的项区分",
+    "channel {name} is missing in {missing} of {runs} runs": "{runs}次试验中有{missing}次缺少通道{name}",
+    "channel {name} has no readings in these runs": "通道{name}在这些试验中没有读数",
+    "channel {name} stays at {value} in these runs": "通道{name}在这些试验中保持为{value}",
+    "channel {name} is nowhere frozen while it should move in these runs": "通道{name}在应当变化时从未停滞",
+    "as given": "用户给定",
+    "the unit's own Allan fits": "产品自身的Allan拟合",
+    # notes on the reduction
+    "signal {name} never changes {where}, as of an output that is dead or stuck: leave such runs out with --run":
+        "信号{name}{where}从不变化，如同输出失效或卡死：用--run略去这些试验",
+    "runs hold the same samples ({runs}): the one confirms nothing that the other says; leave one of each "
+    "out with --run":
+        "试验的采样相同（{runs}）：不能互相证实；用--run各略去一次",
+    "channel {name} is missing {where}: effects that need it are looked for nowhere":
+        "{where}缺少通道{name}：不查找需要它的效应",
+    "channel {name} has no reading near {bad} of {blocks} blocks, {where}":
+        "{where}，通道{name}在{blocks}个数据块中的{bad}个附近没有读数",
+    "channel {name} never changes: what depends on it cannot be seen, nor told from the bias":
+        "通道{name}从不变化：与它相关的效应看不到，也无法与零偏区分",
+    "channel {name} is in {units}, depending on the run: import it in one unit of measure":
+        "通道{name}的单位因试验而异（{units}）：请以同一单位导入",
+    "channel {name} is in {unit}: coefficients are per {same}": "通道{name}的单位为{unit}：系数按每{same}计",
+    "channels {first} and {second} are copies of each other: an effect of one cannot be told from the other":
+        "通道{first}与{second}互为副本：二者的效应无法区分",
+    "the clock of {one} is {seconds} s off that of {other} in run {runs}: its channels are joined where their own "
+    "clock puts them":
+        "在试验{runs}中，{one}的时钟与{other}相差{seconds} s：其通道按自身时钟对齐",
+    "{samples} samples are no finite numbers {where}: left out": "{where}有{samples}个采样不是有限数：已略去",
+    "{count} stretches of a second of {name} are left out {where}: a reading in each, {value} the largest, lies far "
+    "outside of those before and after it, as a fill value does, a bit that was flipped on the way, or a knock":
+        "{where}略去{name}的{count}段（每段1 s）：其中一个读数（最大为{value}）远离前后读数，如填充值、传输误码或撞击",
+    "samples are up to {apart} s apart {where}, blocks are {block} s long: most are empty, and the noise N is told too "
+    "low; give blocks from {least} s on":
+        "{where}采样间隔达{apart} s，而数据块长{block} s：多数数据块为空，噪声N偏低；数据块请取{least} s以上",
+    "{count} blocks are left out {where}: they hold less than {share} of the usual number of samples":
+        "{where}略去{count}个数据块：采样数不足通常的{share}",
+    "no power-on is recorded in any of {runs} runs: time_since_power_on counts from the first sample":
+        "{runs}次试验均无上电记录：time_since_power_on从首个采样起计",
+    "no power-on is recorded in {runs}: time_since_power_on counts from the first sample":
+        "{runs}无上电记录：time_since_power_on从首个采样起计",
+    "{count} blocks are left out {where}: the reference rate changes within them faster than its readings show; "
+    "shorter blocks or more readings keep more":
+        "{where}略去{count}个数据块：其中参考角速率的变化快于其读数所示；缩短数据块或增加读数可保留更多",
+    "the unit was powered on several times {where}: each power-on counts as a run, RUN#1, RUN#2, ...":
+        "{where}产品多次上电：每次上电计为一次试验，记作RUN#1、RUN#2……",
+    "channel position stands for: {words}; what differs between positions is gravity, the earth's rate and field, or "
+    "the mounting itself: only positions that were mounted anew several times tell":
+        "通道position代表：{words}；位置之间的差别可能是重力、地球自转与磁场或安装本身：只有多次重新安装的位置才能判别",
+    "channel position stands for: {words}": "通道position代表：{words}",
+    "blocks of {block} s hold {what}: nothing within them tells the noise, which is judged by what the model leaves":
+        "{block} s数据块内没有离散（{what}）：块内无法得知噪声，由模型残差判断",
+    "{names} of {unit} are outputs of the unit like {signal}: not taken as channels; a reference is imported under a "
+    "standard name, such as gravity_i":
+        "{unit}的{names}与{signal}同为产品输出：不作为通道；参考量请以标准名导入，如gravity_i",
+    "channel {name} is that of {of}; {others} give one of that name as well":
+        "通道{name}取自{of}；{others}也给出同名通道",
+    "no input_rate is recorded, and the positions {words} do not say how the input axis lies: there is no input rate; "
+    "record or import it as channel input_rate":
+        "未记录input_rate，位置{words}也未说明输入轴方向：没有输入角速率；请记录或以通道input_rate导入",
+    "input_rate is taken from {source} {where}: the table's axis is supposed to lie along the input axis, as far as "
+    "the position of a step does not say otherwise":
+        "{where}input_rate取自{source}：除非步骤的位置另有说明，假定转台轴沿输入轴",
+    "{where} {names} is missing, which the model needs: left out": "{where}缺少模型所需的{names}：已略去",
+    # what is more general comes last
+    "channel {name}: {reason}": "通道{name}：{reason}",
+}  # fmt: skip
+
+_WHERE: Final[Mapping[str, str]] = {
+    "in run {run}": "在试验{run}中",
+    "in {some} of {all} runs ({runs})": "在{all}次试验中的{some}次（{runs}）中",
+    "in all {all} runs": "在全部{all}次试验中",
+}
+
+_ANY_WHERE = r"in run \S+|in \d+ of \d+ runs \(.+?\)|in all \d+ runs"
+
+
+def in_chinese(text: str) -> str:
+    """A limit, a note or a reason in Chinese; as it is where it is not known.
+
+    Examples
+    --------
+    >>> in_chinese("channel humidity is missing in 2 of 9 runs")
+    '9次试验中有2次缺少通道humidity'
+    >>> in_chinese("3 samples are no finite numbers in run r1: left out")
+    '在试验r1中有3个采样不是有限数：已略去'
+    >>> in_chinese("something else")
+    'something else'
+    """
+    return _translated(text, _SENTENCES) or text
+
+
+def _translated(text: str, known: Mapping[str, str]) -> str | None:
+    for english, chinese in known.items():
+        if (match := _pattern(english).fullmatch(text)) is not None:
+            parts = match.groupdict()
+            if "where" in parts:
+                parts["where"] = _translated(parts["where"], _WHERE)
+            if "reason" in parts:
+                parts["reason"] = in_chinese(parts["reason"])
+            return chinese.format(**parts)
+    return None
+
+
+@cache
+def _pattern(english: str) -> re.Pattern[str]:
+    def part(name: re.Match[str]) -> str:
+        return f"(?P<{name[1]}>{_ANY_WHERE if name[1] == 'where' else '.+?'})"
+
+    return re.compile(re.sub(r"\\\{(\w+)\\\}", part, re.escape(english)))
