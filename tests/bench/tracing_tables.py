@@ -91,13 +91,15 @@ def _false(lines: Sequence[Line]) -> tuple[int, int]:
     return sum(bool(each["found"] or each["refused"]) for each in lines), confirmed
 
 
+_LARGE_Z = 10.0
+
+
 def planted_table(lines: Sequence[Line]) -> Iterator[str | tuple[str, bool]]:
     """Single effects by size."""
-    targets = {6.0: (0.90, 0.01), 10.0: (0.97, 0.0), 20.0: (0.97, 0.0)}
-    for z, (hit, wrong) in targets.items():
-        own = [each for each in lines if each["row"] == "planted" and each["z"] == z]
-        if not own:
-            continue
+    planted = [each for each in lines if each["row"] == "planted"]
+    for z in sorted({each["z"] for each in planted}):
+        hit, wrong = (0.97, 0.0) if z >= _LARGE_Z else (0.90, 0.01)
+        own = [each for each in planted if each["z"] == z]
         counts = Counter(each["outcome"] for each in own)
         yield f"\nOne effect planted, z = {z:g}: {_counted(counts)}"
         for each in own:
