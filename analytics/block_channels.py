@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from analytics.block_means import SECOND_NS, Blocks, Grid
+from analytics.block_means import FAR, SECOND_NS, Blocks, Grid
 from analytics.run_blocks import Channel
-from stream.batch import FloatArray, IntArray
+from stream.batch import BoolArray, FloatArray, IntArray
 from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
@@ -30,6 +30,23 @@ class Readings(NamedTuple):
 
     t_s: FloatArray
     value: FloatArray
+
+
+def is_far_outside(value: FloatArray) -> BoolArray:
+    """Mark readings that leave those before and after by more than a hundred times what they usually do.
+
+    Examples
+    --------
+    >>> is_far_outside(np.array([20.0, 20.1, 20.0, -9999.0, 20.1, 20.2, 20.1])).nonzero()[0].tolist()
+    [3]
+    """
+    moves = np.abs(np.diff(value))
+    if not (moves > 0).any():
+        return np.zeros(len(value), dtype=np.bool_)
+    usual = float(np.median(moves)) or float(np.median(moves[moves > 0]))
+    before, after = np.concatenate([value[1:2], value[:-1]]), np.concatenate([value[1:], value[-2:-1]])
+    above, below = value - np.maximum(before, after), np.minimum(before, after) - value
+    return np.asarray(np.maximum(above, below) > FAR * usual)
 
 
 def standard_unit(name: str, unit_of_measure: str) -> tuple[str, float, float]:

@@ -1,13 +1,22 @@
 """Reads the channels of a run and joins each to the blocks of a signal, in the way that its readings allow."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
 
 from analytics.block_angles import AngleBlocks, without_aliases
-from analytics.block_channels import joined_blocks, joined_readings, ranges, readings_of, standard_unit
-from analytics.block_means import SECOND_NS, Blocks, Far, Grid, block_means
+from analytics.block_channels import (
+    Readings,
+    is_far_outside,
+    joined_blocks,
+    joined_readings,
+    ranges,
+    readings_of,
+    standard_unit,
+)
+from analytics.block_means import SECOND_NS, Blocks, Grid, block_means
 from analytics.block_records import is_rolled_up
 from analytics.block_sources import Source
 from analytics.run_blocks import Channel
@@ -40,6 +49,7 @@ class ChannelJoiner:
         self._block_ns = max(1, round(block_s * SECOND_NS))
         self._tolerance_s = tolerance_s
         self._known: dict[tuple[str, str, str, Grid], Blocks | None] = {}
+        self._far: dict[tuple[str, str, str, Grid], tuple[int, float]] = {}
         self._extremes: dict[tuple[str, str, str, int], tuple[FloatArray, ...]] = {}
 
     def prepare(self, sources: Mapping[str, Sequence[Source]], grids: Mapping[str, Grid]) -> None:
@@ -54,16 +64,21 @@ class ChannelJoiner:
             wide = {run: self._wide(grid) for run, grid in of_runs.items()}
             found = block_means(self._catalog, unit, signal, wide, self._block_s, rolled_up=rolled_up)
             for run, grid in of_runs.items():
-                self._known[unit, signal, run, grid] = found.get(run)
+                blocks = found.get(run)
+                self._known[unit, signal, run, grid] = blocks
+                if blocks is not None and blocks.is_far.any():
+                    self._far[unit, signal, run, grid] = int(blocks.is_far.sum()), blocks.farthest
+                    without = np.where(blocks.is_far, np.nan, blocks.mean)
+                    self._known[unit, signal, run, grid] = replace(blocks, mean=without)
 
-    def far(self, source: Source, grid: Grid) -> Far | None:
-        """What was left out of a channel that was prepared, as it lies far outside."""
-        blocks = self._known.get(_key(source, grid))
-        return None if blocks is None else blocks.far
+    def far(self, source: Source, grid: Grid) -> tuple[int, float] | None:
+        """How much of a channel that was joined lies far outside, blocks or readings, and the farthest reading."""
+        return self._far.get(_key(source, grid))
 
     def forget(self, unit: str) -> None:
         """Let go of what belongs to a unit: no other unit asks for it."""
         self._known = {key: each for key, each in self._known.items() if key[0] != unit}
+        self._far = {key: each for key, each in self._far.items() if key[0] != unit}
 
     def channels(self, sources: Sequence[Source], signal: Blocks, grid: Grid) -> dict[str, Channel]:
         """The channels of a run, which were prepared, at the blocks of the signal, by name."""
@@ -106,6 +121,11 @@ class ChannelJoiner:
                 return Channel(np.full(len(signal.slot), np.nan), np.zeros(len(signal.slot)), unit[0])
             return joined_blocks(signal.slot, signal.centre_s, blocks, unit, self._tolerance(source.interval_s))
         readings = readings_of(self._readings(source, grid), grid)
+        is_far = is_far_outside(readings.value)
+        if is_far.any():
+            farthest = readings.value[is_far][np.abs(readings.value[is_far]).argmax()]
+            self._far[_key(source, grid)] = int(is_far.sum()), float(farthest)
+            readings = Readings(readings.t_s[~is_far], readings.value[~is_far])
         intervals = np.diff(readings.t_s)
         tolerance_s = self._tolerance(float(np.median(intervals)) if len(intervals) else 0.0)
         return joined_readings(signal.centre_s, readings, unit, tolerance_s)

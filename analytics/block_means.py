@@ -11,7 +11,9 @@ from stream.batch import BoolArray, FloatArray, IntArray
 SECOND_NS = 10**9
 LEAST_PAIRS = 8
 FAR = 100.0
-"""A second's readings lie far outside where they leave those before and after by so many times their usual range."""
+"""A reading lies far outside where it leaves those of the seconds beside it by so many times their usual range."""
+FEW, ALONE = 3.0, 0.6
+"""How many readings of a second may be far, and by which part of its distance one leaves the mean: motion has more."""
 _MEDIAN_OF_SQUARE = 0.4549364231195728  # of a standard normal
 
 
@@ -32,8 +34,10 @@ class Blocks:
         that are spread evenly from a whole second on.
     white_variance : array
         Of each mean, by the scatter within the block; NaN where nothing tells.
-    far : Far, optional
-        What was left out of the run, as it lies far outside.
+    is_far : array of bool
+        Whether a reading in it lies far outside: then the mean is that of no measurement.
+    farthest : float
+        The reading of the run that lies farthest outside; 0 where none does.
     """
 
     slot: IntArray
@@ -44,22 +48,13 @@ class Blocks:
     first_s: FloatArray
     last_s: FloatArray
     white_variance: FloatArray
-    far: "Far | None" = None
+    is_far: BoolArray
+    farthest: float = 0.0
 
     def part(self, rows: BoolArray) -> "Blocks":
         """Some of the blocks."""
-        return replace(
-            self, **{each.name: getattr(self, each.name)[rows] for each in fields(self) if each.name != "far"}
-        )
-
-
-@dataclass(frozen=True)
-class Far:
-    """What was left out: how many stretches of a second, with how many samples, and the one that is farthest out."""
-
-    stretches: int
-    samples: int
-    value: float
+        names = [each.name for each in fields(self) if each.name != "farthest"]
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
 @dataclass(frozen=True)
@@ -94,22 +89,24 @@ _PIECES = {
 _BLOCKS = """
 with read as (
   {pieces}
-), beside as (
+), neighbours as (
   select *, mean - lag(mean) over own as move,
-    greatest(hi - greatest(lag(hi) over own, lead(hi) over own), least(lag(lo) over own, lead(lo) over own) - lo)
-      as beyond
+    hi - greatest(lag(hi) over own, lead(hi) over own) as above,
+    least(lag(lo) over own, lead(lo) over own) - lo as below
   from read window own as (partition by run order by start_ns)
+), beside as (
+  select *, greatest(above, below) as beyond, case when above >= below then hi else lo end as extreme from neighbours
 ), usual as (
-  select run, median(hi - lo) + median(abs(move)) as width from beside group by run
-), looked_at as (
-  select b.*, u.width > 0 and coalesce(b.beyond > $far * u.width, false) as is_far
+  select run, median(hi - lo) + median(abs(move)) as width, median(abs(move)) filter (move <> 0) as step
+  from beside group by run
+), piece as (
+  select b.*, coalesce(
+      beyond > $far * case when width > 0 then width else step end
+      and (n < 4 or abs(extreme - mean) >= $alone * beyond) and (n < 16 or m2 <= $few * (extreme - mean) ** 2),
+      false) as is_far
   from beside b join usual u using (run)
 ), gone as (
-  select run, count(*) as stretches, sum(n)::bigint as samples,
-    arg_max(case when abs(hi - mean) > abs(mean - lo) then hi else lo end, beyond) as value
-  from looked_at where is_far group by run
-), piece as (
-  select * from looked_at where not is_far
+  select run, arg_max(extreme, beyond) as farthest from piece where is_far group by run
 ), stepped as (
   select *, (start_ns - t0_ns) // $block_ns as slot,
     mean - lag(mean) over own as step, 1.0 / n + 1.0 / lag(n) over own as pair
@@ -119,13 +116,13 @@ with read as (
     sqrt(sum(m2) / sum(n) + var_pop(mean)) as spread,
     sum(n * ((t_ns - t0_ns) / 1e9)) / sum(n) as centre_s,
     min(start_ns - t0_ns) / 1e9 as first_s, max(end_ns - t0_ns) / 1e9 as last_s,
-    avg(step * step / pair) as sample_variance, count(step) as pairs
+    avg(step * step / pair) as sample_variance, count(step) as pairs, bool_or(is_far) as is_far
   from stepped group by run, slot
 ), typical as (
   select run, median(step * step / pair) as middle, avg(step * step / pair) as average from stepped group by run
 )
 select run, slot, n, mean, spread, centre_s, first_s, last_s, sample_variance, pairs, middle, average,
-  coalesce(stretches, 0) as far, coalesce(samples, 0) as far_samples, coalesce(value, 0.0) as far_value
+  is_far, coalesce(farthest, 0.0) as farthest
 from block join typical using (run) left join gone using (run) order by run, slot
 """
 
@@ -146,8 +143,9 @@ def block_means(
     piece on counts in full, whatever the samples within a piece share; slow change hardly counts. A block of fewer than
     8 such pairs takes the median over its run (over 0.455, the median of the square of a normal deviate).
 
-    A piece whose readings leave those of the pieces before and after it by more than a hundred times their usual range
-    is left out and counted: a fill value, a bit that was flipped on the way, a knock. What lasts longer stays.
+    A block is marked where a reading of a piece leaves the pieces before and after it by more than a hundred times
+    their usual range, and by itself, not as one of many: a fill value, a bit that was flipped on the way, a knock. What
+    lasts longer, and motion, has more readings on its way.
     """
     if not grids:
         return {}
@@ -166,6 +164,8 @@ def block_means(
             "block_ns": block_ns,
             "piece_ns": max(1, block_ns // 32),
             "far": FAR,
+            "few": FEW,
+            "alone": ALONE,
         },
     ).read_all()
     names = np.array(table.column("run").to_pylist(), dtype=object)
@@ -184,7 +184,6 @@ def _blocks(columns: Mapping[str, FloatArray]) -> Blocks:
     typical = middle / _MEDIAN_OF_SQUARE if middle > 0 else average
     pairs, own = columns["pairs"], columns["sample_variance"].astype(np.float64)
     variance = np.where(pairs >= LEAST_PAIRS, own, typical if typical > 0 else np.nan)
-    far = int(columns["far"][0])
     return Blocks(
         slot=columns["slot"].astype(np.int64),
         n=n,
@@ -194,5 +193,6 @@ def _blocks(columns: Mapping[str, FloatArray]) -> Blocks:
         first_s=columns["first_s"].astype(np.float64),
         last_s=columns["last_s"].astype(np.float64),
         white_variance=variance / n,
-        far=Far(far, int(columns["far_samples"][0]), float(columns["far_value"][0])) if far else None,
+        is_far=columns["is_far"].astype(np.bool_),
+        farthest=float(columns["farthest"][0]),
     )

@@ -17,7 +17,7 @@ from analytics.block_derived import (
     without_unresolved,
 )
 from analytics.block_join import ChannelJoiner
-from analytics.block_means import Blocks, Far, block_means
+from analytics.block_means import Blocks, block_means
 from analytics.block_records import Record, is_rolled_up, reach, records_of
 from analytics.block_sources import Source, sources_of
 from analytics.run_blocks import RunBlocks
@@ -133,18 +133,21 @@ class BlockReducer:
         instruments = sorted({(run, each.unit) for run in order for each in sources[run] if each.unit != unit})
         notes += _not_finite(found, records) if whole_time else []
         units = {run: records[run].unit_of_measure for run in order}
-        notes += _far_outside(self._signal, {run: found[run].far for run in order}, units, len(order))
+        far = {run: (int(found[run].is_far.sum()), found[run].farthest) for run in order if found[run].is_far.any()}
+        notes += _far_outside(self._signal, far, units, len(order))
+        found = {run: blocks.part(~blocks.is_far) for run, blocks in found.items() if not blocks.is_far.all()}
+        order = [run for run in order if run in found]
         notes += _apart({run: records[run] for run in order}, self._block_s)
         notes += check_clocks(self._clock_offsets, unit, self._signal, instruments)
         found, partial = _whole(found)
         notes += partial
         grids = {run: records[run].grid(self._since_ns, self._until_ns) for run in order}
         self._joiner.prepare(sources, grids)
+        runs = [self._run(unit, run, records[run], found[run], sources[run]) for run in order]
         for name in sorted({each.name for run in order for each in sources[run]}):
             own = {run: each for run in order for each in sources[run] if each.name == name}
-            far = {run: self._joiner.far(each, grids[run]) for run, each in own.items()}
-            notes += _far_outside(name, far, {run: each.unit_of_measure for run, each in own.items()}, len(order))
-        runs = [self._run(unit, run, records[run], found[run], sources[run]) for run in order]
+            parts = {run: told for run, each in own.items() if (told := self._joiner.far(each, grids[run]))}
+            notes += _far_outside(name, parts, {run: each.unit_of_measure for run, each in own.items()}, len(order))
         self._joiner.forget(unit)
         runs, more = self._derived(unit, runs, records, found, sources)
         notes += more
@@ -272,8 +275,7 @@ class BlockReducer:
 
 
 def _not_finite(found: Mapping[str, Blocks], records: Mapping[str, Record]) -> list[Note]:
-    taken = {run: int(blocks.n.sum()) + (blocks.far.samples if blocks.far else 0) for run, blocks in found.items()}
-    missing = {run: records[run].samples - taken[run] for run in found}
+    missing = {run: records[run].samples - int(blocks.n.sum()) for run, blocks in found.items()}
     having = [run for run, samples in missing.items() if samples > 0]
     if not having:
         return []
@@ -282,17 +284,17 @@ def _not_finite(found: Mapping[str, Blocks], records: Mapping[str, Record]) -> l
     return [Note("not_finite", text, runs=tuple(having))]
 
 
-def _far_outside(name: str, far: Mapping[str, Far | None], units: Mapping[str, str], of: int) -> list[Note]:
-    having = {run: each for run, each in far.items() if each is not None}
-    if not having:
+def _far_outside(name: str, far: Mapping[str, tuple[int, float]], units: Mapping[str, str], of: int) -> list[Note]:
+    if not far:
         return []
-    worst = max(having, key=lambda run: abs(having[run].value))
+    worst = max(far, key=lambda run: abs(far[run][1]))
+    count, value = sum(count for count, _ in far.values()), f"{far[worst][1]:g} {units[worst]}"
     text = (
-        f"{sum(each.stretches for each in having.values()):,} stretches of a second of {name} are left out "
-        f"{in_runs(list(having), of)}: a reading in each, {having[worst].value:g} {units[worst]} the largest, lies far "
-        "outside of those before and after it, as a fill value does, a bit that was flipped on the way, or a knock"
+        f"{count:,} blocks or readings of {name} are left out {in_runs(list(far), of)}: a reading, {value} the "
+        "largest, lies far outside of those before and after it, as a fill value does, a bit that was flipped on the "
+        "way, or a knock"
     )
-    return [Note("far_outside", text, name, tuple(having))]
+    return [Note("far_outside", text, name, tuple(far), is_limit=True)]
 
 
 def _apart(records: Mapping[str, Record], block_s: float) -> list[Note]:

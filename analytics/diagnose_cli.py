@@ -103,21 +103,21 @@ def diagnose(
             read = reduce_units(catalog, chosen, question, told=status.update)
         # the catalogue's memory is free for the trace
         found = trace_units(read, question, is_pooled=fleet, told=status.update)
-    saved, unsaved = _saved(folder, found) if save else (None, None)
+    saved, unsaved = _saved(folder, found) if save else ({}, {})
     is_one = len(chosen) == 1 and not fleet
     _write(found, report_path, plot_folder, language)
     if as_json:
         document = next(iter(found.units.values())).document() if is_one else found.document()
-        print_json(document if saved is None else document | {"saved": saved})
+        print_json(document | ({"saved": saved, "not_saved": unsaved} if save else {}))
     elif is_one:
         _tell_unit(next(iter(found.units.values())), language)
     else:
         _tell_units(found, language)
     for unit, why in found.failed.items():
         notes().print(f"warning: unit {unit}: {why}", markup=False, soft_wrap=True)
-    if unsaved is not None:
-        raise unsaved
-    if found.failed:
+    for unit, why in unsaved.items():
+        notes().print(f"error: the model of unit {unit} is not saved: {why}", markup=False, soft_wrap=True)
+    if found.failed or unsaved:
         sys.exit(1)
 
 
@@ -199,33 +199,35 @@ def holdout_of(text: str) -> tuple[str, ...] | None:
     return names
 
 
-def _saved(folder: Path, found: "UnitsDiagnosis") -> tuple[dict[str, dict[str, object]], GyrofleetError | None]:
-    """Write down the models found, as versions that nobody uses yet; number and hash by unit, and why it ended."""
+def _saved(folder: Path, found: "UnitsDiagnosis") -> tuple[dict[str, dict[str, object]], dict[str, str]]:
+    """Write down the models found, as versions that nobody uses yet: number and hash by unit; why others are not."""
     from analytics.model_promotion import version_of
     from analytics.model_registry import ModelRegistry
     from analytics.model_use import InUse, read_uses
     from storage.store import Store
 
     saved: dict[str, dict[str, object]] = {}
-    try:
-        store = Store.open(folder)
-        registry, uses = ModelRegistry(store), read_uses(store)
-        with opened_catalog(folder, quiet=True) as catalog:
-            for unit, each in found.units.items():
-                if each.diagnosis.model is None:
-                    notes().print(f"{unit}: not enough data, there is no model to save", markup=False)
-                    continue
-                use = uses.get((unit, each.diagnosis.signal), InUse())
+    unsaved: dict[str, str] = {}
+    store = Store.open(folder)
+    registry, uses = ModelRegistry(store), read_uses(store)
+    with opened_catalog(folder, quiet=True) as catalog:
+        for unit, each in found.units.items():
+            if each.diagnosis.model is None:
+                notes().print(f"{unit}: not enough data, there is no model to save", markup=False)
+                continue
+            use = uses.get((unit, each.diagnosis.signal), InUse())
+            try:
                 made = version_of(catalog, each, use, by=getpass.getuser(), note="gyrofleet diagnose --save")
                 written = registry.add(made)
-                saved[unit] = {"version": written.version, "hash": written.hash}
-                notes().print(f"{unit}: version {written.version} of its error model: {written.text}", markup=False)
-                if left_out := [name for name in each.diagnosis.names if name not in written.added]:
-                    text = f"{unit}: no model predicts {', '.join(left_out)}: it is not in that version"
-                    notes().print(text, markup=False)
-    except GyrofleetError as error:
-        return saved, error
-    return saved, None
+            except GyrofleetError as error:
+                unsaved[unit] = str(error)
+                continue
+            saved[unit] = {"version": written.version, "hash": written.hash}
+            notes().print(f"{unit}: version {written.version} of its error model: {written.text}", markup=False)
+            if left_out := [name for name in each.diagnosis.names if name not in written.added]:
+                text = f"{unit}: no model predicts {', '.join(left_out)}: it is not in that version"
+                notes().print(text, markup=False)
+    return saved, unsaved
 
 
 def _write(found: "UnitsDiagnosis", report_path: Path | None, plot_folder: Path | None, language: "Language") -> None:
@@ -292,7 +294,7 @@ def _tell_units(found: "UnitsDiagnosis", language: "Language") -> None:
         for name, rows in found.fleet.by_unit.items():
             console.print(_rich(fleet_rows(name, rows, words)))
         for text in found.fleet.limits:
-            notes().print(f"{words.of('limit', '局限')}: {text}", markup=False, soft_wrap=True)
+            notes().print(f"{words.of('limit', '局限')}: {words.remark(text)}", markup=False, soft_wrap=True)
     console.print(_rich(unit_rows(found, words)))
 
 

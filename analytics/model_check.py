@@ -4,7 +4,7 @@ from analytics.model_registry import FOLDER, ModelRegistry
 from analytics.model_use import read_uses
 from storage.findings import Finding, Severity
 from storage.store import Store
-from stream.errors import NotFound, StoreError
+from stream.errors import GyrofleetError, NotFound, StoreError
 
 _REMEDY = "bring the file back from a copy of the store, or `gyrofleet model rollback`"
 
@@ -12,11 +12,14 @@ _REMEDY = "bring the file back from a copy of the store, or `gyrofleet model rol
 def model_findings(store: Store) -> list[Finding]:
     """What is wrong with a store's error models; an entry point in the group `gyrofleet.verify`."""
     registry = ModelRegistry(store)
-    found = [
-        Finding("model_damaged", Severity.DAMAGE, str(store.folder / FOLDER / unit), why, _REMEDY)
-        for unit in registry.units()
-        for why in registry.readable(unit)[1].values()
-    ]
+    found = []
+    for unit in registry.units():
+        where = str(store.folder / FOLDER / unit)
+        try:
+            damaged = list(registry.readable(unit)[1].values())
+        except GyrofleetError as error:  # the folder has no unit's name
+            damaged = [str(error)]
+        found += [Finding("model_damaged", Severity.DAMAGE, where, why, _REMEDY) for why in damaged]
     try:
         uses = read_uses(store)
     except StoreError:

@@ -222,6 +222,11 @@ class ModelRegistry:
             found.before.labels()
         except (msgspec.MsgspecError, BadInput) as error:
             raise StoreError(f"error model {path} is not one of this gyrofleet ({error}); upgrade it") from error
+        if found.unit != path.parent.name or found.version != _number(path):
+            raise StoreError(
+                f"error model {path} is version {found.version} of unit {found.unit}: it was copied to where it does "
+                "not belong; take it away"
+            )
         return found
 
 

@@ -98,16 +98,18 @@ def trace_units(
     GyrofleetError
         If there is one unit only and it cannot be diagnosed, or none of several can.
     """
-    if is_pooled:
-        return _pooled(read.units, question, read.failed, told)
     failed = dict(read.failed)
     is_one = len(read.units) + len(failed) == 1
+    held_out, all_held = _held_out_of_each(question.holdout, read.units, is_one=is_one)
+    failed |= dict.fromkeys(all_held, "all its runs are to be held out: leave some that the model is fitted to")
+    units = {unit: data for unit, data in read.units.items() if unit not in all_held or is_one}
+    if is_pooled and units:
+        return _pooled(units, question, failed, held_out, told)
     done: dict[str, UnitDiagnosis] = {}
-    for unit, data in read.units.items():
+    for unit, data in units.items():
         told(f"tracing {unit}")
         try:
-            held_out = held_out_runs(question.holdout, data.runs)
-            found_in = diagnose(data.runs, read.models[unit], declared_noise=data.noise, holdout=held_out)
+            found_in = diagnose(data.runs, read.models[unit], declared_noise=data.noise, holdout=held_out.get(unit))
         except GyrofleetError as error:
             if is_one:
                 raise
@@ -116,30 +118,34 @@ def trace_units(
         done[unit] = UnitDiagnosis(data, found_in)
     if not done:
         count = len(read.units) + len(read.failed)
-        unit, why = next(iter(failed.items()))
-        raise NotFound(f"none of {count} units can be diagnosed; {unit}: {why}")
+        why = "; ".join(f"{unit}: {why}" for unit, why in failed.items())
+        raise NotFound(f"none of {count} units can be diagnosed; {why}")
     return UnitsDiagnosis(done, failed, standing({unit: each.diagnosis for unit, each in done.items()}))
 
 
 def _pooled(
-    reduced: Mapping[str, ReducedUnit], question: Question, failed: Mapping[str, str], told: Callable[[str], None]
+    units: Mapping[str, ReducedUnit],
+    question: Question,
+    failed: Mapping[str, str],
+    held_out: Mapping[str, Sequence[str]],
+    told: Callable[[str], None],
 ) -> UnitsDiagnosis:
-    told(f"tracing {len(reduced)} units together")
-    runs = {unit: data.runs for unit, data in reduced.items()}
+    told(f"tracing {len(units)} units together")
+    runs = {unit: data.runs for unit, data in units.items()}
     fleet = diagnose_fleet(
         runs,
         model_on(question, [run for each in runs.values() for run in each]),
-        declared_noise={unit: data.noise for unit, data in reduced.items() if data.noise is not None},
-        holdout=_held_out_of_each(question.holdout, runs),
+        declared_noise={unit: data.noise for unit, data in units.items() if data.noise is not None},
+        holdout=held_out,
     )
-    done = {unit: UnitDiagnosis(data, fleet.units[unit]) for unit, data in reduced.items()}
+    done = {unit: UnitDiagnosis(data, fleet.units[unit]) for unit, data in units.items()}
     return UnitsDiagnosis(done, failed, fleet.own_findings, fleet)
 
 
 def _held_out_of_each(
-    asked: Sequence[str] | None, runs: Mapping[str, Sequence[RunBlocks]]
-) -> dict[str, tuple[str, ...]]:
-    """Runs to hold out of each unit; a run need not be one of every unit, but of some.
+    asked: Sequence[str] | None, units: Mapping[str, ReducedUnit], *, is_one: bool
+) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
+    """Runs to hold out of each unit, and units all of whose runs they are; of several units not all need have a run.
 
     Raises
     ------
@@ -147,14 +153,15 @@ def _held_out_of_each(
         If no unit has one of the runs.
     """
     if asked is None:
-        return {}
-    names = {name for each in runs.values() for run in each for name in _names_of(run)}
-    if strangers := sorted(set(asked) - names):
+        return {}, ()
+    names = {name for data in units.values() for run in data.runs for name in _names_of(run)}
+    if not is_one and (strangers := sorted(set(asked) - names)):
         raise BadInput(f"run to hold out is not there in any unit: {', '.join(strangers)}")
-    return {
-        unit: held_out_runs([name for name in asked if any(name in _names_of(run) for run in of_unit)], of_unit) or ()
-        for unit, of_unit in runs.items()
-    }
+    held: dict[str, tuple[str, ...]] = {}
+    for unit, data in units.items():
+        own = [name for name in asked if is_one or any(name in _names_of(run) for run in data.runs)]
+        held[unit] = held_out_runs(own, data.runs) or ()
+    return held, tuple(unit for unit, own in held.items() if own and len(own) == len(units[unit].runs))
 
 
 def _names_of(run: RunBlocks) -> tuple[str, str]:

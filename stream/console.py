@@ -38,14 +38,14 @@ store_option = click.option(
 
 def notes() -> Console:
     """Console for progress and remarks (standard error)."""
-    return Console(stderr=True, highlight=False)
+    return Console(stderr=True, highlight=False, emoji=False)
 
 
 def results() -> Console:
     """Console for results (standard output)."""
-    console = Console(highlight=False)
+    console = Console(highlight=False, emoji=False)
     # a table that is piped into a file must not be cut to 80 columns
-    return console if console.is_terminal else Console(highlight=False, width=200)
+    return console if console.is_terminal else Console(highlight=False, emoji=False, width=200)
 
 
 def json_text(value: Any) -> str:

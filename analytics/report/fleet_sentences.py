@@ -28,7 +28,7 @@ def fleet_sentence(fleet: FleetDiagnosis, words: Wording) -> str:
     """Say what all units have in common, and how many differ."""
     units = len(fleet.units)
     if fleet.verdict is Verdict.NOT_ENOUGH_DATA:
-        why = "; ".join(fleet.limits)
+        why = words.of("; ", "；").join(map(words.remark, fleet.limits))
         return words.of(f"Not enough data to pool: {why}.", f"数据不足，无法汇总：{why}。")
     if not fleet.effects:
         return words.of(

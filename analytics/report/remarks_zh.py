@@ -38,6 +38,13 @@ _SENTENCES: Final[Mapping[str, str]] = {
         "略去{blocks}个数据块中的{gone}个：某通道在该处无值",
     "channel {name} not used: {reason}": "未使用通道{name}：{reason}",
     # reasons
+    "unit {unit}, signal {signal}: none of {runs} runs has an Allan fit that describes it; noise is estimated from "
+    "these runs alone, or give --noise":
+        "产品{unit}，信号{signal}：{runs}次试验均无可用的Allan拟合；噪声仅由这些试验估计，或用--noise给出",
+    "unit {unit}, signal {signal}: it was turned in all runs, whose Allan fits are of the motion; noise is "
+    "estimated from these runs alone, or give --noise":
+        "产品{unit}，信号{signal}：各次试验均在转动，其Allan拟合反映的是运动；噪声仅由这些试验估计，或用--noise给出",
+    "unit {unit}: {reason}": "产品{unit}：{reason}",
     "{blocks} blocks with signal and channels of the model are there, {needed} are needed":
         "有信号及模型所需通道的数据块有{blocks}个，需要{needed}个",
     "the signal is {value} throughout, as of an output that is dead or stuck": "信号始终为{value}，如同输出失效或卡死",
@@ -74,9 +81,9 @@ _SENTENCES: Final[Mapping[str, str]] = {
     "clock puts them":
         "在试验{runs}中，{one}的时钟与{other}相差{seconds} s：其通道按自身时钟对齐",
     "{samples} samples are no finite numbers {where}: left out": "{where}有{samples}个采样不是有限数：已略去",
-    "{count} stretches of a second of {name} are left out {where}: a reading in each, {value} the largest, lies far "
-    "outside of those before and after it, as a fill value does, a bit that was flipped on the way, or a knock":
-        "{where}略去{name}的{count}段（每段1 s）：其中一个读数（最大为{value}）远离前后读数，如填充值、传输误码或撞击",
+    "{count} blocks or readings of {name} are left out {where}: a reading, {value} the largest, lies far outside of "
+    "those before and after it, as a fill value does, a bit that was flipped on the way, or a knock":
+        "{where}略去{name}的{count}个数据块或读数：其中有读数（最大为{value}）远离前后读数，如填充值、传输误码或撞击",
     "samples are up to {apart} s apart {where}, blocks are {block} s long: most are empty, and the noise N is told too "
     "low; give blocks from {least} s on":
         "{where}采样间隔达{apart} s，而数据块长{block} s：多数数据块为空，噪声N偏低；数据块请取{least} s以上",
@@ -84,6 +91,10 @@ _SENTENCES: Final[Mapping[str, str]] = {
         "{where}略去{count}个数据块：采样数不足通常的{share}",
     "no power-on is recorded in any of {runs} runs: time_since_power_on counts from the first sample":
         "{runs}次试验均无上电记录：time_since_power_on从首个采样起计",
+    "no power-on is recorded in run {run}: time_since_power_on counts from the first sample":
+        "试验{run}无上电记录：time_since_power_on从首个采样起计",
+    "no power-on is recorded in {some} of {all} runs ({runs}): time_since_power_on counts from the first sample":
+        "{all}次试验中有{some}次（{runs}）无上电记录：time_since_power_on从首个采样起计",
     "no power-on is recorded in {runs}: time_since_power_on counts from the first sample":
         "{runs}无上电记录：time_since_power_on从首个采样起计",
     "{count} blocks are left out {where}: the reference rate changes within them faster than its readings show; "
@@ -109,6 +120,11 @@ _SENTENCES: Final[Mapping[str, str]] = {
     "the position of a step does not say otherwise":
         "{where}input_rate取自{source}：除非步骤的位置另有说明，假定转台轴沿输入轴",
     "{where} {names} is missing, which the model needs: left out": "{where}缺少模型所需的{names}：已略去",
+    "signal {signal} is in {unit}: the noise terms are those of an angular rate":
+        "信号{signal}的单位为{unit}：噪声各项是针对角速率的",
+    "{count} units with enough data, {needed} are needed to pool": "数据足够的产品有{count}个，合并分析需要{needed}个",
+    "the model was fitted to one run alone: what is tied to that run is in its terms, and no other run bears it out":
+        "模型只由一次试验拟合：与该次试验相关的变化包含在各项中，没有其他试验予以证实",
     # what is more general comes last
     "channel {name}: {reason}": "通道{name}：{reason}",
 }  # fmt: skip

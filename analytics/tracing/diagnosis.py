@@ -348,6 +348,11 @@ def _limits(
         limits.append(
             "one run only: its segments stand for replicates, so that what is tied to this run shows as an effect"
         )
+    elif len(case.training.stack.replicates) == 1:
+        limits.append(
+            "the model was fitted to one run alone: what is tied to that run is in its terms, and no other run bears "
+            "it out"
+        )
     if not case.held_out:
         limits.append(_no_lockbox(case))
     if declared is None:

@@ -1,6 +1,7 @@
 """Versions of error models: written once, checked when read; what is in use is the last word of the log."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,18 @@ def test_verify_sees_a_model_that_was_changed_and_one_in_use_that_is_gone(store:
     assert damaged.kind == "model_damaged"
     assert str(old) in damaged.what
     assert damaged in verify(store)[0].findings
+    old.write_text(content)
+    stranger = store.folder / "models" / "U2" / old.name
+    stranger.parent.mkdir()
+    stranger.write_text(content)
+    (other,) = model_findings(store)
+    assert "is version 2 of unit U1" in other.what
+    shutil.rmtree(stranger.parent)
+    odd = store.folder / "models" / "a b" / old.name
+    odd.parent.mkdir()
+    odd.write_text(content)
+    assert [each.kind for each in model_findings(store)] == ["model_damaged"]
+    shutil.rmtree(odd.parent)
     old.unlink()
     assert model_findings(store) == [], "what nobody uses may be taken away"
     used.unlink()
