@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from analytics.tracing.result import NoiseCoefficients
     from analytics.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
 
+_MOST_NAMED = 3
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _NOISE_TERMS = ("N", "B", "K", "turn_on")
 _LEAST_NOISE, _MOST_NOISE = 1e-20, 1e20
@@ -296,6 +297,21 @@ def _tell_units(found: "UnitsDiagnosis", language: "Language") -> None:
         for text in found.fleet.limits:
             notes().print(f"{words.of('limit', '局限')}: {words.remark(text)}", markup=False, soft_wrap=True)
     console.print(_rich(unit_rows(found, words)))
+    _tell_remarks_of(found, words)
+
+
+def _tell_remarks_of(found: "UnitsDiagnosis", words: "Wording") -> None:
+    """Limits and notes of several units, each said once, with the units that it is of."""
+    units: dict[tuple[bool, str], list[str]] = {}
+    for unit, each in found.units.items():
+        told = [(True, text) for text in each.diagnosis.limits]
+        told += [(note.is_limit, note.text) for note in each.data.notes]
+        for remark in dict.fromkeys(told):
+            units.setdefault(remark, []).append(unit)
+    for (is_limit, text), of in sorted(units.items(), key=lambda each: not each[0][0]):
+        kind = words.of("limit", "局限") if is_limit else words.of("note", "说明")
+        named = ", ".join(of) if len(of) <= _MOST_NAMED else words.of(f"{len(of)} units", f"{len(of)}个产品")
+        notes().print(f"{kind} ({named}): {words.remark(text)}", markup=False, soft_wrap=True)
 
 
 def _rich(table: "TextTable") -> Table:

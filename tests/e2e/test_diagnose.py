@@ -133,6 +133,8 @@ def test_several_units_are_a_list_and_a_fleet_is_pooled(gyrofleet: Callable[...,
     assert fleet.code == 0
     assert list(fleet.json["units"]) == ["FOG-1", "FOG-2"]
     assert {"verdict", "effects", "by_unit", "own_findings"} <= set(fleet.json)
+    told = gyrofleet("diagnose", "--fleet", "--model", MODEL, "--store", store, "--lang", "zh").err
+    assert "局限 (FOG-1, FOG-2): 9次试验均无上电记录" in told
     words = ("diagnose", "--fleet", "--model", MODEL, "--store", store, "--json", "--holdout")
     named = gyrofleet(*words, "runs=r1,r4").json["units"]["FOG-2"]
     assert named["holdout"]["runs"] == ["r1", "r4"]
