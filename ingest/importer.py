@@ -105,6 +105,8 @@ class _Sending:
             {"runs": runs},
         )
         self._known_uids = frozenset(str(uid) for (uid,) in known)
+        if not self._entries:
+            return
         mounted = catalog.rows(
             "select document from events join units using (run, unit, uid) where run in (select unnest($runs))",
             {"runs": runs},

@@ -72,10 +72,12 @@ class Lockbox:
         with a random walk in the noise a slow effect is left to the noise, and what it wins would be flattered.
         """
         weighted = Solution(self.declared, self.covariance)
+        if not self.predictions.shape[1]:
+            return weighted
         trained = np.ones_like(self.held_out) if self.held_out.all() else ~self.held_out
         value, design, replicate = self.record.value, self.record.design, self.record.stack.replicate
         plain = fit_of_clusters(design[trained], value[trained], replicate[trained])
-        if plain is None or not self.predictions.shape[1]:
+        if plain is None:
             return weighted
         return min((weighted, plain), key=lambda each: float((self._residual(each)[self.held_out] ** 2).mean()))
 

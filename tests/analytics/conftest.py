@@ -11,6 +11,7 @@ import pyarrow as pa
 import pytest
 
 from analytics.block_checks import Note
+from analytics.block_reduction import BlockReducer, Reduction
 from analytics.metrics.evaluation import define_views, evaluate
 from analytics.metrics.product_files import products_of
 from analytics.metrics.registry import metrics
@@ -201,6 +202,12 @@ def recorded(tmp_path: Path) -> Recorded:
             return _evaluated(catalog, pa.Table.from_pylist(told, schema=schema), metric)
 
     return run
+
+
+def reduced(tested: TestedUnits, unit: str = "U1", signal: str = "rate", **options: Any) -> Reduction:
+    """The runs of a unit as blocks, with what is said of them."""
+    with tested.catalog() as catalog:
+        return BlockReducer(catalog, signal, **options).reduce(unit)
 
 
 @pytest.fixture(autouse=True)

@@ -189,10 +189,8 @@ def main() -> None:
         print(json.dumps(found))
         return
     for name, value in found.items():
-        print(
-            f"{name:32} "
-            + (value if isinstance(value, str) else f"{value:,.4g}" if isinstance(value, float) else f"{value:,}")
-        )
+        number_format = {float: ",.4g", int: ","}.get(type(value), "")
+        print(f"{name:32} {value:{number_format}}")
 
 
 if __name__ == "__main__":
