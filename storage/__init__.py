@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from storage.opened import OpenedStore
+    from storage.sql_door import QueryLimits
 
 
-def open_store(folder: "str | PathLike[str]") -> "OpenedStore":
+def open_store(folder: "str | PathLike[str]", limits: "QueryLimits | None" = None) -> "OpenedStore":
     """Open a store to ask it in SQL from Python; see `storage.opened.OpenedStore`.
 
     Raises
@@ -17,4 +18,4 @@ def open_store(folder: "str | PathLike[str]") -> "OpenedStore":
     """
     from storage.opened import OpenedStore
 
-    return OpenedStore(folder)
+    return OpenedStore(folder, limits)

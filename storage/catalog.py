@@ -11,8 +11,11 @@ from typing import Any, Protocol
 import duckdb
 import pyarrow as pa
 
+from storage.findings import Finding
 from storage.lake_manifest import Part, read_manifest
 from storage.lake_tables import TABLES
+from storage.sql_guard import check_statement
+from storage.sql_guard import plain_message as _told
 from storage.sql_macros import conversion_macros
 from storage.store import Store
 from stream.errors import QueryError, StoreError
@@ -30,6 +33,10 @@ _SQL_TYPES = {
     pa.string(): "varchar",
     pa.bool_(): "boolean",
 }
+
+
+class NotKept(Exception):
+    """A layer would have to compute what is not kept in the store, in a catalogue that only reads."""
 
 
 class Layer(Protocol):
@@ -51,6 +58,9 @@ class Layer(Protocol):
 
     def fill(self, catalog: "Catalog") -> None:
         """Define the tables in the catalogue, through `Catalog.put` and `Catalog.define`."""
+
+    def findings(self, store: Store) -> list[Finding]:
+        """What is wrong with what it keeps in a store, for `gyrofleet verify`."""
 
 
 @cache
@@ -74,6 +84,14 @@ class Catalog:
         Parquet files are where they are. By default the views are in memory.
     told : callable, optional
         Hears from a layer that is being filled how many of how many parts of its work are done.
+    parts : sequence of Part, optional
+        Parts of the lake that it sees; by default those in force now.
+    kept : Path, optional
+        Folder whose `Layer.folder` holds what layers keep; by default the store's.
+    frozen : bool
+        Layers take what is kept and neither compute nor keep anything: they raise `NotKept` instead.
+    memory_bytes : int, optional
+        What DuckDB may take; by default most of the machine's. Nothing is put on the disk when it does not suffice.
 
     Attributes
     ----------
@@ -86,12 +104,24 @@ class Catalog:
         If the lake is damaged.
     """
 
-    def __init__(self, store: Store, file: Path | None = None, *, told: Told | None = None) -> None:
+    def __init__(
+        self,
+        store: Store,
+        file: Path | None = None,
+        *,
+        told: Told | None = None,
+        parts: Iterable[Part] | None = None,
+        kept: Path | None = None,
+        frozen: bool = False,
+        memory_bytes: int | None = None,
+    ) -> None:
         self.store = store
         self.told = told
+        self.kept = store.folder if kept is None else kept
+        self.frozen = frozen
         self._connection = duckdb.connect(":memory:" if file is None else str(file))
         self._connection.execute("set timezone = 'UTC'")
-        self.parts = read_manifest(store).parts
+        self.parts = read_manifest(store).parts if parts is None else tuple(parts)
         self._unfilled = list(layers())
         for table in ("samples", "events", "estimates", "rollup_1s", "rollup_10s", "clocks"):
             self._attach(f"lake_{table}", table, self.parts)
@@ -103,10 +133,14 @@ class Catalog:
         self.define(
             conversion_macros(unit for (unit,) in self._selected("select distinct unit_of_measure from lake_channels"))
         )
-        folders = [store.lake, *(store.folder / layer.folder for layer in layers())]
+        folders = [store.lake, *(self.kept / layer.folder for layer in layers())]
         allowed = ", ".join("'" + str(each.resolve()).replace("'", "''") + "'" for each in folders)
         self._connection.execute(f"set allowed_directories = [{allowed}]")
+        if memory_bytes is not None:
+            self._connection.execute(f"set memory_limit = '{memory_bytes}B'")
+            self._connection.execute("set temp_directory = ''")
         self._connection.execute("set enable_external_access = false")
+        self._connection.execute("set python_enable_replacements = false")  # a table's name is never a variable's
         self._connection.execute("set lock_configuration = true")
 
     def _selected(self, sql: str) -> list[tuple[Any, ...]]:
@@ -172,7 +206,9 @@ class Catalog:
                 raise
 
     def reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
-        """The result of one statement that reads, to be taken piece by piece through `guarded`.
+        """The result of one of our own statements that read, to be taken piece by piece through `guarded`.
+
+        A user's statement goes through `user_reader`.
 
         Raises
         ------
@@ -192,11 +228,42 @@ class Catalog:
                 )
             return self._connection.cursor().sql(sql, params=parameters).to_arrow_reader(rows)
         except duckdb.Error as error:
-            reason = _told(error)
-            if "disabled by configuration" in reason:
-                reason += "; only the store is read here, import other data first"
-            known = ", ".join([*VIEWS, *(table for layer in layers() for table in layer.tables)])
-            raise QueryError(f"{reason} (views: {known})") from error
+            raise _failed(error) from error
+
+    def prepare(self, sql: str) -> None:
+        """Check a user's statement, and make the tables of layers that it names.
+
+        Raises
+        ------
+        QueryError
+            If it would do more than read the views, is more than one, or cannot be parsed.
+        NotKept
+            If the catalogue is frozen and a table would have to be computed.
+        """
+        macros = {"adev", *(table for layer in layers() for table in layer.tables)}
+        try:
+            check_statement(self._connection, sql, macros)
+        except QueryError as error:
+            if isinstance(error.__cause__, duckdb.Error):
+                raise _failed(error.__cause__) from error
+            raise
+        self._fill(sql)
+
+    def user_reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
+        """The result of a user's statement, which may name the store's views and no file; read through `guarded`.
+
+        Raises
+        ------
+        QueryError
+            If it would do more than read the views, is more than one, or fails.
+        """
+        self.prepare(sql)
+        try:
+            cursor = self._connection.cursor()
+            cursor.execute("begin transaction read only")
+            return cursor.sql(sql, params=parameters).to_arrow_reader(rows)
+        except duckdb.Error as error:
+            raise _failed(error) from error
 
     def guarded(self, reader: pa.RecordBatchReader) -> Iterator[pa.RecordBatch]:
         """The pieces of a result.
@@ -230,5 +297,9 @@ class Catalog:
         self.close()
 
 
-def _told(error: Exception) -> str:
-    return " ".join(str(error).split("\n\nLINE")[0].split())
+def _failed(error: duckdb.Error) -> QueryError:
+    reason = _told(error)
+    if "disabled by configuration" in reason:
+        reason += "; only the store is read here, import other data first"
+    known = ", ".join([*VIEWS, *(table for layer in layers() for table in layer.tables)])
+    return QueryError(f"{reason} (views: {known})")

@@ -2,7 +2,9 @@
 
 import csv
 import itertools
+import shutil
 import sys
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +12,7 @@ import click
 from rich.table import Table
 
 from stream.console import (
+    csv_text,
     json_text,
     notes,
     print_json,
@@ -26,6 +29,8 @@ if TYPE_CHECKING:
     from storage.catalog import Catalog
 
 _SHOWN_ROWS = 200
+_POSITIVE = click.FloatRange(min=0.0, min_open=True)
+_MEMORY_BYTES = 64 << 20
 
 
 @click.command("sql")
@@ -40,12 +45,23 @@ _SHOWN_ROWS = 200
 )
 @click.option("--csv", "as_csv", is_flag=True, help="Print the result as CSV.")
 @click.option("--parquet", "parquet_path", type=click.Path(path_type=Path), help="Write the result to this file.")
+@click.option(
+    "--max-time", "time_s", type=_POSITIVE, metavar="SECONDS", help="Time that STATEMENT may compute.  [default: 60]"
+)
+@click.option(
+    "--max-memory", "memory_gib", type=_POSITIVE, metavar="GIB",
+    help="Memory that STATEMENT may take.  [default: 4, or half of the machine's]",
+)  # fmt: skip
+@click.option("--max-rows", type=click.IntRange(min=1), help="Rows that the result may have.  [default: 100,000,000]")
 @reporting
 def sql(
     statement: str | None,
     folder: Path,
     parquet_path: Path | None,
     catalogue_path: Path | None,
+    time_s: float | None,
+    memory_gib: float | None,
+    max_rows: int | None,
     *,
     tables: bool,
     as_csv: bool,
@@ -53,42 +69,65 @@ def sql(
 ) -> None:
     """Ask the store in SQL: samples, runs, steps, unit_metrics, and others; --tables lists them.
 
+    STATEMENT runs in a process that can read the store and nothing else. A statement that would do more, fails, or
+    takes more than --max-time, --max-memory or --max-rows allow, ends with exit code 2.
+
     \b
     gyrofleet sql --tables
     gyrofleet sql --tables samples
     gyrofleet sql "select unit, signal, run, samples from signals"
     gyrofleet sql "select unit, avg(value), stddev(value) from samples group by unit"
     """  # noqa: D301  click's mark for lines that are not to be joined
-    from storage.catalog import Catalog
-    from storage.sql_tables import export_catalogue
     from storage.store import Store
+    from storage.store_files import check_outside
     from stream.errors import BadInput
 
     if as_csv + as_json + (parquet_path is not None) > 1:
         raise BadInput("give one of --json, --csv and --parquet FILE")
     if tables + (catalogue_path is not None) + (statement is not None and not tables) != 1:
         raise BadInput("give one of STATEMENT, --tables [NAME] and --catalogue FILE")
+    store = Store.open(folder)
+    for path in (catalogue_path, parquet_path):
+        if path is not None:
+            check_outside(store, path)
     if catalogue_path is not None:
-        export_catalogue(Store.open(folder), catalogue_path)
+        from storage.sql_tables import export_catalogue
+
+        export_catalogue(store, catalogue_path)
         notes().print(f"written to {catalogue_path}: duckdb {catalogue_path}")
         return
-    with Catalog(Store.open(folder)) as catalog:
-        if tables:
+    if tables:
+        from storage.catalog import Catalog
+
+        with Catalog(store) as catalog:
             _tell_tables(catalog, statement, as_json=as_json)
-            return
-        assert statement is not None
-        reader = catalog.reader(statement)
+        return
+    assert statement is not None
+    from storage.sql_door import QueryLimits, SqlDoor
+
+    limits = QueryLimits()
+    limits = QueryLimits(
+        limits.time_s if time_s is None else time_s,
+        limits.memory_bytes if memory_gib is None else int(memory_gib * 2**30),
+        limits.rows if max_rows is None else max_rows,
+    )
+    with SqlDoor(store, limits) as door:
+        result = door.ask(statement)
+        if not door.is_enforced:
+            notes().print(
+                "note: this kernel has no Landlock; that the statement writes nothing is left to DuckDB's own settings"
+            )
         if parquet_path is not None:
-            _write_parquet(reader.schema, catalog.guarded(reader), parquet_path)
+            _write_parquet(result.schema, result.batches, parquet_path)
         elif as_csv:
             writer = csv.writer(sys.stdout)
-            writer.writerow(reader.schema.names)
-            for rows in _plain(catalog.guarded(reader)):
+            writer.writerow(csv_text(name) for name in result.schema.names)
+            for rows in _plain(result.batches):
                 writer.writerows([_csv_cell(value) for value in row.values()] for row in rows)
         elif as_json:
-            print_json([row for rows in _plain(catalog.guarded(reader)) for row in rows])
+            _print_json(_plain(result.batches))
         else:
-            _print_table(reader.schema.names, _plain(catalog.guarded(reader)))
+            _print_table(result.schema.names, _plain(result.batches))
 
 
 def _tell_tables(catalog: "Catalog", name: str | None, *, as_json: bool) -> None:
@@ -171,9 +210,25 @@ def _print_table(names: list[str], pages: "Iterator[list[dict[str, Any]]]") -> N
         console.print(f"{len(rows)} row{'' if len(rows) == 1 else 's'}")
 
 
+def _print_json(pages: "Iterator[list[dict[str, Any]]]") -> None:
+    """One JSON document, printed once all of it is there: an error must not follow half of one."""
+    with tempfile.SpooledTemporaryFile(_MEMORY_BYTES, "w+", encoding="utf-8") as file:
+        between = "["
+        for rows in pages:
+            for row in rows:
+                file.write(between + json_text(row))
+                between = ","
+        file.write("[]" if between == "[" else "]")
+        file.seek(0)
+        shutil.copyfileobj(file, sys.stdout)
+    click.echo()
+
+
 def _csv_cell(value: object) -> object:
     if isinstance(value, list | dict):
-        return json_text(value)
+        return csv_text(json_text(value))
+    if isinstance(value, str):
+        return csv_text(value)
     return value.hex() if isinstance(value, bytes) else value
 
 

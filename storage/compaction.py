@@ -13,12 +13,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from storage.lake_manifest import Manifest, Part, PartFile, hull, write_part
 from storage.lake_tables import CHANNEL_COLUMNS, ROW_GROUP, SAMPLES_FILE, TABLES, damaged, open_table, part_writers
-from storage.segment_part import BuiltPart, fresh_folder
+from storage.segment_part import BuiltPart, Drops, fresh_folder
 from stream.errors import StoreError
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def merge_parts(lake: "Lake", group: list[Part]) -> Compacted:
     with fresh_folder(fresh):
         part = hull(group, name, _merged_files(lake, group, fresh))
         write_part(fresh, part)
-    lake.swap([each.name for each in group], [BuiltPart(fresh, part, {})])
+    lake.swap([each.name for each in group], [BuiltPart(fresh, part, Drops({}, {}))])
     return Compacted(name, len(group))
 
 
@@ -142,45 +143,69 @@ def _fits(group: list[Part]) -> bool:
     )
 
 
-class _RowGroup(NamedTuple):
+class _Stretch(NamedTuple):
+    """Rows of one channel in a row group, which it may share with others."""
+
     channel: int
     seq_first: int
     seq_last: int
     file: pq.ParquetFile
-    number: int
+    row_group: int
+    first_row: int
+    rows: int
+    is_shared: bool
 
 
 def _sorted_samples(lake: "Lake", group: list[Part], stack: ExitStack) -> Iterator[pa.Table]:
-    """Samples by channel and number, in tables of a row group each."""
-    row_groups: list[_RowGroup] = []
-    for part in group:
-        row_groups += _row_groups(stack.enter_context(open_table(lake.store.lake / part.name / SAMPLES_FILE)))
-    row_groups.sort(key=lambda each: each[:3])
-    for before, after in itertools.pairwise(row_groups):
-        if before.channel == after.channel and after.seq_first <= before.seq_last:
-            raise _Interleaved
-    pending: list[pa.Table] = []
-    for at, each in enumerate(row_groups):
-        try:
-            pending.append(each.file.read_row_group(each.number, use_threads=False))
-        except (pa.ArrowException, OSError) as error:
-            raise damaged(lake.store.lake, error) from error
-        is_last = at + 1 == len(row_groups) or row_groups[at + 1].channel != each.channel
-        rows = sum(table.num_rows for table in pending)
-        if is_last or rows >= ROW_GROUP:
-            table = pa.concat_tables(pending)
-            whole = rows if is_last else rows - rows % ROW_GROUP
-            yield table.slice(0, whole).combine_chunks()
-            pending = [] if whole == rows else [table.slice(whole)]
+    """Samples by channel and number, in tables of a row group at most."""
+    shared: dict[pq.ParquetFile, tuple[int, pa.Table]] = {}  # the last of each file
+
+    def rows_of(stretch: _Stretch) -> pa.Table:
+        file, number = stretch.file, stretch.row_group
+        if not stretch.is_shared:
+            return file.read_row_group(number, use_threads=False)
+        if file not in shared or shared[file][0] != number:
+            shared[file] = number, file.read_row_group(number, use_threads=False)
+        return shared[file][1].slice(stretch.first_row, stretch.rows)
+
+    try:
+        stretches: list[_Stretch] = []
+        for part in group:
+            stretches += _stretches(stack.enter_context(open_table(lake.store.lake / part.name / SAMPLES_FILE)))
+        stretches.sort(key=lambda each: each[:3])
+        for before, after in itertools.pairwise(stretches):
+            if before.channel == after.channel and after.seq_first <= before.seq_last:
+                raise _Interleaved
+        pending: list[pa.Table] = []
+        for at, each in enumerate(stretches):
+            pending.append(rows_of(each))
+            is_last = at + 1 == len(stretches) or stretches[at + 1].channel != each.channel
+            rows = sum(table.num_rows for table in pending)
+            if is_last or rows >= ROW_GROUP:
+                table = pa.concat_tables(pending)
+                whole = rows if is_last else rows - rows % ROW_GROUP
+                yield table.slice(0, whole).combine_chunks()
+                pending = [] if whole == rows else [table.slice(whole)]
+    except (pa.ArrowException, OSError) as error:
+        raise damaged(lake.store.lake, error) from error
 
 
-def _row_groups(file: pq.ParquetFile) -> Iterator[_RowGroup]:
+def _stretches(file: pq.ParquetFile) -> Iterator[_Stretch]:
     metadata = file.metadata
     for index in range(metadata.num_row_groups):
         group = metadata.row_group(index)
-        if group.num_rows:
-            channel, seq = (group.column(i).statistics for i in (0, 1))
-            yield _RowGroup(channel.min, seq.min, seq.max, file, index)
+        if not group.num_rows:
+            continue
+        channel, seq = (group.column(i).statistics for i in (0, 1))
+        if channel.min == channel.max:
+            yield _Stretch(channel.min, seq.min, seq.max, file, index, 0, group.num_rows, is_shared=False)
+            continue
+        table = file.read_row_group(index, columns=["channel", "seq"], use_threads=False)
+        channels, numbers = (table.column(i).to_numpy() for i in (0, 1))
+        borders = (np.flatnonzero(channels[1:] != channels[:-1]) + 1).tolist()
+        for begin, end in itertools.pairwise([0, *borders, group.num_rows]):
+            own, of = numbers[begin:end], int(channels[begin])
+            yield _Stretch(of, int(own.min()), int(own.max()), file, index, begin, end - begin, is_shared=True)
 
 
 def _merged_channels(lake: "Lake", group: list[Part]) -> pa.Table:

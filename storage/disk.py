@@ -4,10 +4,17 @@ A write is durable after `sync_data` or `sync`, a name after `sync_folder`; befo
 of it, in any order.
 """
 
+import ctypes
+import errno
 import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
+
+_AT_FDCWD = -100
+_NOREPLACE = 1
+_NOT_HERE = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP}  # kernel or file system without that flag
+_library = ctypes.CDLL(None, use_errno=True)
 
 
 class Space(NamedTuple):
@@ -57,8 +64,15 @@ class Disk:
         os.close(file.descriptor)
 
     def rename(self, path: Path, target: Path) -> None:
-        """Give a file another name, in the place of what may be there."""
-        path.rename(target)
+        """Give a file another name, that no file has; one that exists is refused."""
+        if not _renamed(path, target):
+            if target.exists():
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target))
+            path.rename(target)
+
+    def replace(self, path: Path, target: Path) -> None:
+        """Put a file in the place of another."""
+        path.replace(target)
 
     def link(self, path: Path, target: Path) -> None:
         """Give a file a second name."""
@@ -80,6 +94,25 @@ class Disk:
         """Room on the file system of a folder."""
         found = os.statvfs(folder)
         return Space(found.f_bavail * found.f_frsize, found.f_blocks * found.f_frsize)
+
+
+def _renamed(path: Path, target: Path) -> bool:
+    """Rename in one step where nothing has the new name; False where the system cannot.
+
+    Raises
+    ------
+    OSError
+        As the system has it; FileExistsError where the name is taken.
+    """
+    rename = getattr(_library, "renameat2", None)
+    if rename is None:
+        return False
+    if rename(_AT_FDCWD, os.fsencode(path), _AT_FDCWD, os.fsencode(target), _NOREPLACE) == 0:
+        return True
+    number = ctypes.get_errno()
+    if number in _NOT_HERE:
+        return False
+    raise OSError(number, os.strerror(number), str(path), None, str(target))
 
 
 DISK = Disk()

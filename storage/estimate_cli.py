@@ -3,13 +3,13 @@
 import functools
 import threading
 import time
-from contextlib import nullcontext
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from stream.console import compile_kernels, notes, print_json, reporting, store_option, until_stopped
+from stream.console import compile_kernels, estimates_option, notes, print_json, reporting, store_option, until_stopped
 
 if TYPE_CHECKING:
     from stream.events import AnyDocument
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     help="Seconds of a signal's time between estimates; signals that it goes on with keep theirs.",
 )
 @click.option("--no-spectrum", is_flag=True, help="Leave out the spectral density and its lines, a third of the work.")
+@estimates_option
 @reporting
 def estimate(
     folder: Path,
@@ -50,20 +51,24 @@ def estimate(
     every_s: float,
     averages_s: tuple[float, ...],
     checkpoint_every_s: float,
+    estimated: tuple[str, ...],
     *,
     no_spectrum: bool,
     as_json: bool,
 ) -> None:
-    """Estimate bias stability, Allan deviation, spectrum and noise of every signal on the bus, until stopped.
+    """Estimate bias stability, Allan deviation, spectrum and noise of the rates on the bus, until stopped.
 
+    Estimated are angular rates, signals that a run's limits are on, and those that --estimates names.
     In the store it keeps a checkpoint, and goes on from it with what was recorded since, also when it was killed.
     Estimates go to the recorder; shown are early decisions and the final ones of each run (of a curve its lowest
     point), with --json all.
     """
     from storage.log_tail import LogTail
-    from storage.store import Store, only_one, recorder_endpoint, writer_endpoint
+    from storage.recorder_client import is_recorded
+    from storage.store import Store, only_one, writer_endpoint
     from stream.delivery import DurablePublisher
     from stream.errors import BusError
+    from stream.estimated_signals import EstimatedSignals
     from stream.estimators.base import default_estimators
     from stream.estimators.bias_stability import BiasStability
     from stream.worker import EstimationWorker
@@ -77,9 +82,6 @@ def estimate(
     said: set[str] = set()
 
     also = {BiasStability(each).key: functools.partial(BiasStability, each) for each in averages_s}
-    # the log of a store that another recorder writes would not go with what comes over the bus
-    log = LogTail(Store.open(folder)) if connect == recorder_endpoint(folder) else None
-    checkpoint = None if log is None else folder / "checkpoints" / "estimate.checkpoint"
 
     def show(document: "AnyDocument") -> None:
         with printing:
@@ -92,12 +94,17 @@ def estimate(
                 console.print(line, soft_wrap=True, markup=False)
 
     compile_kernels(quiet=as_json)
-    with (
-        nullcontext() if checkpoint is None else only_one(checkpoint.with_suffix(".lock"), "gyrofleet estimate"),
-        ZenohBus(connect=[connect]) as bus,
-        DurablePublisher(bus, timeout_s=10.0) as publisher,
-        until_stopped() as stopped,
-    ):
+    with ExitStack() as stack:
+        bus = stack.enter_context(ZenohBus(connect=[connect]))
+        # the log of a store that another recorder writes would not go with what comes over the bus
+        store = Store.open(folder) if is_recorded(bus, folder, connect) else None
+        log = None if store is None else LogTail(store)
+        checkpoint = None if log is None else folder / "checkpoints" / "estimate.checkpoint"
+        if checkpoint is not None:
+            stack.enter_context(only_one(checkpoint.with_suffix(".lock"), "gyrofleet estimate"))
+        only_store = None if store is None else store.identity
+        publisher = stack.enter_context(DurablePublisher(bus, timeout_s=10.0, only_store=only_store))
+        stopped = stack.enter_context(until_stopped())
         worker = EstimationWorker(
             bus,
             publisher,
@@ -108,6 +115,7 @@ def estimate(
             checkpoint=checkpoint,
             checkpoint_every_s=checkpoint_every_s,
             spectrum=not no_spectrum,
+            estimated=EstimatedSignals.named(estimated),
         )
         with worker:
             going_on = f", going on from {checkpoint}" if worker.resumed else ""

@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from storage.disk import DISK, Disk
+from storage.log_files import sealed_segments, unknown_files
 from storage.log_manifest import ManifestWriter, SegmentEntry
 from storage.mcap_records import LogRecord
 from storage.recovery import Recovery, abandoned_name, left_open, reached_in, recover_segment, take_in
@@ -76,8 +77,14 @@ class EventLog:
             lines = ", ".join(str(each.line) for each in self._manifest.found.damage)
             self.warnings.append(f"the log's manifest is damaged in line {lines}; see `gyrofleet verify`")
         self._number = highest_number(store)
-        for sealed in sorted(store.log.glob("*.mcap")):
+        for sealed in sealed_segments(store):
             self._read_marks(sealed)
+        unknown = [each.path.name for each in unknown_files(store)]
+        if unknown:
+            self.warnings.append(
+                f"files in {store.log} that are not the store's are passed over: {', '.join(unknown[:5])}; see "
+                "`gyrofleet verify`"
+            )
         gone = sorted(name for name in self._manifest.found.entries if not (store.log / name).exists())
         if gone:
             more = f" and {len(gone) - 5} more" if len(gone) > 5 else ""
@@ -120,8 +127,15 @@ class EventLog:
         if self._segment is None:
             return None
         self.sync()
+        wanted = self._segment.path
         sealed = self._segment.seal(self._tally.marks)
         self._segment = None
+        if sealed.path != wanted:
+            self.warnings.append(
+                f"{wanted} was there already, written by another process; what was recorded meanwhile is sealed as "
+                f"{sealed.path.name}; stop that process and look at `gyrofleet verify`"
+            )
+            self._number = int(sealed.path.stem)
         self._list(self._tally.entry(sealed, "recorded"))
         return sealed.path
 
@@ -166,7 +180,9 @@ class EventLog:
     def _writer(self) -> SegmentWriter:
         if self._segment is None:
             self._name_abandoned()
-            segment = SegmentWriter(self._store.log / f"{self._number + 1:08d}.mcap", disk=self._disk)
+            segment = SegmentWriter(
+                self._store.log / f"{self._number + 1:08d}.mcap", disk=self._disk, store=self._store.identity
+            )
             self._number += 1
             self._tally = SegmentTally()
             self._opened_at = time.monotonic()

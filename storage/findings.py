@@ -4,6 +4,9 @@ from enum import StrEnum
 
 import msgspec
 
+KEPT_DAMAGED = "kept_damaged"
+"""Kind of a finding of a file that a layer keeps; `gyrofleet recover` moves it aside, since it is derived."""
+
 
 class Severity(StrEnum):
     """How bad it is."""

@@ -29,7 +29,9 @@ from storage.lake_manifest import (
 )
 from storage.lake_switch import NEW_LAKE, finish_switch
 from storage.lake_tables import SAMPLES_FILE
-from storage.segment_part import BuiltPart, build_part, noted_drops, without_samples
+from storage.log_files import sealed_segments
+from storage.log_manifest import LogManifest, read_log_manifest
+from storage.segment_part import BuiltPart, Drops, build_part, noted_drops, without_samples
 from storage.store import Store, only_one, sync_folder
 from stream.errors import StoreError
 
@@ -130,7 +132,7 @@ class Lake:
 
     def missing(self) -> list[str]:
         """Sealed segments that are not in the lake."""
-        return sorted({path.stem for path in self.store.log.glob("*.mcap")} - self.manifest.segments)
+        return sorted({path.stem for path in sealed_segments(self.store)} - self.manifest.segments)
 
     def bring(self, segments: Iterable[str], failed: dict[str, StoreError]) -> Iterator[str]:
         """Bring sealed segments to the lake; yields each that is there, notes in `failed` each that is damaged.
@@ -157,14 +159,17 @@ class Lake:
             each.folder.rename(self.store.lake / each.part.name)
         sync_folder(self.store.lake)
         now_ns = time.time_ns()
-        noted = {segment: document for each in new for segment, document in each.dropped.items()}
+        drops = self._drops()
+        for each in new:
+            drops = drops.join(each.drops)
+        is_changed = drops != self._drops()
         kept = [part for part in self.manifest.parts if part.name not in gone]
         self.commit(
             parts=tuple(in_order([*kept, *(each.part for each in new)])),
             replaced=(*self.manifest.replaced, *(Replaced(name, now_ns) for name in sorted(gone))),
-            dropped={**noted, **self.manifest.dropped},
+            **drops._asdict(),
         )
-        if noted:
+        if is_changed:
             self._apply_dropped()
 
     def commit(self, **changes: object) -> None:
@@ -176,6 +181,14 @@ class Lake:
     def drop_raw(self, dropped: Mapping[str, str]) -> None:
         """Let go of the raw rows of segments; `dropped` names the document of each, which must be in the log."""
         self.commit(dropped={**dropped, **self.manifest.dropped})
+        self._apply_dropped()
+
+    def restore_raw(self, restored: Mapping[str, tuple[str, ...]]) -> None:
+        """Bring the raw rows of segments back from the log; `restored` names the documents that count no more of each.
+
+        The document that says so must be in the log.
+        """
+        self.commit(**self._drops().join(Drops({}, dict(restored)))._asdict())
         self._apply_dropped()
 
     def remake(self, name: str, *, aside: bool = False) -> None:
@@ -205,7 +218,7 @@ class Lake:
         due = [each for each in self.manifest.replaced if each.at_ns <= before_ns]
         for each in due:
             path = self.store.lake / each.path
-            if path.is_dir():
+            if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path)
             else:
                 path.unlink(missing_ok=True)
@@ -240,7 +253,8 @@ class Lake:
     def _take_in_left_over(self) -> None:
         known = {part.name for part in self.manifest.parts} | {each.path for each in self.manifest.replaced}
         covered = self.manifest.segments
-        found, dropped = [], dict(self.manifest.dropped)
+        found, drops = [], self._drops()
+        listed = read_log_manifest(self.store)
         for path in sorted(self.store.lake.iterdir()):
             if path.name in known or not path.is_dir():
                 continue
@@ -251,21 +265,30 @@ class Lake:
             except StoreError:
                 self.set_aside(path.name)
                 continue
-            if covered.isdisjoint(part.segments) and all((path / name).is_file() for name in part.files):
+            if not is_of_log(part, listed):
+                self.set_aside(path.name)
+            elif covered.isdisjoint(part.segments) and all((path / name).is_file() for name in part.files):
                 found.append(part)
                 covered |= set(part.segments)
-                dropped |= noted_drops(path, self.store.identity)
+                drops = drops.join(noted_drops(path, self.store.identity))
             else:
                 shutil.rmtree(path)
         lost = {part.name for part in self.manifest.parts if not (self.store.lake / part.name / PART).exists()}
         if found or lost:
             kept = [part for part in self.manifest.parts if part.name not in lost]
-            self.commit(parts=tuple(in_order([*kept, *found])), dropped=dropped)
+            self.commit(parts=tuple(in_order([*kept, *found])), **drops._asdict())
+
+    def _drops(self) -> Drops:
+        return Drops(self.manifest.dropped, self.manifest.restored)
 
     def _apply_dropped(self) -> None:
         """Let go of raw rows that documents say are dropped; a part that they are only a share of is split first."""
         for part in self.manifest.parts:
             due = [segment for segment in part.segments if segment in self.manifest.dropped]
+            if part.dropped is not None and len(due) < len(part.segments):
+                with suppress(StoreError):  # of a segment that is gone or damaged: it stays without its rows
+                    self.remake(part.name)
+                continue
             if part.dropped is not None or not due:
                 continue
             if len(due) == len(part.segments):
@@ -282,14 +305,23 @@ class Lake:
         self.commit(parts=parts, replaced=(*self.manifest.replaced, gone))
 
 
+def is_of_log(part: Part, log: LogManifest) -> bool:
+    """Whether a part was made from segments of this log, as far as both say."""
+    known = {name.removesuffix(".mcap"): entry for name, entry in (*log.lost.items(), *log.entries.items())}
+    return not known or all(
+        segment in known and known[segment].sha256 in {"", sha256} for segment, sha256 in part.sources.items()
+    )
+
+
 def remade_manifest(store: Store) -> Manifest:
     """A manifest made from what the parts say of themselves, for one that is lost or damaged."""
-    parts = found_parts(store)
-    dropped: dict[str, str] = {}
+    listed = read_log_manifest(store)
+    parts = [part for part in found_parts(store) if is_of_log(part, listed)]
+    drops = Drops({}, {})
     for part in parts:
         with suppress(StoreError):  # a damaged part is made anew, and what it says comes again
-            dropped |= noted_drops(store.lake / part.name, store.identity)
-    return Manifest(parts=tuple(parts), dropped=dropped)
+            drops = drops.join(noted_drops(store.lake / part.name, store.identity))
+    return Manifest(parts=tuple(parts), **drops._asdict())
 
 
 def parts(store: Store) -> list[Part]:

@@ -1,5 +1,6 @@
 """The commands `gyrofleet lake`, `gyrofleet rebuild` and `gyrofleet retain`."""
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -70,13 +71,17 @@ def lake(
 @click.command("rebuild")
 @store_option
 @click.option("--force", is_flag=True, help="Also where the old lake holds what the log no longer gives.")
+@click.option("--raw", is_flag=True, help="Only bring raw rows back that were dropped, as far as the log has them.")
 @reporting
-def rebuild(folder: Path, *, force: bool, as_json: bool) -> None:
+def rebuild(folder: Path, *, force: bool, raw: bool, as_json: bool) -> None:
     """Make the lake anew from the log, beside the one there is, which is replaced when the new one stands.
 
-    What was dropped by retention stays dropped: the log says so. Killed in the middle, the old lake is in force, and
-    the same command goes on.
+    What was dropped by retention stays dropped: the log says so. With --raw it comes back, and the log says that.
+    Killed in the middle, the old lake is in force, and the same command goes on.
     """
+    if raw:
+        _restore(folder, as_json=as_json)
+        return
     from storage.lake import builder_lock
     from storage.lake_manifest import read_manifest
     from storage.lake_switch import left_aside
@@ -105,20 +110,47 @@ def rebuild(folder: Path, *, force: bool, as_json: bool) -> None:
         console.print(f"kept aside: {path}", soft_wrap=True)
 
 
+def _restore(folder: Path, *, as_json: bool) -> None:
+    from storage.lake import Lake, build_missing, builder_lock
+    from storage.retention import restore_raw
+    from storage.store import Store
+
+    store = Store.open(folder)
+    _tell_waiting(as_json=as_json)
+    with builder_lock(store, patience_s=_PATIENCE_S):
+        lake = Lake(store)
+        wanted = len(lake.manifest.dropped)
+        restored = restore_raw(lake)
+        gone = len(lake.manifest.dropped)
+        list(build_missing(store))  # the document that says so, where no recorder has taken it
+    if as_json:
+        print_json({"segments": wanted - gone, "segments_gone": gone, "samples": restored.samples})
+        return
+    console = notes()
+    console.print(f"{restored.samples:,} samples of {wanted - gone} segments are in the lake again, with raw rows")
+    if gone:
+        console.print(f"{gone} segments are not in the log any more; their rollups and estimates stay", soft_wrap=True)
+
+
 @click.command("retain")
 @store_option
 @_older_than
 @_max_size
+@click.option("--trust-clock", is_flag=True, help="The clock is right, although it has leapt since it was looked at.")
 @click.option("--dry-run", is_flag=True, help="Only say what would be dropped.")
 @reporting
-def retain(folder: Path, older_than: str | None, max_size: str | None, *, dry_run: bool, as_json: bool) -> None:
+def retain(
+    folder: Path, older_than: str | None, max_size: str | None, *, trust_clock: bool, dry_run: bool, as_json: bool
+) -> None:
     """Drop raw rows of the oldest parts of the lake; rollups, estimates, events and the log stay.
 
-    A document in the log says what was dropped, before it is.
+    A document in the log says what was dropped, before it is. Where the clock has leapt nothing is dropped by age until
+    --trust-clock says that it is right. `gyrofleet rebuild --raw` brings back what the log still has.
     """
     from storage.lake import Lake, build_missing, builder_lock
     from storage.lake_manifest import read_manifest
     from storage.retention import apply_rule, would_drop
+    from storage.retention_clock import trust_clock as trust
     from storage.store import Store
 
     rule = _rule(older_than, max_size, required=True)
@@ -129,6 +161,8 @@ def retain(folder: Path, older_than: str | None, max_size: str | None, *, dry_ru
     else:
         _tell_waiting(as_json=as_json)
         with builder_lock(store, patience_s=_PATIENCE_S):
+            if trust_clock:
+                trust(store, time.time_ns())
             dropped = apply_rule(Lake(store), rule)
             list(build_missing(store))  # the document that says so, where no recorder has taken it
     if as_json:

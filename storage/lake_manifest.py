@@ -7,6 +7,7 @@ force, and is replaced as a whole. Both carry a hash of their own content.
 
 import hashlib
 import os
+import re
 import time
 from collections.abc import Iterable
 from datetime import UTC, datetime
@@ -24,6 +25,8 @@ PART = "part.json"
 _HEAD = b'{"sha256":"'
 _MIDDLE = b'","content":'
 _TAIL = b"}\n"
+# of a folder or file within the lake, or of a segment
+_NAME = re.compile(r"\w[\w.-]*")
 
 
 class LakeManifestDamaged(StoreError):
@@ -67,6 +70,8 @@ class Part(msgspec.Struct, frozen=True, kw_only=True):
         Set once its raw rows are dropped.
     sources : dict of str to str
         SHA-256 of the segments it was made from; an older gyrofleet did not note it.
+    quarantined, quarantined_samples : int
+        Messages of its segments that cannot be built, and the samples in them; the log keeps them.
     """
 
     name: str
@@ -79,6 +84,8 @@ class Part(msgspec.Struct, frozen=True, kw_only=True):
     arrival_last_ns: int | None = None
     dropped: DroppedRows | None = None
     sources: dict[str, str] = {}
+    quarantined: int = 0
+    quarantined_samples: int = 0
 
     @property
     def bytes(self) -> int:
@@ -117,6 +124,8 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
         What is to be removed later.
     dropped : dict of str to str
         Segments whose raw rows are not kept, and the document that says so.
+    restored : dict of str to tuple
+        Segments whose raw rows came back, and the documents that count for them no more.
     number : int
         Counts the changes.
     """
@@ -126,6 +135,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     parts: tuple[Part, ...] = ()
     replaced: tuple[Replaced, ...] = ()
     dropped: dict[str, str] = {}
+    restored: dict[str, tuple[str, ...]] = {}
 
     @property
     def segments(self) -> set[str]:
@@ -161,6 +171,8 @@ def hull(parts: Iterable[Part], name: str, files: dict[str, PartFile]) -> Part:
         dropped=None
         if not dropped
         else DroppedRows(dropped[-1].document, sum(d.samples for d in dropped), sum(d.bytes for d in dropped)),
+        quarantined=sum(part.quarantined for part in parts),
+        quarantined_samples=sum(part.quarantined_samples for part in parts),
     )
 
 
@@ -186,7 +198,12 @@ def read_manifest(store: Store) -> Manifest:
     except OSError as error:
         raise LakeManifestDamaged(f"{path} cannot be read: {error}; {_REMEDY}") from error
     try:
-        return _checked(msgspec.json.decode(_unsealed(content), type=Manifest), path)
+        manifest = _checked(msgspec.json.decode(_unsealed(content), type=Manifest), path)
+        for part in manifest.parts:
+            _check_names(part)
+        for each in manifest.replaced:
+            _check_within(each.path.split("/"))
+        return manifest
     except (ValueError, msgspec.MsgspecError) as error:
         raise LakeManifestDamaged(f"{path} is damaged ({error}); {_REMEDY}") from error
 
@@ -206,7 +223,9 @@ def read_part(folder: Path) -> Part:
     """
     path = folder / PART
     try:
-        return msgspec.json.decode(_unsealed(path.read_bytes()), type=Part)
+        part = msgspec.json.decode(_unsealed(path.read_bytes()), type=Part)
+        _check_names(part)
+        return part
     except (OSError, ValueError, msgspec.MsgspecError) as error:
         raise StoreError(f"{path} is damaged ({error}); {_REMEDY}") from error
 
@@ -241,6 +260,17 @@ def found_parts(store: Store) -> list[Part]:
 def in_order(parts: Iterable[Part]) -> list[Part]:
     """Parts in the order of their first segments."""
     return sorted(parts, key=lambda part: (part.segments[0], part.name))
+
+
+def _check_names(part: Part) -> None:
+    for name in (part.name, *part.segments, *part.files):
+        _check_within([name])
+
+
+def _check_within(names: list[str]) -> None:
+    """Refuse what would lead out of the lake, whoever wrote it: folders and files are removed by these names."""
+    if len(names) > 2 or any(_NAME.fullmatch(name) is None for name in names):
+        raise ValueError(f"{'/'.join(names)!r} is not a path within the lake")
 
 
 def _checked(manifest: Manifest, path: Path) -> Manifest:

@@ -6,6 +6,7 @@ whole and taken in by the next.
 """
 
 import hashlib
+import re
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -20,6 +21,7 @@ from storage.store import Store
 FIRST = "0" * 64
 LOST = "lost"
 _NAME = "manifest.jsonl"
+_SEGMENT = re.compile(r"\d+\.mcap")
 
 
 class SegmentEntry(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -108,7 +110,11 @@ def read_log_manifest(store: Store) -> LogManifest:
             found.last = chained.decode(errors="replace")
             continue
         found.last = chained.decode()
-        found.take(_decoder.decode(text))
+        entry = _decoder.decode(text)
+        if _SEGMENT.fullmatch(entry.segment) is None:
+            found.damage.append(ManifestDamage(number, f"{entry.segment!r} is not the name of a segment"))
+            continue
+        found.take(entry)
     return found
 
 
@@ -178,7 +184,7 @@ def rewrite_manifest(store: Store, entries: Iterable[SegmentEntry], disk: Disk =
         aside = store.aside / f"{_NAME}.{time.time_ns()}"
         disk.link(path, aside)  # at no moment is there none
         disk.sync_folder(store.aside)
-    disk.rename(fresh, path)
+    disk.replace(fresh, path)
     disk.sync_folder(path.parent)
     return aside
 

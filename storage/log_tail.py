@@ -1,22 +1,23 @@
 """What a store's log holds beyond given positions: for whoever has to catch up with it."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Set
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
+from storage.log_files import is_own
 from storage.log_runs import RunScan, first_to_read
-from storage.mcap_records import LogRecord
+from storage.mcap_records import EVENTS, LogRecord
 from storage.recovery import left_open
 from storage.segment_reader import SegmentScan, read_marks, read_segment
 from storage.sequence import place_of, position_of, stream_of
 from storage.store import Store
 from stream.delivery import StreamId
-from stream.errors import BadInput
-from stream.events import decode_event
-from stream.identity import EstimateKey, parse_key
+from stream.errors import BadInput, WireError
+from stream.events import AnyDocument, decode_event
+from stream.identity import EstimateKey, EventKey, parse_key
 
 
 class LoggedMessage(NamedTuple):
@@ -145,7 +146,7 @@ def records_of(store: Store, is_needed: Callable[[str], bool], wanted: Callable[
     done: set[str] = set()
     begun: Counter[str] = Counter()  # what was read of a segment before it was sealed
     while True:
-        fresh = [name for name in _sealed(store) if name not in done]
+        fresh = [name for name in _sealed(store, done) if name not in done]
         for name in fresh:
             done.add(name)
             if is_needed(name):
@@ -159,8 +160,30 @@ def records_of(store: Store, is_needed: Callable[[str], bool], wanted: Callable[
                 begun[name] += 1
                 if wanted(record.topic):
                     yield record
-        if done.issuperset(_sealed(store)):  # none was sealed while it was read
+        if done.issuperset(_sealed(store, done)):  # none was sealed while it was read
             return
+
+
+def documents_beyond(store: Store, in_lake: Set[str]) -> Iterator[tuple[AnyDocument, int]]:
+    """Documents of the log that the lake does not have yet, each with the time of its arrival, ns.
+
+    Parameters
+    ----------
+    store : Store
+        Whose log.
+    in_lake : set of str
+        Segments that the lake has.
+
+    Raises
+    ------
+    StoreError
+        If a sealed segment that is needed is damaged.
+    """
+    for record in records_of(store, lambda segment: segment.removesuffix(".mcap") not in in_lake, _is_event):
+        if record.schema != EVENTS:
+            continue  # a rejected message stands under its key, too
+        with suppress(WireError):  # `gyrofleet verify` reports it
+            yield decode_event(record.data).document, record.arrival_ns
 
 
 def _open_segment(path: Path) -> Iterator[LogRecord]:
@@ -169,12 +192,20 @@ def _open_segment(path: Path) -> Iterator[LogRecord]:
         yield from SegmentScan(path, int(durable) if durable else None)
 
 
-def _sealed(store: Store) -> list[str]:
-    return sorted(path.name for path in store.log.glob("*.mcap"))
+def _sealed(store: Store, known: Collection[str] = ()) -> list[str]:
+    return sorted(path.name for path in store.log.glob("*.mcap") if path.name in known or is_own(store, path))
 
 
 def _is_estimate(key: str) -> bool:
+    return _is_of(key, EstimateKey)
+
+
+def _is_event(key: str) -> bool:
+    return _is_of(key, EventKey)
+
+
+def _is_of(key: str, kind: type) -> bool:
     try:
-        return isinstance(parse_key(key), EstimateKey)
+        return isinstance(parse_key(key), kind)
     except BadInput:
-        return False  # kept aside, or a preview
+        return False  # a rejected message, or a preview

@@ -42,6 +42,29 @@ _INDEX_HEAD = struct.Struct("<BQHI")
 ENCODINGS = {SAMPLES: "protobuf", PREVIEW: "protobuf", EVENTS: "json", REJECTED: ""}
 
 
+def written_by(store: str, path: Path) -> str:
+    """What a segment's head says of its origin: the identity of the store, and the segment's number."""
+    if not store:
+        return "gyrofleet"
+    text = f"{store} {path.name.partition('.')[0]}"
+    return f"gyrofleet {text} {zlib.crc32(text.encode()):08x}"
+
+
+def origin_of(library: str) -> tuple[str, str] | None:
+    """Identity and number as `written_by` wrote them; None if it says neither, or is damaged.
+
+    Examples
+    --------
+    >>> origin_of(written_by("5e0f", Path("00000007.mcap.open")))
+    ('5e0f', '00000007')
+    """
+    text, _, crc = library.removeprefix("gyrofleet ").rpartition(" ")
+    if crc != f"{zlib.crc32(text.encode()):08x}":
+        return None
+    store, _, segment = text.partition(" ")
+    return store, segment
+
+
 class LogRecord(NamedTuple):
     """One message as it stands in the log."""
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Self
 
 import pyarrow as pa
 
-from storage.catalog import Catalog
+from storage.sql_door import QueryLimits, SqlDoor
 from storage.store import Store
 
 if TYPE_CHECKING:
@@ -49,6 +49,8 @@ class OpenedStore:
     ----------
     folder : path
         Of the store.
+    limits : QueryLimits, optional
+        Time, memory and rows that one statement may take.
 
     Raises
     ------
@@ -62,8 +64,8 @@ class OpenedStore:
     ...     frame = store.sql("select unit, value, lo, hi from unit_metrics where metric = 'bias'").polars()
     """
 
-    def __init__(self, folder: str | PathLike[str]) -> None:
-        self.catalog = Catalog(Store.open(Path(folder)))
+    def __init__(self, folder: str | PathLike[str], limits: QueryLimits | None = None) -> None:
+        self.door = SqlDoor(Store.open(Path(folder)), limits)
 
     def sql(self, statement: str, parameters: object = None) -> Answer:
         """Answer one statement that reads; `parameters` fill its ``$name`` or ``?``.
@@ -71,13 +73,13 @@ class OpenedStore:
         Raises
         ------
         QueryError
-            If it would write, or fails.
+            If it would do more than read the store, fails, or takes more than the limits allow.
         """
-        return Answer(self.catalog.reader(statement, parameters).read_all())
+        return Answer(self.door.ask(statement, parameters).read_all())
 
     def close(self) -> None:
         """Close it."""
-        self.catalog.close()
+        self.door.close()
 
     def __enter__(self) -> Self:
         return self

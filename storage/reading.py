@@ -32,8 +32,21 @@ class SignalRecord:
     kept_raw: int | None = None
 
 
-def find_signal(catalog: Catalog, unit: str, signal: str, run: str | None = None) -> SignalRecord:
-    """The record of a signal; of the run recorded last where no run is named.
+def find_signal(
+    catalog: Catalog, unit: str, signal: str, run: str | None = None, *, at_least_s: float = 0.0
+) -> SignalRecord:
+    """The record of a signal; of the run measured last where no run is named.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        The store.
+    unit, signal : str
+        Which signal.
+    run : str, optional
+        Of which run. A run of unknown date counts as measured when it was recorded.
+    at_least_s : float
+        Where no run is named, one with so long a record comes before shorter ones.
 
     Raises
     ------
@@ -45,10 +58,13 @@ def find_signal(catalog: Catalog, unit: str, signal: str, run: str | None = None
     if run is not None:
         _check_held(catalog, "run", run, f" of unit {unit}, signal {signal}", {"unit": unit, "signal": signal})
     row = catalog.rows(
-        "select run, unit_of_measure, samples, irregular, kept_raw from signals "
-        "where unit = $unit and signal = $signal and (run = $run or $run is null) "
-        "order by arrival_first_ns desc, t_first_ns desc limit 1",
-        {"unit": unit, "signal": signal, "run": run},
+        "select s.run, s.unit_of_measure, s.samples, s.irregular, s.kept_raw "
+        "from signals s left join runs r on r.run = s.run "
+        "where s.unit = $unit and s.signal = $signal and (s.run = $run or $run is null) "
+        "order by (s.t_last_ns - s.t_first_ns) / 1e9 + coalesce(s.sample_interval_s, 0) >= $at_least_s desc, "
+        "case when coalesce(r.date_known, true) then s.t_last_ns else s.arrival_first_ns end desc, "
+        "s.arrival_first_ns desc, s.t_first_ns desc limit 1",
+        {"unit": unit, "signal": signal, "run": run, "at_least_s": at_least_s},
     )[0]
     return SignalRecord(unit, signal, str(row[0]), str(row[1]), int(row[2]), bool(row[3]), int(row[4]))
 
@@ -128,13 +144,18 @@ def _channel_rows(catalog: Catalog, channel: int, column: str) -> Iterator[pa.Re
 def _part_rows(path: Path, channel: int, column: str) -> Iterator[pa.RecordBatch]:
     columns = ["base", "above"] if column == "counts" else ["value"]
     with open_table(path) as file:
-        own = [i for i in range(file.num_row_groups) if file.metadata.row_group(i).column(0).statistics.min == channel]
+        bounds = [file.metadata.row_group(i).column(0).statistics for i in range(file.num_row_groups)]
+        own = [i for i, each in enumerate(bounds) if each is not None and each.min <= channel <= each.max]
         try:
-            for batch in file.iter_batches(_ROWS, row_groups=own, columns=["seq", "t_ns", *columns]):
-                data = batch.column(2)
-                if column == "counts":
-                    data = pc.add(data, batch.column(3))
-                yield pa.RecordBatch.from_arrays([batch.column(0), batch.column(1), data], ["seq", "t_ns", column])
+            for is_shared, numbers in itertools.groupby(own, key=lambda i: bounds[i].min != bounds[i].max):
+                told = ["channel"] if is_shared else []
+                for batch in file.iter_batches(_ROWS, list(numbers), [*told, "seq", "t_ns", *columns]):
+                    rows = batch.filter(pc.equal(batch.column("channel"), channel)) if is_shared else batch
+                    data = rows.column(columns[0])
+                    if column == "counts":
+                        data = pc.add(data, rows.column("above"))
+                    numbered = [rows.column("seq"), rows.column("t_ns"), data]
+                    yield pa.RecordBatch.from_arrays(numbered, ["seq", "t_ns", column])
         except (pa.ArrowException, OSError) as error:
             raise damaged(path, error) from error
 

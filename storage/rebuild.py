@@ -3,6 +3,7 @@
 import shutil
 from collections import deque
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import NamedTuple
 
 from storage.compaction import FAN_IN, compact
@@ -33,12 +34,23 @@ def rebuild(store: Store, *, force: bool = False) -> Iterator[RebuildStep]:
     Raises
     ------
     StoreError
-        If a segment is damaged, or the old lake holds more than the log gives; the old lake stays in force.
+        If a segment is damaged, the old lake holds more than the log gives, or the disk refuses; the old lake stays
+        in force.
     """
+    try:
+        yield from _rebuilt(store, force=force)
+    except OSError as error:
+        raise StoreError(
+            f"the new lake of {store.folder} cannot be written: {error}; the old one stays in force, and what is made "
+            f"of the new one waits: free the disk and give `gyrofleet rebuild` again"
+        ) from error
+
+
+def _rebuilt(store: Store, *, force: bool) -> Iterator[RebuildStep]:
     finish_switch(store)
     beside = Store(store.folder, store.identity)
     beside.lake = store.folder / NEW_LAKE
-    lake = _begun(beside)
+    lake = _begun(store, beside)
     missing = lake.missing()
     of = len(missing) + len(lake.manifest.segments)
     failed: dict[str, StoreError] = {}
@@ -60,12 +72,17 @@ def rebuild(store: Store, *, force: bool = False) -> Iterator[RebuildStep]:
     switch(store, keep_old=bool(problems))
 
 
-def _begun(beside: Store) -> Lake:
+def _begun(store: Store, beside: Store) -> Lake:
     try:
-        return Lake(beside)
+        lake = Lake(beside)
     except LakeManifestDamaged:
         shutil.rmtree(beside.lake)
-        return Lake(beside)
+        lake = Lake(beside)
+    # the document that says what came back may be in a segment that is still being written
+    with suppress(StoreError):
+        if restored := read_manifest(store).restored:
+            lake.restore_raw(restored)
+    return lake
 
 
 def _only_in_old(store: Store, new: Lake) -> list[str]:

@@ -182,8 +182,10 @@ def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
                 "samples": counts.samples,
                 "segments": counts.segments,
                 "duplicates": counts.duplicates,
+                "conflicts": counts.conflicts,
                 "out_of_order": counts.out_of_order,
                 "rejected": counts.rejected,
+                "rejected_not_kept": counts.rejected_not_kept,
                 "clock_steps_back": counts.backwards,
                 "left_to_sources": counts.left_to_sources,
                 "interruptions": counts.interruptions,
@@ -196,5 +198,9 @@ def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
         f"{counts.samples:,} samples in {counts.segments} segments; {counts.duplicates} messages came twice, "
         f"{counts.rejected} could not be read"
     )
+    if counts.conflicts:
+        console.print(f"{counts.conflicts} messages have numbers that are recorded with other content; see the events")
+    if counts.rejected_not_kept:
+        console.print(f"{counts.rejected_not_kept} of those that could not be taken were not kept: too many at once")
     for rejection in list(counts.rejections)[-_SHOWN_REJECTIONS:]:
         console.print(f"  kept aside, among the last: {rejection}", markup=False, soft_wrap=True)

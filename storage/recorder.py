@@ -17,7 +17,10 @@ from storage.disk_watch import DiskWatch, monotonic_and_wall_ns
 from storage.event_log import EventLog
 from storage.intake import Intake, RecorderCounts
 from storage.lake_builder import LakeBuilder
+from storage.lake_manifest import read_manifest
+from storage.log_files import sealed_segments
 from storage.mcap_records import EVENTS, LogRecord
+from storage.recorder_service import RecorderService
 from storage.recovery import Recovery
 from storage.sequence import Place as Position
 from storage.store import Store
@@ -29,10 +32,13 @@ from stream.events import encode_event
 from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING, Place, event_key
 
 _QUEUE_BYTES = 64 << 20
+_OVERHEAD_BYTES = 300  # of a message in the queue, beside its key and payload
 _ROOM_PATIENCE_S = 2.0  # of a callback of the bus, far below the 60 s after which a stalled transport is closed
 _SEAL_GRACE_S = 1.0  # the last estimates of a run come just after its end
+_SETTLE_S = 120.0
 _MEND_AFTER_S = 5.0  # an abandoned segment is sealed with the next one, and not only when that is full
 _RETRY_S = 1.0
+_CONFLICTS_EVERY_S = 1.0
 _CLOCK_STEP_NS = 100_000_000
 _NOTES_KEY = event_key(Place("store", "recorder"))
 
@@ -85,7 +91,7 @@ class Recorder:
         self._sync_interval_s = sync_interval_s
         self._on_warning = on_warning
         self._on_failure = on_failure
-        self._intake = Intake(log)
+        self._intake = Intake(log, store)
         self._watch = DiskWatch(store.folder, disk)
         self.failure: GyrofleetError | None = None
         self.paused: str | None = None
@@ -95,6 +101,9 @@ class Recorder:
         self._closing = False
         self._epoch = uuid4().hex
         self._ended_runs = self._late = self._noted_recoveries = 0
+        self._conflicts_at = -math.inf
+        self._log_warnings = len(log.warnings)
+        self._settle_wanted = self._settle_done = self._settle_from = self._received = self._processed = 0
         self._seal_at: float | None = None
         self._quiet_at: float | None = None
         self._synced_at = self._troubled_at = time.monotonic()
@@ -103,6 +112,7 @@ class Recorder:
         self._writer = threading.Thread(target=self._write_loop, name="gyrofleet-recorder", daemon=True)
         self._writer.start()
         bus.subscribe(EVERYTHING, self._on_message)
+        self._service = RecorderService(store, bus, self.settle)
 
     @property
     def counts(self) -> RecorderCounts:
@@ -117,6 +127,7 @@ class Recorder:
         StoreError
             If not everything could be written.
         """
+        self._service.close()
         with self._state:
             self._closing = True
             self._state.notify_all()
@@ -137,6 +148,35 @@ class Recorder:
         if self._builder is not None:
             self._builder.wait_until_caught_up()
 
+    def settle(self) -> None:
+        """Seal what has come, and wait until it is in the lake, whoever makes that.
+
+        Raises
+        ------
+        StoreError
+            If it does not come there.
+        """
+        until = time.monotonic() + _SETTLE_S
+        with self._state:
+            number = self._settle_wanted = self._settle_wanted + 1
+            self._settle_from = self._received  # what comes later need not be waited for
+            self._state.notify_all()
+            while self._settle_done < number:
+                if self._closing or self.failure is not None or time.monotonic() >= until:
+                    raise StoreError(
+                        f"{self._store.folder} cannot seal now: {self.paused or self.failure or 'closing'}"
+                    )
+                self._state.wait(0.1)
+        while missing := {path.stem for path in sealed_segments(self._store)} - read_manifest(self._store).segments:
+            if self._builder is not None:
+                self._builder.wake()
+            if self._closing or time.monotonic() >= until:
+                raise StoreError(
+                    f"{len(missing)} segments of {self._store.folder} are not in its lake, the first "
+                    f"{min(missing)}; is a `gyrofleet lake` at work there?"
+                )
+            time.sleep(0.05)
+
     def __enter__(self) -> Self:
         return self
 
@@ -144,6 +184,7 @@ class Recorder:
         self.close()
 
     def _on_message(self, key: str, payload: bytes) -> None:
+        size = _size(key, payload)
         with self._state:
             until = time.monotonic() + _ROOM_PATIENCE_S
             while self._incoming_bytes > _QUEUE_BYTES and not self._closing and self.paused is None:
@@ -155,7 +196,8 @@ class Recorder:
                 self.counts.left_to_sources += 1
                 return  # not acknowledged: its source keeps it
             self._incoming.append((key, payload, time.time_ns()))
-            self._incoming_bytes += len(payload)
+            self._incoming_bytes += size
+            self._received += 1
             if len(self._incoming) == 1:
                 self._state.notify_all()
 
@@ -185,7 +227,10 @@ class Recorder:
     def _pass(self) -> bool:
         """Write what is there; whether that was the end."""
         self._note_recoveries()
+        settling = self._settle_wanted
         taken, is_last = self._next_messages()
+        # also where the disk fails beneath them: they are not acknowledged then, and come again
+        self._processed += len(taken)
         for key, payload, arrival_ns in taken:
             self._intake.take(key, payload, arrival_ns)
         now = time.monotonic()
@@ -202,17 +247,24 @@ class Recorder:
             self._synced_at = now
             self._look_around(now)
         due = min((at for at in (self._seal_at, self._quiet_at) if at is not None), default=math.inf)
-        if is_last or self._log.due or now >= due:
+        if is_last:
+            self._note_conflicts(math.inf)
+        is_settled = settling > self._settle_done and self._processed >= self._settle_from
+        if is_last or is_settled or self._log.due or now >= due:
             self._seal()
+        if is_settled:
+            with self._state:
+                self._settle_done = settling
+                self._state.notify_all()
         return is_last
 
     def _next_messages(self) -> tuple[list[tuple[str, bytes, int]], bool]:
         with self._state:
-            if not self._incoming and not self._closing:
+            if not self._incoming and not self._closing and self._settle_wanted == self._settle_done:
                 self._state.wait(self._sync_interval_s)
             # a bounded bite, so that data reach the disk and are acknowledged while more are waiting
             taken = [self._incoming.popleft() for _ in range(min(len(self._incoming), 1000))]
-            self._incoming_bytes -= sum(len(payload) for _, payload, _ in taken)
+            self._incoming_bytes -= sum(_size(key, payload) for key, payload, _ in taken)
             self._state.notify_all()
             return taken, self._closing and not self._incoming
 
@@ -231,7 +283,10 @@ class Recorder:
         self._log.sync()
         moved, self._intake.moved = self._intake.moved, set()
         if moved:
-            self._acknowledge(tuple(StreamPosition(s.key, s.epoch, self._log.marks.get(s, 0)) for s in moved))
+            marks, heard = self._log.marks, self._intake.heard
+            self._acknowledge(
+                tuple(StreamPosition(s.key, s.epoch, min(marks.get(s, 0), heard.get(s, 0))) for s in moved)
+            )
 
     def _seal(self) -> None:
         self._seal_at = self._quiet_at = None
@@ -239,6 +294,9 @@ class Recorder:
         self._note_recoveries()
         self._sync()
         sealed = self._log.seal()
+        for warning in self._log.warnings[self._log_warnings :]:
+            self._warn(warning)
+        self._log_warnings = len(self._log.warnings)
         self.counts.segments += sealed is not None
         if self._builder is not None and (recovered or sealed is not None):
             self._builder.wake()
@@ -256,6 +314,7 @@ class Recorder:
         for step in steps[:100]:
             text = f"{step.key}: the source's clock went back by {step.back_ns / 1e9:.9g} s at sample {step.seq}"
             self._note("source_clock_back", text, {"run": step.run, "seq": step.seq, "back_ns": step.back_ns})
+        self._note_conflicts(now)
         monotonic_ns, wall_ns = monotonic_and_wall_ns()
         ahead_ns = wall_ns - monotonic_ns
         before_ns, self._wall_ahead_ns = self._wall_ahead_ns, ahead_ns
@@ -264,6 +323,23 @@ class Recorder:
             text = f"the recorder's clock, which gives arrival times, was set by {step_ns / 1e9:+.3f} s"
             self._warn(text)
             self._note("arrival_clock_step", text, {"step_ns": step_ns})
+
+    def _note_conflicts(self, now: float) -> None:
+        """Report numbers that came with two contents; at most one document a second, for all since the last."""
+        if not self._intake.conflicts or now < self._conflicts_at + _CONFLICTS_EVERY_S:
+            return
+        self._conflicts_at = now
+        found, self._intake.conflicts = self._intake.conflicts, []
+        first = found[0]
+        more = f" and {len(found) - 1} more messages" if len(found) > 1 else ""
+        text = (
+            f"{first.key}: numbers {first.seq} to {first.next_seq - 1} of epoch {first.epoch} came with other content "
+            f"than is recorded{more}; they are kept beside it in the log: two sources send under one name, or one "
+            f"numbers anew"
+        )
+        self._warn(text)
+        details = {"conflicts": [vars(each) for each in found[:100]], "count": len(found)}
+        self._note("number_conflict", text, details)
 
     def _interrupt(self, error: OSError) -> None:
         """After an error of the disk: back to what is durable, and on in a new segment."""
@@ -298,6 +374,7 @@ class Recorder:
         with self._state:
             self.paused = reason
             self.counts.left_to_sources += len(self._incoming)
+            self._processed += len(self._incoming)
             self._incoming.clear()
             self._incoming_bytes = 0
             self._state.notify_all()
@@ -348,3 +425,8 @@ class Recorder:
             self._state.notify_all()
         if is_first and self._on_failure is not None:
             self._on_failure(failure)
+
+
+def _size(key: str, payload: bytes) -> int:
+    """Memory of a message in the queue; of a key, 4 bytes a character at most."""
+    return len(payload) + 4 * len(key) + _OVERHEAD_BYTES

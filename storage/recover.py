@@ -1,5 +1,6 @@
 """What `gyrofleet recover` does: put a store right again, destroy nothing, and say in the log what is lost."""
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from uuid import NAMESPACE_OID, uuid5
@@ -7,9 +8,10 @@ from uuid import NAMESPACE_OID, uuid5
 import msgspec
 
 from storage.event_log import EventLog
-from storage.findings import Finding
+from storage.findings import KEPT_DAMAGED, Finding
 from storage.lake import Lake, build_missing, builder_lock
 from storage.lake_check import mend
+from storage.log_files import quarantine_unknown
 from storage.log_manifest import (
     LOST,
     ManifestWriter,
@@ -22,9 +24,10 @@ from storage.mcap_records import EVENTS, LogRecord
 from storage.recovery import Recovery, examine_segment, salvage_segment
 from storage.sequence import LostStretch
 from storage.sequence import Place as Position
+from storage.specification_copies import mend_copies
 from storage.store import Store, WriterLock
 from storage.store_notes import noted
-from storage.verify import checkpoint_findings, lake_findings, only_in_lake
+from storage.verify import checkpoint_findings, kept_findings, lake_findings, only_in_lake
 from storage.verify_log import LogState, stretch_id, verify_log
 from stream.checkpoint import keep_aside
 from stream.delivery import StreamId
@@ -44,8 +47,15 @@ class Action(msgspec.Struct, frozen=True):
     text: str
 
 
-def recover(store: Store) -> Iterator[Action]:
+def recover(store: Store, *, quarantine: bool = False) -> Iterator[Action]:
     """Put right what `verify` finds; every step is yielded when it is done, and can be done again.
+
+    Parameters
+    ----------
+    store : Store
+        Which store.
+    quarantine : bool
+        Also move files that are not the store's out of its log, to ``log/aside``.
 
     Raises
     ------
@@ -56,9 +66,15 @@ def recover(store: Store) -> Iterator[Action]:
         with WriterLock(store, "gyrofleet recover"), builder_lock(store):
             for folder in (store.log, store.tmp):
                 folder.mkdir(exist_ok=True)
+            if quarantine:
+                for unknown, target in quarantine_unknown(store):
+                    yield Action("file_quarantined", str(unknown.path), f"{unknown.why}; kept as {target}")
             yield from _mend_log(store)
             yield from _mend_lake(store)
             yield from _mend_checkpoints(checkpoint_findings(store, verify_log(store)))
+            for aside in mend_copies(store):
+                yield Action("specification_copied", str(aside.parent), f"written from the log; as it was: {aside}")
+            yield from _mend_kept(store)
     except OSError as error:
         raise StoreError(f"{store.folder} cannot be put right: {error}; mend the disk and give it again") from error
 
@@ -158,6 +174,17 @@ def _mend_checkpoints(findings: list[Finding]) -> Iterator[Action]:
         if finding.kind == "checkpoint_damaged":
             aside = keep_aside(Path(finding.where))
             yield Action("checkpoint_set_aside", finding.where, f"kept as {aside}")
+
+
+def _mend_kept(store: Store) -> Iterator[Action]:
+    """Move aside what layers keep and is not what it should be; it is derived, and computed again when asked for."""
+    for finding in kept_findings(store):
+        path = Path(finding.where)
+        if finding.kind == KEPT_DAMAGED and path.exists():
+            aside = store.folder / "lake-aside"
+            aside.mkdir(exist_ok=True)
+            kept = path.rename(aside / f"{path.name}.{time.time_ns()}")
+            yield Action("kept_set_aside", finding.where, f"kept as {kept}")
 
 
 def _mend_lake(store: Store) -> Iterator[Action]:

@@ -12,8 +12,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from storage.disk import DISK, Disk
+from storage.log_files import is_own
 from storage.log_manifest import SegmentEntry
 from storage.mcap_records import SealedSegment
+from storage.segment_numbers import next_free
 from storage.segment_reader import SegmentScan, read_marks, read_segment
 from storage.segment_tally import SegmentTally
 from storage.segment_writer import SegmentWriter
@@ -62,7 +64,9 @@ class Recovery:
 def left_open(store: Store) -> list[Path]:
     """Segments that are not sealed, in their order."""
     found = [
-        path for path in store.log.glob("*.mcap.*") if _ABANDONED.fullmatch(path.name) or _OPEN.fullmatch(path.name)
+        path
+        for path in store.log.glob("*.mcap.*")
+        if (_ABANDONED.fullmatch(path.name) or _OPEN.fullmatch(path.name)) and is_own(store, path)
     ]
     return sorted(found)
 
@@ -94,8 +98,10 @@ def recover_segment(store: Store, path: Path, known: dict[StreamId, int], disk: 
     match = _ABANDONED.fullmatch(path.name)
     limit = int(match[2]) if match else None
     sealed = store.log / (match[1] if match else path.name.removesuffix(".open"))
-    if sealed.exists():  # sealed as a copy, by a process that ended before it could move this one
-        return Recovery(path.name, 0, 0, 0, (), _keep_aside(store, path, disk), None, {})
+    if sealed.exists():
+        if _is_copied(path, limit, sealed):  # by a process that ended before it could move this one
+            return Recovery(path.name, 0, 0, 0, (), _keep_aside(store, path, disk), None, {})
+        sealed = next_free(sealed)  # another process has sealed one of that number: both are kept
     return _seal(store, path, sealed, SegmentScan(path, limit), known, disk)
 
 
@@ -107,7 +113,7 @@ def salvage_segment(store: Store, path: Path, known: dict[StreamId, int], disk: 
     aside = _aside(store, path)
     disk.link(path, aside)
     disk.sync_folder(store.aside)
-    recovery = _copy(path, SegmentScan(aside, sealed=True), known, reached_in(aside), disk)
+    recovery = _copy(store, path, SegmentScan(aside, sealed=True), known, reached_in(aside), disk, replaces=True)
     if recovery.entry is None:
         disk.remove(path)
     return replace(recovery, kept_aside=aside)
@@ -161,6 +167,13 @@ def take_in(store: Store, path: Path) -> tuple[SegmentEntry, dict[StreamId, int]
     return tally.entry(SealedSegment(path, path.stat().st_size, sha256), origin), positions
 
 
+def _is_copied(path: Path, limit: int | None, sealed: Path) -> bool:
+    """Whether a sealed segment has all the numbered messages that one which was left open has."""
+    reached = reached_in(sealed)
+    places = (place_of(record) for record in SegmentScan(path, limit))
+    return all(place is None or place.next_seq <= reached.get(place.stream, 0) for place in places)
+
+
 def _seal(
     store: Store, path: Path, sealed: Path, scan: SegmentScan, known: dict[StreamId, int], disk: Disk
 ) -> Recovery:
@@ -168,7 +181,7 @@ def _seal(
     for record in scan:
         tally.add(record, place_of(record))
     if scan.damaged:
-        recovery = _copy(sealed, SegmentScan(path, scan.limit), known, {}, disk)
+        recovery = _copy(store, sealed, SegmentScan(path, scan.limit), known, {}, disk)
         return replace(recovery, segment=path.name, kept_aside=_keep_aside(store, path, disk))
     if not tally.messages and scan.torn is None:
         disk.remove(path)  # begun, and nothing was written
@@ -183,14 +196,21 @@ def _seal(
         memoryview(content) as view,
         view[: scan.whole_bytes] as whole,
     ):
-        writer = SegmentWriter(sealed, suffix, disk, found=(whole, scan.summary))
+        writer = SegmentWriter(sealed, suffix, disk, found=(whole, scan.summary), open_path=path)
     entry = tally.entry(writer.seal(tally.marks), "recovered")
     disk.sync_folder(sealed.parent)
     return Recovery(path.name, tally.messages, 0, 0, (), aside, entry, tally.positions)
 
 
 def _copy(
-    sealed: Path, scan: SegmentScan, known: dict[StreamId, int], reached: dict[StreamId, int], disk: Disk
+    store: Store,
+    sealed: Path,
+    scan: SegmentScan,
+    known: dict[StreamId, int],
+    reached: dict[StreamId, int],
+    disk: Disk,
+    *,
+    replaces: bool = False,
 ) -> Recovery:
     copy = sealed.with_name(sealed.name + _COPY)
     copy.unlink(missing_ok=True)
@@ -203,7 +223,7 @@ def _copy(
         if place is not None and not check.follow(place):
             continue
         if writer is None:
-            writer = SegmentWriter(sealed, _COPY, disk)
+            writer = SegmentWriter(sealed, _COPY, disk, store=store.identity)
         tally.add(record, place)
         writer.append(record)
     for stream, next_seq in reached.items():
@@ -211,11 +231,11 @@ def _copy(
         # that there was more stays known
         tally.positions[stream] = max(tally.positions.get(stream, 0), next_seq)
     if writer is None and tally.positions:
-        writer = SegmentWriter(sealed, _COPY, disk)
+        writer = SegmentWriter(sealed, _COPY, disk, store=store.identity)
     damaged = sum(span.end - span.begin for span in scan.damaged)
     entry = None
     if writer is not None:
-        entry = tally.entry(writer.seal(tally.marks), "salvaged")
+        entry = tally.entry(writer.seal(tally.marks, replaces=replaces), "salvaged")
         disk.sync_folder(sealed.parent)
     return Recovery(
         sealed.name, tally.messages, damaged, len(scan.damaged), tuple(check.lost), None, entry, tally.positions

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from storage.log_files import sealed_segments
 from storage.log_manifest import read_log_manifest
 from storage.log_tail import records_of
 from storage.mcap_records import LogRecord
@@ -68,6 +69,8 @@ class StoredRun:
         Intervals in which that was done, nanoseconds.
     averages_s : set of float
         Averaging times of its bias stabilities.
+    signals : set of str
+        Signals that were estimated.
     is_ended : bool
         Whether its end is in the log.
     """
@@ -80,6 +83,7 @@ class StoredRun:
         self.estimates: dict[str, StoredEstimate] = {}
         self.every_ns: set[int] = set()
         self.averages_s: set[float] = set()
+        self.signals: set[str] = set()
         self.is_ended = False
         is_there = False
         for record in self._records():
@@ -105,7 +109,7 @@ class StoredRun:
                 yield StoredMessage(record.topic, record.data, place.samples, last_ns)
 
     def _records(self, progress: Callable[[float], None] | None = None) -> Iterator[LogRecord]:
-        total = len(list(self._store.log.glob("*.mcap")))
+        total = len(sealed_segments(self._store))
         seen = 0
 
         def is_needed(segment: str) -> bool:
@@ -121,6 +125,7 @@ class StoredRun:
         if not isinstance(document, Estimated):
             return
         self.estimates.setdefault(document.uid, StoredEstimate(name_of(document), _digest(document)))
+        self.signals.add(document.signal)
         if isinstance(document, EstimatePublished):
             if document.every_ns:
                 self.every_ns.add(document.every_ns)

@@ -10,9 +10,11 @@ from typing import NamedTuple
 from storage.lake import Lake
 from storage.lake_manifest import Manifest, Part
 from storage.lake_tables import SAMPLES_FILE
+from storage.retention_clock import check_clock
 from storage.store_notes import note, noted
+from storage.store_seal import sealed
 from stream.errors import BadInput
-from stream.events import RAW_ROWS_DROPPED, StoreNoted
+from stream.events import RAW_ROWS_DROPPED, RAW_ROWS_RESTORED, StoreNoted
 
 _UNITS = {"s": 1, "m": 60, "h": 3600, "d": 86_400, "w": 7 * 86_400}
 _SIZES = {"B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
@@ -133,16 +135,50 @@ def apply_rule(lake: Lake, rule: Rule, *, now_ns: int | None = None) -> Dropped:
     Raises
     ------
     GyrofleetError
-        If the document cannot be brought into the log; then nothing is let go of.
+        If the document cannot be brought into the log, or the clock cannot be believed where ages count; then nothing
+        is let go of.
     """
-    chosen = choose(lake.manifest, rule, time.time_ns() if now_ns is None else now_ns)
+    now_ns = time.time_ns() if now_ns is None else now_ns
+    if rule.older_than_s is not None:
+        check_clock(lake.store, lake.manifest, now_ns)
+    chosen = choose(lake.manifest, rule, now_ns)
     dropped = _sum(chosen)
     if not chosen:
         return dropped
-    document = _document(lake.store.identity, chosen, rule, dropped)
+    document = sealed(lake.store, _document(lake.store.identity, chosen, rule, dropped))
     note(lake.store, [document], role="gyrofleet retain")
     lake.drop_raw({segment: document.uid for part in chosen for segment in part.segments})
     return dropped
+
+
+def restore_raw(lake: Lake) -> Dropped:
+    """Bring raw rows that were let go of back to the lake, as far as the log still has their segments.
+
+    Returns
+    -------
+    Dropped
+        What came back; `bytes` are those of the files as they are now.
+
+    Raises
+    ------
+    GyrofleetError
+        If the document that says so cannot be brought into the log, or a segment is damaged; the rest comes back.
+    """
+    there = {
+        segment: document
+        for segment, document in lake.manifest.dropped.items()
+        if (lake.store.log / f"{segment}.mcap").exists()
+    }
+    if not there:
+        return Dropped(0, 0, 0, 0)
+    before = {part.name for part in lake.manifest.parts if part.dropped is None}
+    text = f"raw rows of {len(there)} segments, dropped before, are in the lake again; they were made from the log"
+    details = {"segments": sorted(there), "documents": sorted(set(there.values()))}
+    document = sealed(lake.store, noted(lake.store.identity, RAW_ROWS_RESTORED, text, details))
+    note(lake.store, [document], role="gyrofleet rebuild --raw")
+    lake.restore_raw({segment: (*lake.manifest.restored.get(segment, ()), by) for segment, by in there.items()})
+    back = [part for part in lake.manifest.parts if part.dropped is None and part.name not in before]
+    return _sum(back)
 
 
 def _sum(chosen: list[Part]) -> Dropped:

@@ -116,11 +116,10 @@ def _buckets(
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Runs of consecutive samples within one second; sums of whole numbers are exact, M2 comes in a second pass."""
     runs = 0
-    begin_ns, end_ns = np.int64(0), np.int64(0)
+    begin_ns = np.int64(0)
     for t in t_ns:
-        if runs == 0 or t < begin_ns or t >= end_ns:
+        if runs == 0 or t < begin_ns or t - begin_ns >= _SECOND_NS:
             begin_ns = t // _SECOND_NS * _SECOND_NS
-            end_ns = begin_ns + _SECOND_NS
             runs += 1
     bucket, count = np.empty(runs, np.int64), np.empty(runs, np.int64)
     mean, m2 = np.empty(runs), np.empty(runs)
@@ -129,10 +128,10 @@ def _buckets(
     while i < len(t_ns):
         second = t_ns[i] // _SECOND_NS
         begin_ns = second * _SECOND_NS
-        end_ns = begin_ns + _SECOND_NS
         start, n, total = i, 0, 0.0
         least, most = np.inf, -np.inf
-        while i < len(t_ns) and begin_ns <= t_ns[i] < end_ns:
+        # the first is in whatever its time is, so that this ends; the end of the last second of 64 bits would wrap
+        while i < len(t_ns) and (i == start or (t_ns[i] >= begin_ns and t_ns[i] - begin_ns < _SECOND_NS)):
             x = float(data[i])
             if x - x == 0.0:
                 n += 1

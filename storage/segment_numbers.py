@@ -1,6 +1,7 @@
 """Numbers of segments: one that was ever given is not given again, even where its file has gone."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 from storage.lake_manifest import LakeManifestDamaged, found_parts, read_manifest
 from storage.lake_switch import NEW_LAKE
@@ -15,6 +16,19 @@ def highest_number(store: Store) -> int:
     again, the lake would take the new ones for those it has.
     """
     return max((int(name) for name in _known(store) if name.isdecimal()), default=0)
+
+
+def next_free(path: Path) -> Path:
+    """The name behind all segments beside `path`, open and abandoned ones among them.
+
+    Examples
+    --------
+    >>> next_free(Path("/nowhere/00000041.mcap")).name
+    '00000042.mcap'
+    """
+    taken = [each.name.partition(".")[0] for each in path.parent.glob("*.mcap*")]
+    highest = max(int(name) for name in [*taken, path.name.partition(".")[0]] if name.isdecimal())
+    return path.with_name(f"{highest + 1:08d}.mcap")
 
 
 def _known(store: Store) -> Iterator[str]:

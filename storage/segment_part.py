@@ -24,13 +24,15 @@ from storage.lake_tables import (
     part_writers,
 )
 from storage.mcap_records import EVENTS, SAMPLES, LogRecord
+from storage.quarantine import Quarantine
 from storage.rollups import Rollup, merge, rollup_table
 from storage.segment_reader import read_segment
 from storage.store_notes import is_own
 from stream.batch import IntArray, SampleBatch
-from stream.errors import GyrofleetError, StoreError
+from stream.bounds import beyond_bounds
+from stream.errors import GyrofleetError, OutOfMemory, StoreError, WireError
 from stream.event_sense import senseless
-from stream.events import RAW_ROWS_DROPPED, EstimatePublished, EventMessage, StoreNoted, decode_event
+from stream.events import RAW_ROWS_DROPPED, RAW_ROWS_RESTORED, EstimatePublished, EventMessage, StoreNoted, decode_event
 from stream.identity import EstimateKey, EventKey, parse_key
 from stream.wire import decode_batch
 
@@ -40,35 +42,75 @@ _ESTIMATE_FIELDS = (
 )
 
 
+class Drops(NamedTuple):
+    """Segments whose raw rows are dropped, with the document of each; and those that came back, with the documents that
+    count for them no more.
+    """
+
+    dropped: dict[str, str]
+    restored: dict[str, tuple[str, ...]]
+
+    def take(self, document: StoreNoted, store: str) -> None:
+        """Take in a document, if it is the store's own and says something of raw rows."""
+        if not is_own(document, store) or senseless(document) is not None:
+            return
+        if document.what == RAW_ROWS_DROPPED:
+            self.dropped.update(dict.fromkeys(document.details["segments"], document.uid))
+        elif document.what == RAW_ROWS_RESTORED:
+            ended = tuple(document.details["documents"])
+            for segment in document.details["segments"]:
+                self.restored[segment] = (*self.restored.get(segment, ()), *ended)
+
+    def join(self, other: "Drops") -> "Drops":
+        """Both together; what came back is not dropped, and what `self` says goes before what `other` says."""
+        restored = {
+            segment: tuple(dict.fromkeys((*other.restored.get(segment, ()), *self.restored.get(segment, ()))))
+            for segment in other.restored.keys() | self.restored.keys()
+        }
+        dropped = {
+            segment: document
+            for drops in (other.dropped, self.dropped)
+            for segment, document in drops.items()
+            if document not in restored.get(segment, ())
+        }
+        return Drops(dropped, restored)
+
+
 class BuiltPart(NamedTuple):
-    """A part in a folder of its own that is not in force yet, and segments whose raw rows it says are dropped."""
+    """A part in a folder of its own that is not in force yet, and what it says of raw rows of segments."""
 
     folder: Path
     part: Part
-    dropped: dict[str, str]
+    drops: Drops
 
 
 class _Segment:
     """What a segment of the store with that identity holds, sorted by table."""
 
-    def __init__(self, store: str) -> None:
+    def __init__(self, store: str, segment: str) -> None:
         self._store = store
+        self.quarantine = Quarantine(store, segment)
         self.channels: dict[tuple[object, ...], GatheredChannel] = {}
         self.events: list[dict[str, object]] = []
         self.estimates: list[dict[str, object]] = []
-        self.dropped: dict[str, str] = {}
+        self.drops = Drops({}, {})
         self.arrival_first_ns: int | None = None
         self.arrival_last_ns: int | None = None
         self._seen: set[str] = set()
 
     def add(self, record: LogRecord) -> None:
-        """Take in a message."""
-        if record.schema == SAMPLES:
-            self._add_samples(record)
-        elif record.schema == EVENTS:
-            self._add_document(record, decode_event(record.data))
-        else:
+        """Take in a message; one that cannot be built is quarantined."""
+        if record.schema not in {SAMPLES, EVENTS}:
             return
+        try:
+            if record.schema == SAMPLES:
+                self._add_samples(record)
+            else:
+                self._add_document(record, decode_event(record.data))
+        except StoreError:
+            raise
+        except (GyrofleetError, ArithmeticError, LookupError, TypeError, ValueError) as error:
+            self.quarantine.add(record, error)
         arrival_ns = record.arrival_ns
         if self.arrival_first_ns is None or arrival_ns < self.arrival_first_ns:
             self.arrival_first_ns = arrival_ns
@@ -87,6 +129,8 @@ class _Segment:
 
     def _add_document(self, record: LogRecord, message: EventMessage) -> None:
         document = message.document
+        if (reason := beyond_bounds(document)) is not None:
+            raise WireError(f"{type(document).__name__}: {reason}")
         if isinstance(document, EstimatePublished):
             # two estimators of one signal say the same, under the same identity
             if document.uid not in self._seen:
@@ -95,7 +139,7 @@ class _Segment:
             return
         self.events.append(_event_row(record, message))
         if isinstance(document, StoreNoted):
-            self.dropped |= _drops_of(document, self._store)
+            self.drops.take(document, self._store)
 
 
 def build_part(segment: Path, fresh: Path, name: str, *, store: str, without_raw: str | None = None) -> BuiltPart:
@@ -117,18 +161,24 @@ def build_part(segment: Path, fresh: Path, name: str, *, store: str, without_raw
     Raises
     ------
     StoreError
-        If the segment is damaged.
+        If the segment is damaged, or does not fit into memory.
     """
-    gathered = _Segment(store)
+    gathered = _Segment(store, segment.stem)
     try:
         for record in read_segment(segment):
             gathered.add(record)
-    except StoreError:
-        raise
-    except (GyrofleetError, KeyError, TypeError) as error:
-        raise StoreError(f"segment {segment} holds a message that cannot be read: {error}") from error
-    with fresh_folder(fresh):
-        return _written(segment, fresh, name, gathered, without_raw)
+        with fresh_folder(fresh):
+            return _written(segment, fresh, name, gathered, without_raw)
+    except (MemoryError, OutOfMemory) as error:  # of pyarrow too
+        raise StoreError(
+            f"segment {segment} cannot be brought to the lake: not enough memory; free some, then give "
+            f"`gyrofleet lake --once`"
+        ) from error
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        raise StoreError(
+            f"segment {segment} cannot be brought to the lake ({type(error).__name__}: {error}); the log keeps it, "
+            f"please report this"
+        ) from error
 
 
 @contextmanager
@@ -144,6 +194,7 @@ def fresh_folder(fresh: Path) -> Iterator[None]:
 
 
 def _written(segment: Path, fresh: Path, name: str, gathered: _Segment, without_raw: str | None) -> BuiltPart:
+    gathered.events += gathered.quarantine.rows()
     files, rows = _write_tables(fresh, gathered)
     part = Part(
         name=name,
@@ -155,12 +206,14 @@ def _written(segment: Path, fresh: Path, name: str, gathered: _Segment, without_
         t_last_ns=max((int(str(row["t_last_ns"])) for row in rows), default=None),
         arrival_first_ns=gathered.arrival_first_ns,
         arrival_last_ns=gathered.arrival_last_ns,
+        quarantined=gathered.quarantine.messages,
+        quarantined_samples=gathered.quarantine.samples,
     )
     if without_raw is not None:
         part = without_samples(part, without_raw)
         (fresh / SAMPLES_FILE).unlink()
     write_part(fresh, part)
-    return BuiltPart(fresh, part, gathered.dropped)
+    return BuiltPart(fresh, part, gathered.drops)
 
 
 def _sha256(segment: Path) -> str:
@@ -176,25 +229,18 @@ def without_samples(part: Part, document: str) -> Part:
     return msgspec.structs.replace(part, files=files, dropped=dropped)
 
 
-def noted_drops(folder: Path, store: str) -> dict[str, str]:
-    """Segments whose raw rows the store's own documents in a part say are dropped, with the document of each."""
+def noted_drops(folder: Path, store: str) -> Drops:
+    """What the store's own documents in a part say of raw rows."""
     path = folder / "events.parquet"
     try:
         rows = open_table(path).read(["kind", "document"]).to_pylist()
     except (pa.ArrowException, OSError) as error:
         raise damaged(path, error) from error
-    found: dict[str, str] = {}
+    found = Drops({}, {})
     for row in rows:
         if row["kind"] == StoreNoted.__name__:
-            noted = msgspec.json.decode(row["document"], type=StoreNoted)
-            found |= _drops_of(noted, store)
+            found.take(msgspec.json.decode(row["document"], type=StoreNoted), store)
     return found
-
-
-def _drops_of(document: StoreNoted, store: str) -> dict[str, str]:
-    if document.what != RAW_ROWS_DROPPED or not is_own(document, store) or senseless(document) is not None:
-        return {}
-    return dict.fromkeys(document.details["segments"], document.uid)
 
 
 def channel_id(key: str, batch: SampleBatch) -> int:
@@ -213,10 +259,10 @@ def _write_tables(folder: Path, gathered: _Segment) -> tuple[dict[str, PartFile]
     with part_writers(folder) as writer:
         samples = writer("samples")
         # each is let go of when it is written: a segment can hold more than there should be in memory twice
-        channels = sorted(gathered.channels.values(), key=lambda each: each.identity)
+        channels = sorted(gathered.channels.values(), key=lambda each: each.identity, reverse=True)
         gathered.channels.clear()
         while channels:
-            channel = channels.pop(0)
+            channel = channels.pop()
             rollups: list[Rollup] = []
             backward: list[IntArray] = []
             for table, rollup, back in channel.tables():

@@ -16,11 +16,12 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata
+from mcap.records import Channel, Header, Metadata
 
 from storage.mcap_records import (
     CHECKSUM,
     CHUNK,
+    CHUNK_BYTES,
     COMPRESSION,
     FRAME,
     MAGIC,
@@ -33,12 +34,16 @@ from storage.mcap_records import (
     SegmentSummary,
     checksum,
     encode_index,
+    origin_of,
 )
-from stream.errors import StoreError
+from stream.bounds import MAX_MESSAGE_BYTES
+from stream.errors import OutOfMemory, StoreError
 
 Buffer = bytes | mmap.mmap
 
 _SCHEMAS = {number: name for name, number in SCHEMA_IDS.items()}
+_HEAD_BYTES = 4096
+MAX_CONTENT_BYTES = CHUNK_BYTES + 2 * MAX_MESSAGE_BYTES  # of a chunk, with room for messages of an older gyrofleet
 _FOOTER_BYTES = FRAME.size + 8 + 8 + 4
 _ZSTD_HEAD_BYTES = 18  # at most, RFC 8878 section 3.1.1
 # what stands at a fixed distance behind the beginning of every chunk
@@ -58,6 +63,21 @@ class _Chunk(NamedTuple):
     begin: int
     head: ChunkHead
     content: bytes
+
+
+def read_origin(path: Path) -> tuple[str, str] | None:
+    """Identity of the store that wrote a segment, and the segment's number, from its head; None if it says neither."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+        opcode, length = FRAME.unpack_from(head, len(MAGIC))
+        begin = len(MAGIC) + FRAME.size
+        if head[: len(MAGIC)] != MAGIC or opcode != Opcode.HEADER or begin + length > len(head):
+            return None
+        library = Header.read(ReadDataStream(BytesIO(head[begin : begin + length]))).library
+    except (*_DAMAGE, OSError):
+        return None
+    return origin_of(library)
 
 
 def read_marks(path: Path) -> dict[str, str]:
@@ -278,8 +298,14 @@ def _chunk_at(content: Buffer, position: int, end: int) -> _Chunk | None:
         if zstandard.frame_content_size(content[begin : begin + min(packed, _ZSTD_HEAD_BYTES)]) != size:
             return None  # before so much is allocated
         data = zstandard.decompress(content[begin : begin + packed])
-    except (zstandard.ZstdError, MemoryError, OverflowError):
+    except (zstandard.ZstdError, OverflowError):
         return None
+    except MemoryError as error:
+        if size > MAX_CONTENT_BYTES:
+            return None  # nobody has written that
+        raise OutOfMemory(
+            f"there is no memory for {size:,} bytes of a log segment; it may be sound, so free some and try again"
+        ) from error
     if len(data) != size or zlib.crc32(data) != crc:
         return None
     return _Chunk(position, ChunkHead(first_ns, last_ns, size, crc, packed), data)

@@ -34,7 +34,9 @@ from storage.mcap_records import (
     encode_index,
     encoded,
     schemas,
+    written_by,
 )
+from storage.segment_numbers import next_free
 
 _LEVEL = 3
 
@@ -53,6 +55,8 @@ class SegmentWriter:
     found : tuple, optional
         Whole records that the file begins with already, and the summary of them: what follows is cut off, and it is
         gone on from there. Without it the file is new.
+    open_path : Path, optional
+        The file as it is called now, where its name is not `path` with the suffix.
 
     Attributes
     ----------
@@ -71,10 +75,12 @@ class SegmentWriter:
         suffix: str = ".open",
         disk: Disk = DISK,
         *,
+        store: str = "",
         found: tuple[memoryview, SegmentSummary] | None = None,
+        open_path: Path | None = None,
     ) -> None:
         self.path = path
-        self.open_path = path.with_name(path.name + suffix)
+        self.open_path = open_path or path.with_name(path.name + suffix)
         self.payload_bytes = 0
         self.durable_bytes = 0
         self._disk = disk
@@ -90,7 +96,7 @@ class SegmentWriter:
         if found is None:
             self._file = disk.create(self.open_path)
             try:
-                self._write(MAGIC + encoded(Header(profile=PROFILE, library="gyrofleet"), *schemas()))
+                self._write(MAGIC + encoded(Header(profile=PROFILE, library=written_by(store, path)), *schemas()))
             except OSError:
                 disk.close(self._file)
                 disk.remove(self.open_path)
@@ -139,10 +145,11 @@ class SegmentWriter:
             self._disk.sync_data(self._file)
             self.durable_bytes = self._size
 
-    def seal(self, marks: dict[str, str]) -> SealedSegment:
+    def seal(self, marks: dict[str, str], *, replaces: bool = False) -> SealedSegment:
         """Finish the segment with the positions its streams have reached, and give it its name.
 
-        The name is durable after a `sync_folder`; until then the segment is there under one name or the other.
+        The name is durable after a `sync_folder`; until then the segment is there under one name or the other. Where
+        another segment has its name, it `replaces` that one, or it gets the next free name.
         """
         self._end_chunk()
         metadata = encoded(Metadata(name=MARKS, metadata=marks | {CHECKSUM: checksum(marks)}))
@@ -153,7 +160,15 @@ class SegmentWriter:
         self._write(self._ending(MetadataIndex(offset=at, length=len(metadata), name=MARKS)))
         self._disk.sync(self._file)
         self._disk.close(self._file)
-        self._disk.rename(self.open_path, self.path)
+        if replaces:
+            self._disk.replace(self.open_path, self.path)
+            return SealedSegment(self.path, self._size, self._hash.hexdigest())
+        while True:
+            try:
+                self._disk.rename(self.open_path, self.path)
+                break
+            except FileExistsError:
+                self.path = next_free(self.path)
         return SealedSegment(self.path, self._size, self._hash.hexdigest())
 
     @property

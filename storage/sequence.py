@@ -124,7 +124,7 @@ def place_of(record: LogRecord) -> Place | None:
         If it cannot be read.
     """
     if record.schema == SAMPLES:
-        head = read_batch_head(record.data)
+        head = read_batch_head(record.data, bounded=False)
         return Place(StreamId(record.topic, head.epoch), head.seq, head.next_seq, head.t0_ns, head.last_ns, head.run)
     if record.schema == EVENTS:
         message = decode_event(record.data)

@@ -7,13 +7,14 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Self
+from typing import Self
 from uuid import uuid4
 
 from storage.store_marker import (
     MARKER,
     alone_in,
     identity_of_copy,
+    identity_of_segments,
     is_repairable,
     is_unfinished,
     read_marker,
@@ -134,7 +135,7 @@ class Store:
 
     @classmethod
     def _repaired(cls, folder: Path, why: str) -> tuple[Self, str]:
-        marker, identity = folder / MARKER, identity_of_copy(folder)
+        marker, identity = folder / MARKER, identity_of_copy(folder) or identity_of_segments(folder)
         told = f"written anew, {why}"
         if identity is None:
             if writer_is_active(folder):
@@ -157,7 +158,9 @@ class Store:
 
 
 class WriterLock:
-    """Held by the one process that writes a store.
+    """Held by the one process that writes a store: on ``writer.lock``, and on the folder of the log.
+
+    The file says who writes. Whoever removes it lets nobody else write.
 
     Parameters
     ----------
@@ -176,10 +179,13 @@ class WriterLock:
 
     def __init__(self, store: Store, role: str, endpoint: str = "") -> None:
         path = store.folder / _LOCK
+        store.log.mkdir(exist_ok=True)
         path.touch()
         self._file = path.open("r+")
-        if not _locked(self._file):
+        self._log = os.open(store.log, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        if not (_locked(self._file.fileno()) and _locked(self._log)):
             self._file.close()
+            os.close(self._log)
             holder = _holder(store.folder)
             where = f" (--connect {holder['endpoint']})" if holder.get("endpoint") else ""
             raise StoreError(
@@ -193,6 +199,7 @@ class WriterLock:
         """Let another process write."""
         self._write({})
         self._file.close()
+        os.close(self._log)
 
     def _write(self, holder: dict[str, object]) -> None:
         content = (json.dumps({**holder, "last_endpoint": self._last_endpoint}) + "\n").encode()
@@ -230,13 +237,22 @@ def only_one(path: Path, what: str) -> Iterator[None]:
 
 def writer_is_active(folder: Path) -> bool:
     """Whether a process writes the store in `folder` now."""
+    return any(_is_locked(path) for path in (folder / _LOCK, folder / "log"))
+
+
+def _is_locked(path: Path) -> bool:
     try:
-        with (folder / _LOCK).open() as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
     except OSError:
         return False
+    finally:
+        os.close(descriptor)
     return False
 
 
@@ -252,11 +268,11 @@ def recorder_endpoint(folder: Path) -> str | None:
     return _holder(folder).get("last_endpoint") or None
 
 
-def _locked(file: IO[str]) -> bool:
+def _locked(descriptor: int) -> bool:
     """Take a lock; who only looks whether it is held (`writer_is_active`) holds it for a moment."""
     for attempt in range(_LOCK_ATTEMPTS):
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             time.sleep(0.02 if attempt + 1 < _LOCK_ATTEMPTS else 0.0)
         else:

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -75,6 +76,14 @@ def identity_of_copy(folder: Path) -> str | None:
         return read_marker(copy_of(folder))
     except (OSError, ValueError):
         return None
+
+
+def identity_of_segments(folder: Path) -> str | None:
+    """Identity of a store as most segments of its log say; None where none says one."""
+    from storage.segment_reader import read_origin
+
+    found = Counter(origin[0] for path in (folder / "log").glob("*.mcap") if (origin := read_origin(path)) is not None)
+    return next((identity for identity, _ in found.most_common(1) if _IDENTITY.fullmatch(identity)), None)
 
 
 def is_repairable(folder: Path) -> bool:

@@ -31,7 +31,7 @@ def is_own(document: StoreNoted, store: str) -> bool:
 
 
 def is_foreign(document: StoreNoted, store: str) -> bool:
-    """Whether a document names another store than that; those that name none never came over a bus."""
+    """Whether a document names another store than that; one that names none is of the store in whose log it is."""
     named: object = document.details.get("store", store)
     return named != store
 

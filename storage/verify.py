@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from storage.findings import Finding, Severity, Verification
 from storage.lake import parts
 from storage.lake_check import lasting_problems
 from storage.lake_manifest import Part
+from storage.specification_copies import specification_findings
 from storage.store import Store, writer_is_active
 from storage.verify_log import LogState, verify_log
 from stream.checkpoint import generations, read_checkpoint
@@ -35,9 +36,16 @@ def verify(store: Store, progress: Callable[[float], None] | None = None) -> tup
     """
     began = time.monotonic()
     state = verify_log(store, progress)
-    findings = [*state.findings, *lake_findings(store, state), *checkpoint_findings(store, state), *_spools(store)]
+    findings = [
+        *state.findings,
+        *_looked_at(lambda: lake_findings(store, state), store.lake),
+        *_looked_at(lambda: checkpoint_findings(store, state), store.folder / CHECKPOINT),
+        *_looked_at(lambda: _spools(store), store.folder / "spool"),
+        *_looked_at(lambda: specification_findings(store), store.folder),
+    ]
     for check in checks():
-        findings += check(store)
+        findings += _looked_at(partial(check, store), store.folder)
+    findings += kept_findings(store)
     try:
         in_force = parts(store)
     except StoreError:
@@ -61,6 +69,28 @@ def checks() -> tuple[Check, ...]:
     return tuple(each.load() for each in sorted(entry_points(group="gyrofleet.verify"), key=lambda each: each.name))
 
 
+def kept_findings(store: Store) -> list[Finding]:
+    """What is wrong with what layers of the catalogue have computed and kept."""
+    from storage.catalog import layers
+
+    found: list[Finding] = []
+    for layer in layers():
+        if any((store.folder / layer.folder).glob("*")):
+            found += _looked_at(partial(layer.findings, store), store.folder / layer.folder)
+    return found
+
+
+def _looked_at(look: Callable[[], Iterable[Finding]], where: Path) -> list[Finding]:
+    """What a check finds; one that cannot go on, as over what another has found damaged, does not end the others."""
+    try:
+        return list(look())
+    except Exception as error:  # noqa: BLE001  whatever it is, what the others find must be said
+        why = str(error) if isinstance(error, GyrofleetError) else f"{type(error).__name__}: {error}"
+        what = f"what it holds cannot be looked at: {why}"
+        remedy = "put right what else is found, and give `gyrofleet verify` again"
+        return [Finding("check_failed", Severity.DAMAGE, str(where), what, remedy)]
+
+
 def lake_findings(store: Store, state: LogState) -> list[Finding]:
     """What is wrong with the lake, by itself and beside the log; it may be changed meanwhile."""
     found = []
@@ -75,6 +105,12 @@ def lake_findings(store: Store, state: LogState) -> list[Finding]:
         finding = _beside_log(store, state, part)
         if finding is not None:
             found.append(finding)
+        if part.quarantined:
+            what = (
+                f"{part.quarantined:,} messages of its segments cannot be built, {part.quarantined_samples:,} samples; "
+                f"the documents message_quarantined in the view events say why, the log keeps them"
+            )
+            found.append(Finding("messages_quarantined", Severity.NOTE, str(store.lake / part.name), what))
     held = {segment for part in in_force for segment in part.segments}
     missing = sorted({name.removesuffix(".mcap") for name in state.samples} - held)
     if missing and not writer_is_active(store.folder):
@@ -99,13 +135,14 @@ def _beside_log(store: Store, state: LogState, part: Part) -> Finding | None:
     expected = sum(state.samples[f"{segment}.mcap"] for segment in there)
     changed = gone | (salvaged(state) & set(there))
     others = [segment for segment in there if segment not in changed and _is_of_another(state, part, segment)]
-    if part.samples > expected and changed and not others:
-        what = f"{part.samples - expected:,} samples that the log has lost are still in the lake"
+    held = part.samples + part.quarantined_samples
+    if held > expected and changed and not others:
+        what = f"{held - expected:,} samples that the log has lost are still in the lake"
         return Finding("lake_has_more", Severity.NOTE, where, what, "`gyrofleet rebuild` would lose them")
     if others:
         what = f"it was made from other files of these names: {', '.join(others[:5])}"
-    elif part.samples != expected:
-        what = f"{part.samples:,} samples, its segments have {expected:,}"
+    elif held != expected:
+        what = f"{held:,} samples, its segments have {expected:,}"
     else:
         return None
     return Finding("lake_disagrees", Severity.DAMAGE, where, what, "keep it aside and make it anew from the log")

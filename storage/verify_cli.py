@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 from rich.table import Table
 
-from stream.console import notes, print_json, progress_bar, reporting, results, store_option
+from stream.console import notes, print_json, progress_bar, reporting, results, store_option, styled
 
 _SHOWN_OF_A_KIND = 8
 _COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "default"}
@@ -20,8 +20,8 @@ def verify(folder: Path, *, as_json: bool) -> None:
     """Read everything in the store and say what is wrong, where, and what would be done; nothing is changed.
 
     The exit code is 0 only for a sound store: every segment is what was written, the numbers of every stream go on
-    without a gap that is not said in the log, the lake agrees with the log, and so do the estimators' checkpoints and
-    the error models in use.
+    without a gap that is not said in the log, the lake agrees with the log, and so do the estimators' checkpoints, the
+    error models in use and the copies of the specifications, whose documents in the log form an unbroken chain.
     """
     from storage.store import Store
     from storage.verify import verify as verify_store
@@ -43,7 +43,7 @@ def verify(folder: Path, *, as_json: bool) -> None:
             if shown[finding.kind] > _SHOWN_OF_A_KIND:
                 continue
             colour = _COLOURS[finding.severity]
-            table.add_row(f"[{colour}]{finding.severity}[/]", finding.where, finding.what, finding.remedy)
+            table.add_row(styled(finding.severity, colour), finding.where, finding.what, finding.remedy)
         results().print(table)
         for kind, count in shown.items():
             if count > _SHOWN_OF_A_KIND:
@@ -58,11 +58,13 @@ def verify(folder: Path, *, as_json: bool) -> None:
 
 @click.command("recover")
 @store_option
+@click.option("--quarantine", is_flag=True, help="Also move files that are not the store's from log/ to log/aside.")
 @reporting
-def recover(folder: Path, *, as_json: bool) -> None:
+def recover(folder: Path, *, quarantine: bool, as_json: bool) -> None:
     """Put right what `gyrofleet verify` finds, and verify again; nothing is destroyed.
 
-    Damaged files are kept in log/aside and lake-aside, and the log says what is lost.
+    Damaged files are kept in log/aside and lake-aside, and the log says what is lost. Files in the log that are not
+    the store's are never read; --quarantine moves them to log/aside.
     """
     from storage.recover import Action
     from storage.recover import recover as recover_store
@@ -73,7 +75,7 @@ def recover(folder: Path, *, as_json: bool) -> None:
     actions = [] if told is None else [Action("store_marked", str(folder / "store.json"), told)]
     if told is not None and not as_json:
         notes().print(f"{folder / 'store.json'}: {told}", soft_wrap=True, markup=False)
-    for action in recover_store(store):
+    for action in recover_store(store, quarantine=quarantine):
         actions.append(action)
         if not as_json:
             notes().print(f"{action.what} {action.where}: {action.text}", soft_wrap=True, markup=False)

@@ -9,6 +9,7 @@ from uuid import UUID
 
 from storage.findings import Finding, Severity
 from storage.lake_manifest import read_manifest
+from storage.log_files import sealed_segments, unknown_files
 from storage.log_manifest import SegmentEntry, manifest_path, read_log_manifest
 from storage.log_tail import open_records
 from storage.mcap_records import EVENTS, LogRecord
@@ -18,7 +19,7 @@ from storage.sequence import DOCUMENTS, LostStretch, SequenceCheck, place_of
 from storage.store import Store, writer_is_active
 from storage.store_notes import is_foreign
 from stream.delivery import StreamId
-from stream.errors import GyrofleetError, StoreError
+from stream.errors import GyrofleetError, OutOfMemory, StoreError
 from stream.event_sense import senseless
 from stream.events import RunEnded, StoreNoted, decode_event
 from stream.identity import parse_key, sample_key
@@ -132,13 +133,17 @@ def _verify_manifest(store: Store, state: LogState) -> list[Path]:
     until = time.monotonic() + _LISTED_WITHIN_S
     while True:
         # segments first: what is sealed after this is not looked at
-        sealed = sorted(store.log.glob("*.mcap"))
+        sealed = sealed_segments(store)
         manifest = read_log_manifest(store)
         is_listed = all(path.name in manifest.entries for path in sealed)
         if is_listed or not writer_is_active(store.folder) or time.monotonic() >= until:
             break
         time.sleep(0.05)  # the line comes after the segment
     state.entries, state.lost = manifest.entries, manifest.lost
+    for unknown in unknown_files(store):
+        what = f"{unknown.why}; it is not read, and does not come to the lake"
+        remedy = "move it to log/aside, with --quarantine"
+        state.add("file_unknown", Severity.NOTE, str(unknown.path), what, remedy)
     where = str(manifest_path(store))
     anew = "write it anew from the segments, and keep what is there in log/aside"
     if not manifest_path(store).exists() and (len(sealed) > 1 or _is_in_use(store)):
@@ -192,6 +197,8 @@ def _verify_segment(path: Path, state: LogState) -> bool:
     except StoreError as error:
         if not reasons:
             reasons.append(str(error))
+    except OutOfMemory:
+        raise  # nothing is known of it
     except GyrofleetError as error:
         reasons.append(f"it holds a message that cannot be read: {error}")
     # of what could be saved of a segment, these are what says that its streams had come further

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from stream.bounds import MAX_INTERVAL_NS, MAX_MOMENT_NS, MAX_NAME_CHARS, MAX_SEQ, MIN_MOMENT_NS
 from stream.errors import BadInput
 
 IntArray = npt.NDArray[np.int64]
@@ -57,7 +58,7 @@ class SampleBatch:
     Raises
     ------
     BadInput
-        If the arrays do not fit together, a scale is not finite, or an integer does not fit its field.
+        If the arrays do not fit together, a scale is not finite, or a number or name is beyond its bounds.
 
     Examples
     --------
@@ -97,10 +98,12 @@ class SampleBatch:
                 raise BadInput(f"{self._who}: {len(array)} {name} for {n} samples")
         if not (isfinite(self.scale) and isfinite(self.offset)):
             raise BadInput(f"{self._who}: scale {self.scale} or offset {self.offset} is not a finite number")
-        if not 1 <= self.dt_ns <= INT64_MAX or not 0 <= self.seq <= INT64_MAX - n:
+        if not 1 <= self.dt_ns <= MAX_INTERVAL_NS or not 0 <= self.seq <= MAX_SEQ - n:
             raise BadInput(f"{self._who}: dt_ns {self.dt_ns} or seq {self.seq} is outside its range")
-        if not -INT64_MAX <= self.t0_ns <= INT64_MAX or not -INT64_MAX <= self.last_ns <= INT64_MAX:
-            raise BadInput(f"{self._who}: times from {self.t0_ns} ns do not fit 64 bits")
+        if not (is_moment(self.t0_ns) and is_moment(self.last_ns)) or not are_moments(self.times_ns):
+            raise BadInput(f"{self._who}: times from {self.t0_ns} ns on are not between 1897 and 2116")
+        if len(self.run) > MAX_NAME_CHARS or len(self.unit_of_measure) > MAX_NAME_CHARS:
+            raise BadInput(f"{self._who[:300]}: run or unit of measure has more than {MAX_NAME_CHARS} characters")
 
     def __len__(self) -> int:
         data = self.counts if self.counts is not None else self.values
@@ -174,6 +177,16 @@ class SampleBatch:
             return self.values
         assert self.counts is not None
         return np.asarray(self.counts * self.scale + self.offset, np.float64)
+
+
+def is_moment(t_ns: int) -> bool:
+    """Whether a time is between 1897 and 2116."""
+    return MIN_MOMENT_NS <= t_ns <= MAX_MOMENT_NS
+
+
+def are_moments(times_ns: IntArray | None) -> bool:
+    """Whether all times are; True where there are none."""
+    return times_ns is None or (is_moment(int(times_ns.min())) and is_moment(int(times_ns.max())))
 
 
 def checked_batch(parts: dict[str, Any]) -> SampleBatch:

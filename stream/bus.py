@@ -17,6 +17,9 @@ class Bus(Protocol):
     def subscribe(self, key_expression: str, handler: Handler) -> None:
         """Call `handler` for every message that matches, in the order of each source."""
 
+    def unsubscribe(self, key_expression: str) -> None:
+        """Call no handler of that key expression any more."""
+
     def close(self) -> None:
         """Leave the bus."""
 
@@ -62,6 +65,11 @@ class LocalBus:
         """Call `handler` for every message that matches."""
         with self._lock:
             self._handlers[key_expression].append(handler)
+
+    def unsubscribe(self, key_expression: str) -> None:
+        """Call no handler of that key expression any more."""
+        with self._lock:
+            self._handlers.pop(key_expression, None)
 
     def close(self) -> None:
         """Forget all handlers."""

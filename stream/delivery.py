@@ -20,9 +20,10 @@ from stream.acknowledgement import (
     encode_acknowledgement,
 )
 from stream.batch import SampleBatch
+from stream.bounds import MAX_KEY_CHARS, MAX_MESSAGE_BYTES
 from stream.bus import Bus
 from stream.errors import DeliveryError, GyrofleetError, WireError
-from stream.event_sense import senseless
+from stream.event_sense import decode_received
 from stream.events import AnyDocument, encode_event
 from stream.identity import ACKNOWLEDGEMENT_KEY
 from stream.outbox import BITE_BYTES, Due, Outbox
@@ -71,7 +72,8 @@ class DurablePublisher:
     timeout_s : float
         Silence after which waiting is given up with an error. A recorder that says why it pauses is not silent.
     only_store : str, optional
-        Identity of the store that has to have it; what recorders of others answer is not heard.
+        Identity of the store that has to have it; by default that of the first recorder that has taken something.
+        What recorders of others answer is not heard.
     spool : Spool, optional
         Keeps messages on disk. What it holds from before is sent first. The caller closes it after the publisher.
     """
@@ -90,9 +92,8 @@ class DurablePublisher:
         self._window_bytes = window_bytes
         self._resend_after_s = resend_after_s
         self._timeout_s = timeout_s
-        self._only_store = only_store
         self._spool = spool
-        self._out = Outbox(window_bytes, resend_after_s, spool)
+        self._out = Outbox(window_bytes, resend_after_s, spool, only_store)
         self._epoch = uuid4().hex
         self._event_seq: dict[str, int] = {}
         self._by_key: dict[str, OutgoingStream] = {}
@@ -124,6 +125,11 @@ class DurablePublisher:
         return self._out.resent
 
     @property
+    def ignored(self) -> int:
+        """Answers that named what was never sent."""
+        return self._out.ignored
+
+    @property
     def warning(self) -> str | None:
         """What people should know, while it is so; None where all is well."""
         return (self._spool.failure if self._spool is not None else None) or self._out.warning
@@ -137,14 +143,19 @@ class DurablePublisher:
         ------
         DeliveryError
             If nothing is acknowledged for `timeout_s`.
+        WireError
+            If the batch or the key is larger than a recorder takes.
         """
         stream = self._by_key.get(key)
         if stream is None or (stream.epoch is not batch.epoch and stream.epoch != batch.epoch):
+            _check_key(key)
             stream = self._stream(StreamId(key, batch.epoch.hex))
             stream.epoch = batch.epoch
             self._by_key[key] = stream
         seq = batch.seq
         payload = stream.encoder.encode(batch)
+        if len(payload) > MAX_MESSAGE_BYTES:
+            raise WireError(f"{key}: {len(payload):,} bytes in a batch, a message may have {MAX_MESSAGE_BYTES:,}")
         if self._accept(stream, seq, seq + len(batch), payload):
             self._bus.publish(key, stream.on_wire(payload))
 
@@ -154,10 +165,14 @@ class DurablePublisher:
         Raises
         ------
         WireError
-            If no recorder would take it, since it makes no sense.
+            If no recorder would take it: it makes no sense, or a number in it is beyond its bounds.
         """
-        if (reason := senseless(document)) is not None:
-            raise WireError(f"run {document.run}: {type(document).__name__} cannot be sent: {reason}")
+        try:
+            decode_received(encode_event(document, self._epoch, 0))
+        except (WireError, OverflowError) as error:
+            told = str(error).removeprefix("not a run document: ")
+            raise WireError(f"run {document.run[:80]}: {type(document).__name__} cannot be sent: {told}") from error
+        _check_key(key)
         stream = self._stream(StreamId(key, self._epoch))
         with self._numbering:  # whoever has a number sends before the next is given
             seq = self._event_seq.get(key, 0)
@@ -277,7 +292,7 @@ class DurablePublisher:
             self._is_told = True
             raise DeliveryError(
                 f"{why}no recorder has acknowledged anything for {silence_s:.0f} s and {self._out.told()}; "
-                f"is `gyrofleet record` running where this source is connected to?"
+                f"is `gyrofleet record` running where this source is connected to?{self._out.told_other_store()}"
             )
         self._state.wait(0.1)
 
@@ -291,11 +306,10 @@ class DurablePublisher:
             acknowledgement = decode_acknowledgement(payload)
         except WireError:
             return  # not from a recorder of ours; without an acknowledgement everything is kept and sent again
-        if self._only_store not in {None, acknowledgement.store}:
-            return
         now = time.monotonic()
         with self._state:
-            self._out.hear_pause(acknowledgement.paused, now)
+            if self._out.store in {None, acknowledgement.store}:
+                self._out.hear_pause(acknowledgement.paused, now)
             for position in acknowledgement.positions:
                 self._out.answer(acknowledgement.store, position, now)
             self._state.notify_all()
@@ -363,3 +377,10 @@ class DurablePublisher:
                 stream.pumping = True
             self._state.notify_all()
         return now_due
+
+
+def _check_key(key: str) -> None:
+    if len(key) > MAX_KEY_CHARS:
+        raise WireError(
+            f"key expression {key[:80]!r}... has {len(key)} characters, at most {MAX_KEY_CHARS} are allowed"
+        )

@@ -8,6 +8,9 @@ expected, and what to do next.
 class GyrofleetError(Exception):
     """Root of all errors that gyrofleet raises on purpose; its text is meant for people."""
 
+    exit_code = 1
+    """Of a command that ends with it."""
+
 
 class BadInput(GyrofleetError):
     """A file, column, cell or option that does not keep the import contract."""
@@ -22,11 +25,17 @@ class NotFound(GyrofleetError):
 
 
 class QueryError(GyrofleetError):
-    """A SQL statement that is refused or fails."""
+    """A SQL statement that is refused, fails, or takes more than it may."""
+
+    exit_code = 2
 
 
 class StoreError(GyrofleetError):
     """A store that cannot be opened, written or trusted."""
+
+
+class OutOfMemory(GyrofleetError):
+    """Something that does not fit into the memory there is, and may be sound."""
 
 
 class WireError(GyrofleetError):

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from stream.checkpoint import Checkpoint
 from stream.delivery import StreamId
 from stream.errors import BadInput, WireError
+from stream.estimated_signals import EstimatedSignals
 from stream.estimators.base import Estimator
-from stream.events import AnyDocument, CompensationStarted, EventMessage, LimitsApplied, RunEnded, decode_event
+from stream.event_sense import decode_received
+from stream.events import AnyDocument, CompensationStarted, EventMessage, LimitsApplied, RunEnded
 from stream.held_ends import HeldEnds, streams_of
 from stream.identity import EstimateKey, EventKey, Place, SampleKey, estimate_key, parse_key, sample_key
 from stream.signal_analysis import Documents, SignalAnalysis, fresh_followers
@@ -48,6 +50,8 @@ class Estimation:
 
     spectrum : bool
         Whether a spectral density is kept as well.
+    estimated : EstimatedSignals
+        Which signals are estimated; those that limits of a run are on always are.
 
     Attributes
     ----------
@@ -69,8 +73,11 @@ class Estimation:
         fill: Callable[[StreamId, int], None] | None = None,
         *,
         spectrum: bool = True,
+        estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
     ) -> None:
         self._every_ns = every_ns
+        self._estimated = estimated
+        self._passed_over: set[tuple[str, str, str]] = set()
         self._fresh = functools.partial(fresh_followers, factories, spectrum=spectrum)
         self._publish = publish
         self._fill = fill
@@ -96,7 +103,7 @@ class Estimation:
             if isinstance(parsed, SampleKey):
                 self._take_samples(key, parsed, read_wire_batch(payload))
             else:
-                self._take_document(key, parsed, decode_event(payload))
+                self._take_document(key, parsed, decode_received(payload))
         except (BadInput, WireError):
             self.counts.rejected += 1  # the recorder keeps it aside and reports it
 
@@ -149,7 +156,7 @@ class Estimation:
 
     def _take_samples(self, key: str, parsed: SampleKey, batch: WireBatch) -> None:
         if batch.unit != parsed.unit or batch.signal != parsed.signal:
-            raise WireError(f"it holds samples of {batch.unit}/{batch.signal}")
+            raise WireError("it holds samples of another unit or signal")
         stream = StreamId(key, batch.meaning[0].hex())
         first, after, counts = batch.seq, batch.next_seq, self.counts
         expected = self._expected(stream, first)
@@ -170,7 +177,12 @@ class Estimation:
         counts.lost += first - expected
         counts.samples += after - first
         name = (batch.run, batch.unit, batch.signal)
-        analysis = self._signals.get(name) or self._begin(parsed.place, name)
+        if name in self._passed_over:
+            return
+        analysis = self._signals.get(name) or self._begin(parsed.place, name, batch.unit_of_measure)
+        if analysis is None:
+            self._passed_over.add(name)
+            return
         documents = analysis.take(batch)
         if documents:
             self._hand_on(analysis, documents)
@@ -220,6 +232,7 @@ class Estimation:
     def _follow(self, document: AnyDocument) -> None:
         if isinstance(document, LimitsApplied):
             self._limits[document.run] = document
+            self._forget_passed_over(document.run)  # the limits may be on one of them
             for analysis in self._signals.values():
                 if analysis.run == document.run:
                     analysis.apply_limits(document)
@@ -231,9 +244,18 @@ class Estimation:
                 analysis = self._signals.pop(name)
                 self._hand_on(analysis, analysis.finish())
             self._limits.pop(document.run, None)
+            self._forget_passed_over(document.run)
 
-    def _begin(self, place: Place, name: tuple[str, str, str]) -> SignalAnalysis:
+    def _forget_passed_over(self, run: str) -> None:
+        self._passed_over = {each for each in self._passed_over if each[0] != run}
+
+    def _begin(self, place: Place, name: tuple[str, str, str], unit_of_measure: str) -> SignalAnalysis | None:
+        """Start the analysis of a signal; None where it is not estimated."""
         run, unit, signal = name
+        limits = self._limits[run].limits if run in self._limits else ()
+        is_limited = any(limit.signal == signal for limit in limits)
+        if not is_limited and not self._estimated.includes(signal, unit_of_measure):
+            return None
         followers = self._fresh()
         analysis = self._signals[name] = SignalAnalysis(place, (unit, signal, run), self._every_ns, followers)
         if run in self._limits:

@@ -3,8 +3,18 @@
 import re
 from uuid import UUID
 
+from stream.bounds import MAX_MESSAGE_BYTES, MAX_SEQ, beyond_bounds
 from stream.errors import BadInput, WireError
-from stream.events import RAW_ROWS_DROPPED, AnyDocument, EventMessage, RunEnded, StoreNoted, StreamTotal, decode_event
+from stream.events import (
+    RAW_ROWS_DROPPED,
+    RAW_ROWS_RESTORED,
+    AnyDocument,
+    EventMessage,
+    RunEnded,
+    StoreNoted,
+    StreamTotal,
+    decode_event,
+)
 from stream.identity import check_name
 
 _EPOCH = re.compile(r"[0-9A-Za-z-]{1,64}")
@@ -29,7 +39,11 @@ def decode_received(payload: bytes) -> EventMessage:
     Traceback (most recent call last):
     stream.errors.WireError: not a run document: total of unit 'U1': epoch 'zzz' is no UUID
     """
+    if len(payload) > MAX_MESSAGE_BYTES:
+        raise WireError(f"not a run document: {len(payload)} bytes, a message may have {MAX_MESSAGE_BYTES}")
     message = decode_event(payload)
+    if message.seq > MAX_SEQ:
+        raise WireError(f"not a run document: seq {message.seq} is beyond its bounds")
     if _EPOCH.fullmatch(message.epoch) is None:
         raise WireError(f"not a run document: epoch {message.epoch[:80]!r} is not 1 to 64 of 0-9, A-Z, a-z and -")
     if (reason := senseless(message.document)) is not None:
@@ -47,6 +61,8 @@ def senseless(document: AnyDocument) -> str | None:
     >>> senseless(StoreNoted(run="", t_ns=0, what="numbers_missing", text="", details={"lost": 7}))
     'what is lost is no list of stretches'
     """
+    if (reason := beyond_bounds(document)) is not None:
+        return reason
     if isinstance(document, RunEnded):
         return next((reason for total in document.totals if (reason := _senseless_total(total)) is not None), None)
     if isinstance(document, StoreNoted):
@@ -75,12 +91,18 @@ def _senseless_details(document: StoreNoted) -> str | None:
     lost = details.get("lost")
     if lost is not None and not (isinstance(lost, list) and all(_is_stretch(each) for each in lost)):
         return "what is lost is no list of stretches"
-    segments = details.get("segments", None if document.what == RAW_ROWS_DROPPED else [])
-    if not (isinstance(segments, list) and all(isinstance(each, str) for each in segments)):
+    of_raw_rows = document.what in {RAW_ROWS_DROPPED, RAW_ROWS_RESTORED}
+    if not _are_texts(details.get("segments", None if of_raw_rows else [])):
         return "the segments are no list of names"
+    if document.what == RAW_ROWS_RESTORED and not _are_texts(details.get("documents")):
+        return "the documents are no list of identities"
     if not isinstance(details.get("store", ""), str):
         return "the store is no text"
     return None
+
+
+def _are_texts(value: object) -> bool:
+    return isinstance(value, list) and all(isinstance(each, str) for each in value)
 
 
 def _is_stretch(lost: object) -> bool:

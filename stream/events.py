@@ -13,6 +13,7 @@ import msgspec
 from stream.errors import NewerSchema, WireError
 
 EVENT_SCHEMA = 1
+RAW_ROWS_RESTORED = "raw_rows_restored"  # and which of those documents count no more
 RAW_ROWS_DROPPED = "raw_rows_dropped"  # what a StoreNoted says of which raw rows the lake has let go of
 
 Moment = Annotated[int, msgspec.Meta(ge=-(2**63) + 1, le=2**63 - 1)]
@@ -135,6 +136,12 @@ class NoteAdded(Document, frozen=True, kw_only=True, tag=True):
     unit: str | None = None
 
 
+class StationStated(Document, frozen=True, kw_only=True, tag=True):
+    """What is stated later of the station of a run, in the words of its `RunStarted`'s details; the last one holds."""
+
+    details: dict[str, str] = {}
+
+
 class CheckEntered(Document, frozen=True, kw_only=True, tag=True):
     """What a person found of a unit without an instrument of the station, and how it was judged (GJB 2426A 5.2, 5.3).
 
@@ -150,6 +157,52 @@ class CheckEntered(Document, frozen=True, kw_only=True, tag=True):
     lower: float | None = None
     upper: float | None = None
     note: str = ""
+
+
+class SpecificationAction(StrEnum):
+    """What a document does to the product specifications of a store."""
+
+    ADDED = "added"
+    REVISED = "revised"
+    WITHDRAWN = "withdrawn"
+    SETTLED = "settled"
+    """A person accepts that documents before it are lost."""
+
+
+class SpecificationEntered(Document, frozen=True, kw_only=True, tag=True):
+    """A revision of a product specification is added or withdrawn, or a loss accepted; `run` is empty.
+
+    Parameters
+    ----------
+    action : SpecificationAction
+        What is done; ``revised`` adds a revision of a name that is there.
+    name, revision : str
+        Which revision.
+    content : str
+        The TOML; empty where it is withdrawn.
+    by, reason : str
+        Who does it, and why.
+    previous : str
+        SHA-256 of the specification document before it in the store; empty in the first.
+    rejudges : bool
+        Whether what was recorded before is judged anew.
+    settles : tuple of str
+        Hashes of documents at which the chain is broken, and a person accepts that.
+    store, seal : str
+        Identity of the store that it is for, and its seal: recorders of several stores may hear one bus.
+    """
+
+    action: SpecificationAction
+    name: str
+    revision: str
+    content: str = ""
+    by: str
+    reason: str = ""
+    previous: str = ""
+    rejudges: bool = False
+    settles: tuple[str, ...] = ()
+    store: str = ""
+    seal: str = ""
 
 
 class Limit(msgspec.Struct, frozen=True, kw_only=True):
@@ -362,7 +415,9 @@ AnyDocument = (
     | PowerOff
     | UnitMounted
     | NoteAdded
+    | StationStated
     | CheckEntered
+    | SpecificationEntered
     | LimitsApplied
     | EstimatePublished
     | NoiseFitted

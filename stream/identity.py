@@ -9,6 +9,7 @@ Control     ``gyrofleet/@<topic>`` (a chunk that starts with ``@`` is matched by
 import re
 from typing import NamedTuple
 
+from stream.bounds import MAX_KEY_CHARS, MAX_NAME_CHARS
 from stream.errors import BadInput
 
 ROOT = "gyrofleet"
@@ -16,7 +17,7 @@ EVERYTHING = f"{ROOT}/**"
 ACKNOWLEDGEMENT_KEY = f"{ROOT}/@acknowledgement"
 
 # A chunk of a Zenoh key expression holds none of / * $ ? #; white space and a leading @ or . confuse people.
-_NAME = re.compile(r"[^\s/*$?#@.\x00-\x1f][^\s/*$?#\x00-\x1f]{0,127}")
+_NAME = re.compile(rf"[^\s/*$?#@.\x00-\x1f][^\s/*$?#\x00-\x1f]{{0,{MAX_NAME_CHARS - 1}}}")
 
 
 class Place(NamedTuple):
@@ -111,6 +112,8 @@ def parse_key(key: str) -> SampleKey | EstimateKey | EventKey:
     >>> parse_key("gyrofleet/plant/chamber-2/event")
     EventKey(place=Place(site='plant', station='chamber-2'))
     """
+    if len(key) > MAX_KEY_CHARS:
+        raise BadInput(f"key expression {key[:80]!r}... has {len(key)} characters, at most {MAX_KEY_CHARS} are allowed")
     match key.split("/"):
         case [root, site, station, "event"] if root == ROOT:
             return EventKey(Place(site, station))

@@ -22,13 +22,20 @@ class Outbox:
     `bytes` are held; what is sent again or read from the disk costs `credit`, which acknowledgements give back
     twofold. `behind` are the streams with messages that wait to be published; `progress_at` is when a recorder last
     gave a sign of life, `paused` what it then said; `broken` is why nothing can be delivered any more.
+
+    All goes to one store: `store` is its identity, that of the first recorder that has taken something where it is not
+    given. What recorders of others answer is not heard; `other_store` is the last of those that asked for something.
+    Answers that cannot be true, of numbers that were never sent, are `ignored`, and counted.
     """
 
-    def __init__(self, window_bytes: int, resend_after_s: float, spool: Spool | None) -> None:
+    def __init__(self, window_bytes: int, resend_after_s: float, spool: Spool | None, store: str | None = None) -> None:
         self._window_bytes = window_bytes
         self._resend_after_s = resend_after_s
         self._longest_wait_s = max(_LONGEST_PATIENCE_S, resend_after_s)
         self._spool = spool
+        self.store = store or (None if spool is None else spool.store or None)
+        self.other_store: str | None = None
+        self.ignored = 0
         self.streams: dict[tuple[str, str], OutgoingStream] = {}
         self._renamed: dict[tuple[str, str], tuple[OutgoingStream, int]] = {}
         self.behind: dict[OutgoingStream, None] = {}
@@ -50,7 +57,7 @@ class Outbox:
         state = None if self._spool is None else self._spool.streams.get(stream_id)
         if state is not None and self._spool is not None:
             stream.acknowledged = state.acknowledged
-            stream.store = self._spool.store if state.acknowledged else None
+            stream.sent_to = state.appended  # by this process or the one before it
             stream.base = state.base
             if stream.base:
                 self._renamed[stream.wire_id] = stream, stream.base
@@ -67,6 +74,7 @@ class Outbox:
         self.bytes += len(held.payload)
         if stream.sent == len(stream.held) - 1 and not stream.pumping:
             stream.sent += 1
+            stream.sent_to = max(stream.sent_to, held.next_seq)
             return True
         self.behind[stream] = None
         return False
@@ -102,10 +110,33 @@ class Outbox:
         stream, base = self._renamed.get(name) or (self.streams.get(name), 0)
         if stream is None or base != stream.base:
             return  # under a name from before: what was sent so is let go of, and what it lacks of it is lost
-        if position.rewind:
-            self._rewind(stream, store, base + position.next_seq, now)
+        if self.store not in {None, store}:
+            self.other_store = store
+            return
+        next_seq = base + position.next_seq
+        if not base <= next_seq <= stream.sent_to:
+            self._ignore(stream, store, next_seq)
+        elif position.rewind:
+            self._rewind(stream, next_seq, now)
         else:
-            self._take(stream, store, base + position.next_seq, now)
+            self._take(stream, store, next_seq, now)
+
+    def told_other_store(self) -> str:
+        """That a recorder of another store answers, as the end of a sentence; empty where none does."""
+        if self.other_store is None:
+            return ""
+        return (
+            f"; a recorder of another store ({self.other_store[:40]}) asks for it, but it goes to the store "
+            f"{self.store}: send to one store until the run has ended"
+        )
+
+    def _ignore(self, stream: OutgoingStream, store: str, next_seq: int) -> None:
+        """Report an answer that no recorder of ours gives: of what was never sent."""
+        self.ignored += 1
+        self.warning = (
+            f"an answer is ignored, {self.ignored} so far: it names number {next_seq} of {stream.id.key}, of which "
+            f"{stream.sent_to} were sent; another program answers on this bus in the name of store {store[:40]}"
+        )
 
     def hear_pause(self, reason: str, now: float) -> None:
         """Take in why the recorder takes nothing; an empty reason: it takes."""
@@ -119,7 +150,8 @@ class Outbox:
         self.paused = reason
 
     def _take(self, stream: OutgoingStream, store: str, next_seq: int, now: float) -> None:
-        stream.store = store
+        if next_seq:
+            self.store = store
         if self._spool is not None:
             self._spool.acknowledge(store, stream.id, next_seq)
         freed = stream.let_go(next_seq)
@@ -129,14 +161,9 @@ class Outbox:
             self.credit = min(self.credit + 2 * freed, self._window_bytes)
             self.progress_at = now
 
-    def _rewind(self, stream: OutgoingStream, store: str, asked: int, now: float) -> None:
+    def _rewind(self, stream: OutgoingStream, asked: int, now: float) -> None:
         """Go back to number `asked`, which the recorder lacks; what is before it is not durable there yet."""
-        if stream.store not in {None, store}:
-            self.broken = (
-                f"the recorder asks for {stream.id.key} from number {asked}, but earlier numbers went to another "
-                f"store; send to one store until the run has ended"
-            )
-        elif stream.held and stream.held[0].seq > asked:
+        if stream.held and stream.held[0].seq > asked:
             self._miss(stream, asked, now)
         elif again := stream.go_back(asked, now):
             self.resent += again

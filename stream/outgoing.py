@@ -26,7 +26,8 @@ class Held(NamedTuple):
 class OutgoingStream:
     """What a publisher knows of one stream.
 
-    The first `sent` of the messages that are `held` have been published, and not those after them. `pumping` says that
+    The first `sent` of the messages that are `held` have been published, and not those after them; `sent_to` is the
+    number behind the last one that ever was, beyond which nobody can have anything of it. `pumping` says that
     a thread is about to publish some, so that nobody overtakes it. From number `base` on the stream is sent under an
     epoch of its own, because what was before is lost.
 
@@ -57,7 +58,7 @@ class OutgoingStream:
         "pumping",
         "quiet_since",
         "sent",
-        "store",
+        "sent_to",
     )
 
     def __init__(self, stream_id: StreamId, patience_s: float) -> None:
@@ -66,10 +67,10 @@ class OutgoingStream:
         self.encoder = BatchEncoder()
         self.held: deque[Held] = deque()
         self.sent = 0
+        self.sent_to = 0
         self.pumping = False
         self.base = 0
         self.acknowledged = 0
-        self.store: str | None = None
         self.lost_since: float | None = None
         self.quiet_since = 0.0
         self.patience_s = self._first_patience_s = patience_s
@@ -166,6 +167,8 @@ class OutgoingStream:
             found.append(message)
             size += len(message.payload)
         self.sent += len(found)
+        if found:
+            self.sent_to = max(self.sent_to, found[-1].next_seq)
         return found
 
     def _id_from(self, base: int) -> StreamId:

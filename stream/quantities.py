@@ -12,7 +12,7 @@ from stream.errors import UnknownUnit
 ANGULAR_RATE_UNIT = "deg/h"
 
 _ANGLES = frozenset({"degree", "radian", "turn", "arcminute", "arcsecond", "milliarcsecond", "grade", "milliradian"})
-_ROTATIONS = frozenset({"revolutions_per_minute", "revolutions_per_second"})
+_ROTATIONS = frozenset({"revolutions_per_minute", "revolutions_per_second", "dps"})
 _ROOT = re.compile(r"sqrt\(([^()]+)\)")
 _COMMON = (
     *("deg/s", "deg/h", "rad/s", "rad/h", "arcsec/s", "rpm", "degC", "K", "V", "mV", "A", "mA", "W", "g_0", "m/s^2"),
@@ -88,11 +88,11 @@ def is_angular_rate(text: str) -> bool:
 
     Examples
     --------
-    >>> is_angular_rate("rad/s"), is_angular_rate("Hz"), is_angular_rate("rpm")
-    (True, False, True)
+    >>> is_angular_rate("rad/s"), is_angular_rate("Hz"), is_angular_rate("rpm"), is_angular_rate("mdps")
+    (True, False, True, True)
     """
     unit = _unit(text)
-    powers = dict(unit._units)  # noqa: SLF001  pint has no public way to the parts of a unit
+    powers = _powers(text)
     angles = [power for name, power in powers.items() if name in _ANGLES]
     is_rotation = any(name in _ROTATIONS for name in powers)
     return (angles == [1] or is_rotation) and unit.dimensionality == _unit("1/s").dimensionality
@@ -162,8 +162,19 @@ def check_result_unit(text: str) -> str:
 
 def _angles(text: str) -> float:
     """The power in which angles stand in a unit."""
-    powers = cast("dict[str, float]", dict(_unit(text)._units))  # noqa: SLF001  as in is_angular_rate
+    powers = _powers(text)
     return float(sum(power for name, power in powers.items() if name in _ANGLES or name in _ROTATIONS))
+
+
+def _powers(text: str) -> dict[str, float]:
+    """The parts of a unit without their prefixes (milli of mdps, m of mdeg/s), and their powers."""
+    # pint has no public way to the parts of a unit
+    powers = cast("dict[str, float]", dict(_unit(text)._units))  # noqa: SLF001
+    found: dict[str, float] = {}
+    for name, power in powers.items():
+        plain = name if name in _ANGLES else _registry().parse_unit_name(name)[0][1]
+        found[plain] = found.get(plain, 0.0) + power
+    return found
 
 
 def _unit(text: str) -> pint.Unit:

@@ -11,7 +11,8 @@ from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 
 from stream import samples_pb2
-from stream.batch import INT64_MAX, CountArray, SampleBatch, checked_batch
+from stream.batch import INT64_MAX, CountArray, SampleBatch, are_moments, checked_batch
+from stream.bounds import MAX_INTERVAL_NS, MAX_MOMENT_NS, MAX_NAME_CHARS, MAX_SEQ, MIN_MOMENT_NS
 from stream.count_planes import MOST_PLANES, join_counts, split_counts
 from stream.errors import NewerSchema, WireError
 
@@ -92,9 +93,21 @@ class WireBatch(NamedTuple):
     values: bytes
     times_ns: bytes
 
+    @property
+    def unit_of_measure(self) -> str:
+        """Unit of measure of the samples."""
+        return self.meaning[2]
 
-def read_batch_head(payload: bytes) -> BatchHead:
+
+def read_batch_head(payload: bytes, *, bounded: bool = True) -> BatchHead:
     """Read what a batch is; refused is exactly what `decode_batch` refuses, and no array is made.
+
+    Parameters
+    ----------
+    payload : bytes
+        The message.
+    bounded : bool
+        Whether numbers beyond their bounds are refused too. A log may hold such from before there were bounds.
 
     Raises
     ------
@@ -110,7 +123,7 @@ def read_batch_head(payload: bytes) -> BatchHead:
     >>> head.seq, head.next_seq, head.last_ns
     (7, 9, 10)
     """
-    message, last_ns = _checked(payload)
+    message, last_ns = _checked(payload, bounded=bounded)
     seq = message.seq
     return BatchHead(
         message.unit,
@@ -204,7 +217,7 @@ def _counts(message: samples_pb2.SampleBatch) -> CountArray | None:
     return np.frombuffer(message.counts, "<i4") if message.counts else None
 
 
-def _checked(payload: bytes) -> tuple[samples_pb2.SampleBatch, int]:
+def _checked(payload: bytes, *, bounded: bool = True) -> tuple[samples_pb2.SampleBatch, int]:
     """The message, and the time of its last sample."""
     try:
         message = samples_pb2.SampleBatch.FromString(payload)
@@ -231,7 +244,21 @@ def _checked(payload: bytes) -> tuple[samples_pb2.SampleBatch, int]:
         raise _wrong(message, f"dt_ns {dt_ns} or seq {message.seq} is outside its range")
     if t0_ns < -INT64_MAX or not -INT64_MAX <= last_ns <= INT64_MAX:
         raise _wrong(message, f"times from {t0_ns} ns do not fit 64 bits")
+    if bounded:
+        _check_bounds(message, message.seq, t0_ns, dt_ns, last_ns)
+        if times_ns and not are_moments(np.frombuffer(times_ns, "<i8")):
+            raise _wrong(message, "one of its times is not between 1897 and 2116")
     return message, last_ns
+
+
+def _check_bounds(message: samples_pb2.SampleBatch, seq: int, t0_ns: int, dt_ns: int, last_ns: int) -> None:
+    if dt_ns > MAX_INTERVAL_NS or seq > MAX_SEQ - message.samples:
+        raise _wrong(message, f"dt_ns {dt_ns} or seq {seq} is beyond its bounds")
+    if not (MIN_MOMENT_NS <= t0_ns <= MAX_MOMENT_NS and MIN_MOMENT_NS <= last_ns <= MAX_MOMENT_NS):
+        raise _wrong(message, f"times from {t0_ns} ns on are not between 1897 and 2116")
+    # unit and signal are those of the key expression, whose length is bounded
+    if len(message.run) > MAX_NAME_CHARS or len(message.unit_of_measure) > MAX_NAME_CHARS:
+        raise _wrong(message, f"run or unit of measure has more than {MAX_NAME_CHARS} characters")
 
 
 def _check_lengths(message: samples_pb2.SampleBatch) -> None:
@@ -245,7 +272,8 @@ def _check_lengths(message: samples_pb2.SampleBatch) -> None:
 
 
 def _wrong(message: samples_pb2.SampleBatch, what: str) -> WireError:
-    return WireError(f"not a sample batch: run {message.run}, unit {message.unit}, signal {message.signal}: {what}")
+    names = [each[:MAX_NAME_CHARS] for each in (message.run, message.unit, message.signal)]
+    return WireError("not a sample batch: run {}, unit {}, signal {}: {}".format(*names, what))
 
 
 def encode_preview(value: float, unit_of_measure: str) -> bytes:

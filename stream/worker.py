@@ -11,6 +11,7 @@ from stream.bus import Bus
 from stream.checkpoint import generations, keep_aside, read_checkpoint, write_checkpoint
 from stream.delivery import StreamId
 from stream.errors import CheckpointDamaged, EstimatorError, GyrofleetError
+from stream.estimated_signals import EstimatedSignals
 from stream.estimation import Estimation, EstimationCounts
 from stream.estimators.base import Estimator, default_estimators
 from stream.events import AnyDocument, EstimatePublished
@@ -24,6 +25,7 @@ _MOST_BYTES = 48 << 20
 # a recorder has on disk what it was given within a second; for what is not there after this, nothing is held up: it is
 # looked for in the log again a while later
 _PATIENCE_S = 2.0
+_OVERHEAD_BYTES = 200  # of a message in the queue, beside its key and payload
 _RETRY_S = 0.2
 _LOOK_AGAIN_S = 2.0
 _MOST_LOOK_AGAIN_S = 60.0
@@ -65,6 +67,8 @@ class EstimationWorker:
         Interval between checkpoints, seconds.
     spectrum : bool
         Whether a spectral density of each signal is kept as well, for its lines; it is a third of the work.
+    estimated : EstimatedSignals
+        Which signals are estimated; by default angular rates, and those that limits of a run are on.
 
     Raises
     ------
@@ -91,6 +95,7 @@ class EstimationWorker:
         checkpoint: Path | None = None,
         checkpoint_every_s: float = 30.0,
         spectrum: bool = True,
+        estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
     ) -> None:
         self._publisher = publisher
         self._on_document = on_document
@@ -104,6 +109,7 @@ class EstimationWorker:
             self._publish,
             None if log is None else self._fill,
             spectrum=spectrum,
+            estimated=estimated,
         )
         self._known = Identities(())
         self._fill_at = 0.0
@@ -171,7 +177,7 @@ class EstimationWorker:
             if self._incoming_bytes > _MOST_BYTES:
                 return  # the gap in the numbers is counted as lost when the next batch of the signal is taken
             self._incoming.append((key, payload))
-            self._incoming_bytes += len(payload)
+            self._incoming_bytes += _size(key, payload)
             if len(self._incoming) == 1:
                 self._state.notify_all()
 
@@ -234,7 +240,7 @@ class EstimationWorker:
             if time.monotonic() >= self._next_save:
                 self._save_if_it_can_be()
         with self._state:
-            self._incoming_bytes -= sum(len(payload) for _, payload in taken)
+            self._incoming_bytes -= sum(_size(key, payload) for key, payload in taken)
             self._state.notify_all()
             is_last = self._closing and not self._incoming
         if not is_last and time.monotonic() >= self._next_save:
@@ -327,3 +333,8 @@ class EstimationWorker:
         self.counts.estimates += isinstance(document, EstimatePublished)
         if self._on_document is not None:
             self._on_document(document)
+
+
+def _size(key: str, payload: bytes) -> int:
+    """Memory of a message in the queue; a key takes 4 bytes a character at most."""
+    return len(payload) + 4 * len(key) + _OVERHEAD_BYTES

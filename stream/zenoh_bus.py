@@ -12,6 +12,7 @@ from typing import Any, Self
 
 import zenoh
 
+from stream.bounds import MAX_MESSAGE_BYTES
 from stream.bus import Handler, hand_on
 from stream.errors import BusError
 
@@ -24,7 +25,8 @@ _ENDPOINT = re.compile(r"[a-z]+/\S+:\d{1,5}(\?\S*)?")
 # given it up too: waiting longer only keeps it from connecting anew. A router does not wait for one slow consumer,
 # which holds up all others meanwhile.
 _WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"
-_QUEUED_MESSAGES = 1024
+_QUEUED_MESSAGES = 256
+_MESSAGE_ROOM_BYTES = 4 << 20  # beyond what is taken, so that one that is a little too large is counted and reported
 _PATIENCE_S = 5.0
 _SOURCE_WAITS_US = 8_000_000
 _ROUTER_WAITS_US = 200_000
@@ -71,6 +73,7 @@ class ZenohBus:
             "scouting/gossip/enabled": False,
             # no faster than the loopback, 40 MB more, and a process that is killed leaves it behind
             "transport/shared_memory/enabled": False,
+            "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES + _MESSAGE_ROOM_BYTES,
             _WAIT_BEFORE_CLOSE: _ROUTER_WAITS_US if listen else _SOURCE_WAITS_US,
         }
         for endpoint in (*listen, *connect):
@@ -86,7 +89,7 @@ class ZenohBus:
                 f"cannot {wanted or 'open a bus'}: {_told(error)}; "
                 f"is the address right and free, and the other side running?"
             ) from error
-        self._subscribers: list[tuple[Any, threading.Thread]] = []
+        self._subscribers: dict[str, tuple[Any, threading.Thread]] = {}
         self._handlers: dict[str, list[Handler]] = {}
         self._lock = threading.Lock()
 
@@ -127,14 +130,20 @@ class ZenohBus:
 
         thread = threading.Thread(target=take, name=f"gyrofleet-bus {key_expression}", daemon=True)
         thread.start()
-        self._subscribers.append((subscriber, thread))
+        self._subscribers[key_expression] = subscriber, thread
+
+    def unsubscribe(self, key_expression: str) -> None:
+        """Call no handler of that key expression any more."""
+        with self._lock:
+            self._handlers.pop(key_expression, None)
+            found = self._subscribers.pop(key_expression, None)
+        if found is not None:
+            _end(*found)
 
     def close(self) -> None:
         """Leave the bus."""
-        for subscriber, thread in self._subscribers:
-            subscriber.undeclare()
-            if thread is not threading.current_thread():
-                thread.join(_PATIENCE_S)
+        for subscriber, thread in list(self._subscribers.values()):
+            _end(subscriber, thread)
         self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:
@@ -142,6 +151,12 @@ class ZenohBus:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _end(subscriber: Any, thread: threading.Thread) -> None:
+    subscriber.undeclare()
+    if thread is not threading.current_thread():
+        thread.join(_PATIENCE_S)
 
 
 def _told(error: Exception) -> str:

@@ -42,7 +42,7 @@ with started as (
   select run, max(t_ns) as t_ns, arg_max(document->>'$.outcome', arrival_ns) as outcome
   from lake_documents where kind = 'RunEnded' group by run
 ), resumed as (
-  select run, count(*) as resumptions, sum((document->>'$.gap_ns')::bigint) / 1e9 as gap_s
+  select run, count(*) as resumptions, sum(try_cast(document->>'$.gap_ns' as bigint)) / 1e9 as gap_s
   from lake_documents where kind = 'RunResumed' group by run
 ), recorded as (
   select run, list(distinct unit order by unit) as units, sum(samples)::bigint as samples,
@@ -84,7 +84,7 @@ select
   row_number() over (partition by b.run, b.unit order by b.t_ns, b.uid) as "index",  -- two may begin at one time
   b.document->>'$.words.procedure' as "procedure",
   b.document->>'$.words.step' as step,
-  (b.document->>'$.words.repeat')::bigint as repeat,
+  try_cast(b.document->>'$.words.repeat' as bigint) as repeat,
   b.document->>'$.words.position' as position,
   b.document->>'$.words.axis' as axis,
   b.document->>'$.words.phase' as phase,

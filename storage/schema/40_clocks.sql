@@ -61,7 +61,8 @@ with point as (
     count(*) filter (step_ns < 0) as backward,
     count(*) filter (is_jump) as jumps,
     arg_max(step_ns, abs(step_ns)) filter (is_jump) as largest_jump_ns
-  from (select *, abs(rise_ns + step_ns) < abs(step_ns) / 2 as is_jump from lake_clock_levels)
+  -- as doubles: the sum of two leaps of centuries does not fit 64 bits
+  from (select *, abs(rise_ns::double + step_ns) < abs(step_ns) / 2 as is_jump from lake_clock_levels)
   group by unit, signal, run
 ), stretch as (
   select unit, signal, run,

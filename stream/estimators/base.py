@@ -20,6 +20,7 @@ from stream.estimators.follower import (
     contiguous_runs,
     first_finite,
 )
+from stream.estimators.noise_kernel import descend, weighted_least_squares
 from stream.events import EstimatePoint
 
 __all__ = [
@@ -128,3 +129,5 @@ def warm_up() -> None:
             follower.estimate()
     for batch in (regular, irregular):
         BlockMeans(1.0).push(batch)
+    descend(np.ones((2, 1)), np.ones(2), np.ones(1), np.ones(1, np.bool_))
+    weighted_least_squares(np.ones((2, 1)), np.ones(2), np.ones(2), np.zeros(2), np.ones(1, np.bool_))

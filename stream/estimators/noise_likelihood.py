@@ -6,12 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from stream.batch import FloatArray
+from stream.estimators.noise_kernel import descend, deviance, weighted_least_squares
 
-_MOST_ROUNDS = 50
-_TOLERANCE = 1e-8
 _ROOT_TOLERANCE = 1e-6
 _NEGLIGIBLE = 1e-9
-_LEAST_MODEL = 1e-100
 _MOST_EXPONENT = 100.0
 
 
@@ -56,8 +54,8 @@ class CurveLikelihood:
     ) -> None:
         relative = columns / variances[:, np.newaxis]
         self.sizes: FloatArray = relative.max(axis=0)
-        self.columns: FloatArray = relative / self.sizes
-        self.degrees = degrees
+        self.columns: FloatArray = np.ascontiguousarray(relative / self.sizes)
+        self.degrees: FloatArray = np.ascontiguousarray(degrees)
         self.excess: FloatArray = np.zeros(len(variances)) if excess is None else excess
         self._correlation = correlation
 
@@ -91,8 +89,7 @@ class CurveLikelihood:
 
     def deviance(self, model: FloatArray) -> float:
         """D of a model, given relative to the curve; infinite for one too far from it."""
-        with np.errstate(over="ignore"):
-            return float(np.sum(self.degrees * (1.0 / model - 1.0 + np.log(model))))
+        return float(deviance(self.degrees, model))
 
     def constant(self) -> float:
         """What twice the negative log likelihood has beside D: it tells apart degrees of freedom."""
@@ -109,7 +106,7 @@ class CurveLikelihood:
         """Coefficients of least deviance, and that deviance."""
         terms = self.columns.shape[1]
         every, nothing = np.ones(terms, np.bool_), np.zeros(len(self.columns))
-        start = self._least_squares(np.ones(len(self.columns)), nothing, every)
+        start = weighted_least_squares(self.columns, self.degrees, np.ones(len(self.columns)), nothing, every)
         return self._descend(start, every)
 
     def minimum_at(self, theta: FloatArray, which: int, at: float) -> float:
@@ -122,35 +119,8 @@ class CurveLikelihood:
         return self._descend(start, free)[1]
 
     def _descend(self, theta: FloatArray, free: npt.NDArray[np.bool_]) -> tuple[FloatArray, float]:
-        fixed = self.columns[:, ~free] @ theta[~free]
-        model = np.maximum(self.columns @ theta, _LEAST_MODEL)
-        least = self.deviance(model)
-        for _ in range(_MOST_ROUNDS):
-            step = np.zeros_like(theta)
-            step[free] = self._least_squares(model, fixed, free) - theta[free]
-            for _ in range(20):
-                model = self.columns @ (theta + step)
-                deviance = self.deviance(model) if model.min() > _LEAST_MODEL else math.inf
-                if deviance <= least:
-                    break
-                step /= 2.0
-            else:
-                return theta, least
-            theta, gain, least = theta + step, least - deviance, deviance
-            if gain < _TOLERANCE:
-                break
-        return theta, least
-
-    def _least_squares(self, model: FloatArray, fixed: FloatArray, free: npt.NDArray[np.bool_]) -> FloatArray:
-        from scipy.optimize import nnls
-
-        weights = np.sqrt(self.degrees) / model
-        weighted: FloatArray = self.columns[:, free] * weights[:, np.newaxis]
-        norms = np.sqrt(np.einsum("ij,ij->j", weighted, weighted))
-        norms[norms == 0.0] = 1.0  # a term so far below the others that its squares vanish stays 0
-        found: FloatArray = nnls(weighted / norms, (1.0 - fixed) * weights, maxiter=1000)[0]
-        scaled: FloatArray = found / norms
-        return scaled
+        found, least = descend(self.columns, self.degrees, theta, free)
+        return found, float(least)
 
     def scores(self, theta: FloatArray, columns: FloatArray) -> FloatArray:
         """Columns in units of the scatter that theta expects of each variance, m sqrt(2/edf)."""

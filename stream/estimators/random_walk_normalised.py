@@ -70,8 +70,9 @@ def angle_random_walk_normalised(
     [i tau, (i + 1) tau), so that 1 s need not be a whole number of t0.
 
     Limits are by chi-square with the degrees of freedom of one piece, for the median of several with those of all
-    times 2/pi, the efficiency of a median. They hold for white noise, which the method takes for granted; no
-    correction is made for the median of chi-square, 1 % low at 30 means.
+    times the efficiency of a median: 1 for two pieces, whose median is their mean, down to 2/pi for many. They hold for
+    white noise, which the method takes for granted; no correction is made for the median of chi-square, 1 % low at 30
+    means.
 
     Examples
     --------
@@ -111,7 +112,7 @@ def angle_random_walk_normalised(
         return NoEstimate(
             f"bias stability of {value} deg/h at 1 s: the output is constant or too large; check the source"
         )
-    degrees = float(sum(n - 1 for n, _ in held)) * (1.0 if len(held) == 1 else 2.0 / math.pi)
+    degrees = float(sum(n - 1 for n, _ in held)) * median_efficiency(len(held))
     lo, hi = deviation_limits(value, degrees, confidence)
     per_si = ANGLE_RANDOM_WALK.per_si
     return NormalisedRandomWalk(
@@ -126,6 +127,17 @@ def angle_random_walk_normalised(
         bias_stability_deg_per_h=tuple(stability for _, stability in curve),
         pieces=len(held),
     )
+
+
+def median_efficiency(n: int) -> float:
+    """Variance of the mean of `n` normal values over that of their median; within 2 % of the exact one.
+
+    Examples
+    --------
+    >>> [round(median_efficiency(n), 2) for n in (1, 2, 3, 4, 5, 10, 1000)]
+    [1.0, 1.0, 0.73, 0.84, 0.69, 0.72, 0.64]
+    """
+    return 1.0 if n == 1 else min(1.0, 2 / math.pi + (0.29 if n % 2 else 0.81) / n)
 
 
 def _pieces(rates: FloatArray, length: int) -> list[FloatArray]:

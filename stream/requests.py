@@ -1,0 +1,135 @@
+"""What a source asks a recorder before it sends, and the answers: who sends what, and what the store has of it.
+
+Requests go under one key, answers under a key of each request's own. A chunk of a key that starts with ``@`` is matched
+by no wildcard, so that neither is recorded.
+"""
+
+from typing import Any
+
+import msgspec
+
+from stream.bounds import MAX_MESSAGE_BYTES
+from stream.errors import WireError
+from stream.identity import ROOT
+
+REQUEST_KEY = f"{ROOT}/@request"
+LEASE_S = 3.0  # how long a claim lasts that is not renewed
+RENEW_S = 0.7
+MOST_ROWS = 1_000_000  # samples in one answer
+
+
+class Hello(msgspec.Struct, frozen=True, tag=True):
+    """Which recorders are there?"""
+
+
+class Claim(msgspec.Struct, frozen=True, tag=True):
+    """Let `holder` alone send samples of these units and runs, until it releases them or is silent for a lease."""
+
+    holder: str
+    text: str
+    owners: tuple[tuple[str, str], ...]
+
+
+class Release(msgspec.Struct, frozen=True, tag=True):
+    """The holder has ended."""
+
+    holder: str
+
+
+class Settle(msgspec.Struct, frozen=True, tag=True):
+    """Bring everything that has come to the lake; what is asked then is answered from it."""
+
+
+class AskSignals(msgspec.Struct, frozen=True, tag=True):
+    """Which signals of these runs are there, in which unit, from when to when, and how many samples?"""
+
+    runs: tuple[str, ...]
+
+
+class AskRuns(msgspec.Struct, frozen=True, tag=True):
+    """What is known of these runs: date, end, documents?"""
+
+    runs: tuple[str, ...]
+
+
+class AskSamples(msgspec.Struct, frozen=True, tag=True):
+    """Times and values of a signal between two moments, both inclusive; null for more than `MOST_ROWS`."""
+
+    unit: str
+    signal: str
+    run: str
+    first_ns: int
+    last_ns: int
+
+
+Question = Hello | Claim | Release | Settle | AskSignals | AskRuns | AskSamples
+
+
+class Request(msgspec.Struct, frozen=True):
+    """A question to the recorder of a store; to every recorder where `store` is empty."""
+
+    id: str
+    store: str
+    question: Question
+
+
+class Reply(msgspec.Struct, frozen=True):
+    """The answer of the recorder of a store, or why there is none."""
+
+    id: str
+    store: str
+    answer: Any = None
+    error: str = ""
+
+
+_request_decoder = msgspec.msgpack.Decoder(Request)
+_reply_decoder = msgspec.msgpack.Decoder(Reply)
+
+
+def reply_key(request_id: str) -> str:
+    """Key expression of the answers to a request."""
+    return f"{ROOT}/@reply/{request_id}"
+
+
+def encode(message: Request | Reply) -> bytes:
+    """Put a request or an answer into its wire form.
+
+    Examples
+    --------
+    >>> decode_request(encode(Request("1", "", Hello())))
+    Request(id='1', store='', question=Hello())
+    """
+    return msgspec.msgpack.encode(message)
+
+
+def decode_request(payload: bytes) -> Request:
+    """Read a request.
+
+    Raises
+    ------
+    WireError
+        If it is none.
+    """
+    request: Request = _decoded(_request_decoder, payload)
+    return request
+
+
+def decode_reply(payload: bytes) -> Reply:
+    """Read an answer.
+
+    Raises
+    ------
+    WireError
+        If it is none.
+    """
+    reply: Reply = _decoded(_reply_decoder, payload)
+    return reply
+
+
+def _decoded(decoder: msgspec.msgpack.Decoder[Any], payload: bytes) -> Any:
+    if len(payload) > MAX_MESSAGE_BYTES:
+        raise WireError(f"{len(payload)} bytes are more than a message may have")
+    try:
+        return decoder.decode(payload)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise WireError(f"neither a request nor an answer: {error}") from error

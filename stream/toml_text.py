@@ -1,0 +1,34 @@
+"""TOML that anybody may have written: whatever is wrong with it is one kind of error."""
+
+import re
+from typing import TypeVar
+
+import msgspec
+
+T = TypeVar("T")
+_LONG_KEY = re.compile(r"(?:[\w\"'-]{1,64}+[ \t]{0,4}+\.[ \t]{0,4}+){200}")
+
+
+def decode_toml(text: str | bytes, kind: type[T]) -> T:
+    """Read TOML as `kind`.
+
+    Raises
+    ------
+    msgspec.DecodeError
+        If it is no such text, or one that no person has written: nested too deeply, numbers of thousands of digits.
+
+    Examples
+    --------
+    >>> decode_toml("a = " + "[" * 5000, dict[str, int])
+    Traceback (most recent call last):
+    msgspec.DecodeError: tables or lists are nested too deeply
+    """
+    written = text if isinstance(text, str) else text.decode(errors="replace")
+    if _LONG_KEY.search(written):  # the parser takes memory by the square of it
+        raise msgspec.DecodeError("a key has more than 200 parts")
+    try:
+        return msgspec.toml.decode(text, type=kind)
+    except RecursionError:
+        raise msgspec.DecodeError("tables or lists are nested too deeply") from None
+    except ValueError as error:  # of numbers that are too long, and of bytes that are no UTF-8
+        raise msgspec.DecodeError(str(error)) from None
