@@ -19,8 +19,10 @@ from ingest.instruments.table_grid import SamplingGrid
 from ingest.instruments.table_summary import SignalChunk, SignalSummary
 from ingest.instruments.table_times import RunClock
 from ingest.sample_file import Keep, Progress
+from ingest.steps import StepTracker
 from stream.batch import IntArray, SampleBatch
 from stream.errors import BadInput
+from stream.events import StepEnded, StepStarted, StepWords
 from stream.identity import check_name
 
 _BATCH_SAMPLES = 1000
@@ -43,7 +45,8 @@ class CanLogFile:
         Run that the samples belong to; by default the file's name.
     start_ns : int, optional
         Moment of the log's zero, nanoseconds UTC, where its times count from its begin.
-
+    words : StepWords, optional
+        Words of the step that each unit is in from its first sample to its last.
     intervals : dict, optional
         Nominal interval in nanoseconds by unit, run and signal, as logs before this one have it; this one adds its own.
 
@@ -60,6 +63,7 @@ class CanLogFile:
         *,
         run: str | None = None,
         start_ns: int | None = None,
+        words: StepWords | None = None,
         intervals: dict[tuple[str, str, str], int] | None = None,
     ) -> None:
         self._path = path
@@ -67,6 +71,7 @@ class CanLogFile:
         self._log = CanLog(path)
         self._run = check_name("run", path.stem if run is None else run)
         self._start_ns = start_ns
+        self._words = words
         self._intervals = {} if intervals is None else intervals
         self._stamp = FileStamp(path)
         self._summary: CanSummary | None = None
@@ -102,7 +107,7 @@ class CanLogFile:
             bad_rows=0,
             bad=(),
             date_known=clock.date_known,
-            steps=0,
+            steps=0 if self._words is None else len({unit for unit, _ in grids}),
             signals=tuple(
                 SignalSummary(unit, self._run, signal, plan.unit_of_measure, plan.is_counts, grid.finish())
                 for (unit, signal), grid in grids.items()
@@ -112,6 +117,7 @@ class CanLogFile:
             damage=self._log.damage,
             remarks=(*self._plan.remarks, *remarks(counts, self._log.counts)),
             frames=counts,
+            words=self._words,
         )
         for each in self._summary.signals:
             self._intervals.setdefault((each.unit, each.run, each.signal), each.sampling.dt_ns)
@@ -130,8 +136,8 @@ class CanLogFile:
         epoch_of: Callable[[str, str], UUID],
         keep: Keep | None = None,
         progress: Progress | None = None,
-    ) -> Iterator[SampleBatch]:
-        """Batches of samples, numbered from 0 per signal as they are delivered.
+    ) -> Iterator[SampleBatch | StepStarted | StepEnded]:
+        """Batches of samples and the step of each unit around them, numbered from 0 per signal as they are delivered.
 
         Parameters
         ----------
@@ -150,6 +156,9 @@ class CanLogFile:
         summary = self._summary if self._summary is not None else self.check()
         found = {(each.unit, each.signal): each for each in summary.signals}
         batchers: dict[_Name, Batcher] = {}
+        steps = StepTracker()
+        for unit, first_ns, last_ns in self._stretches(summary):
+            yield from filter(None, steps.follow(unit, self._run, self._words, first_ns=first_ns, last_ns=last_ns))
         for piece in self._pieces(CanSamples(self._plan), RunClock(self._start_ns), progress):
             name = (piece.route.unit, piece.plan.signal)
             times_ns, data = piece.times_ns, piece.data
@@ -163,6 +172,16 @@ class CanLogFile:
             yield from batchers[name].push(times_ns, data)
         for batcher in batchers.values():
             yield from batcher.flush()
+        for unit, _, _ in self._stretches(summary):
+            yield from filter(None, [steps.close(unit, self._run)])
+
+    def _stretches(self, summary: CanSummary) -> Iterator[tuple[str, int, int]]:
+        """First and last sample of each unit, ns; none where no word says what step it is."""
+        if self._words is None:
+            return
+        for unit in dict.fromkeys(each.unit for each in summary.signals):
+            samplings = [each.sampling for each in summary.signals if each.unit == unit]
+            yield unit, min(each.t_first_ns for each in samplings), max(each.t_last_ns for each in samplings)
 
     def _batcher(self, piece: SignalPiece, found: SignalSummary, epoch: UUID) -> Batcher:
         layout, sampling = piece.plan.layout, found.sampling

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ingest.instruments.can_database import arbitration_id, load_messages, own_names, unit_of_measure
-from ingest.instruments.can_decode import FrameBytes, MessageLayout
+from ingest.instruments.can_decode import FrameBytes, MessageLayout, why_unusable
 from ingest.instruments.can_frames import EXTENDED, FrameBlock
 from ingest.instruments.can_log import CanLog
 from stream.batch import IntArray
@@ -241,6 +241,8 @@ def _id_scan(key: tuple[int, int], seen: _Seen, message: "Message | None") -> Id
     median_ns = float(np.median(intervals_ns)) if len(intervals_ns) else 0.0
     signals = []
     for signal in [] if message is None else message.signals:
+        if why_unusable(signal) is not None:
+            continue
         measure, is_known = unit_of_measure(signal.unit, signal.name)
         found = seen.ranges.get(signal.name, _Range())
         scale, offset = float(signal.conversion.scale), float(signal.conversion.offset)

@@ -3,6 +3,7 @@
 import shlex
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from rich.table import Table
 from stream.console import (
     DEFAULT_STORE,
     compile_kernels,
+    estimates_option,
     notes,
     print_json,
     progress_bar,
@@ -22,13 +24,16 @@ from stream.console import (
 from stream.errors import BadInput
 
 if TYPE_CHECKING:
-    from ingest.importer import FileImport
+    from ingest.file_sending import FileImport
     from ingest.instruments.can_mapping import CanPlan
     from ingest.instruments.table_columns import TableOptions
     from ingest.sample_file import SampleFile
+    from stream.identity import Place
 
 _LISTED_BAD_ROWS = 20
 _LISTED_REMARKS = 20
+_LISTED_FILES = 10
+_LOCATION_OPTIONS = {"latitude_deg": "--latitude", "time_zone": "--time-zone", "altitude_m": "--altitude"}
 
 
 @click.command("import")
@@ -47,10 +52,17 @@ _LISTED_REMARKS = 20
     metavar="FILE",
     help="Product, lot, fixture of the units: columns serial, product, lot, fixture, ... (- for standard input).",
 )
-@click.option("--site", default="local", show_default=True, help="Site the samples come from.")
-@click.option("--station", default="files", show_default=True, help="Station the samples come from.")
+@click.option("--procedure", help="What was done, as static_bias: all rows are one step of it. See `procedure list`.")
+@click.option("--position", help="Where the input axis pointed in that step, as IRA_up or IRA_east_west.")
+@click.option("--site", help="Site the samples come from.  [default: local]")
+@click.option("--station", help="Station the samples come from: its file (TOML), or a name.  [default: files]")
+@click.option("--latitude", "latitude_deg", type=float, help="Of the station, deg: the Earth's rate is removed by it.")
+@click.option("--time-zone", help="Of the station, as Asia/Shanghai: whose days are days.  [default: UTC]")
+@click.option("--altitude", "altitude_m", type=float, help="Of the station, m: with the latitude it gives g.")
+@click.option("--restate", "restates", is_flag=True, help="Correct what the store has of the station.")
 @click.option("--connect", help="Send to a `gyrofleet record` there instead of recording in this process.")
 @click.option("--listen", help="Let others listen in at this endpoint while the import runs.")
+@estimates_option
 @reporting
 def import_files(
     files: tuple[Path, ...],
@@ -62,12 +74,19 @@ def import_files(
     databases: tuple[Path, ...],
     mapping: Path | None,
     units_file: str | None,
-    site: str,
-    station: str,
+    procedure: str | None,
+    position: str | None,
+    site: str | None,
+    station: str | None,
+    latitude_deg: float | None,
+    time_zone: str | None,
+    altitude_m: float | None,
     connect: str | None,
     listen: str | None,
+    estimated: tuple[str, ...],
     *,
     skip_bad: bool,
+    restates: bool,
     as_json: bool,
 ) -> None:
     """Import CSV and Parquet files (columns `signal[unit]` and `time[s]`) and CAN logs (with their --dbc).
@@ -80,29 +99,34 @@ def import_files(
     under its own name in lower case; `gyrofleet can scan` proposes a mapping. Of a damaged log what is good is
     imported, and the exit code is 1.
 
-    What --units says of a unit, its product above all, which limits go by, can be added later too: give the same
-    command again with it.
+    What --units says of a unit, its product above all, which limits go by, where the station stands (--station FILE,
+    or --latitude, --time-zone, --altitude), and what step the file is (--procedure, --position) can be added later
+    too: give the same command again with it. What was said of a station before stays, unless --restate corrects it.
     """
-    from ingest.importer import import_file
+    from ingest.file_sending import CheckedFile
+    from ingest.importer import import_files as import_checked
     from ingest.instruments.table_columns import TableOptions
     from ingest.moment import moment_ns
     from ingest.units_file import load_units
-    from stream.identity import Place, check_name
+    from stream.estimated_signals import EstimatedSignals
+    from stream.events import StepWords
 
     if connect and listen:
         raise BadInput("give --connect or --listen, not both: with --connect it is the recorder that listens")
-    place = Place(check_name("site", site), check_name("station", station))
+    place, about = _stated_place(site, station, latitude_deg, time_zone, altitude_m)
+    words = StepWords(procedure=procedure or None, position=position or None)
     options = TableOptions(
         unit=unit,
         run=run,
         start_ns=None if start is None else moment_ns(start),
         sample_rate_hz=sample_rate_hz,
         skip_bad=skip_bad,
+        words=words if procedure or position else None,
     )
+    _warn_of_words(procedure, position)
     plan = _can_plan(files, unit, databases, mapping)
     entries = () if units_file is None else load_units(units_file)
     intervals: dict[tuple[str, str, str], int] = {}
-    imported: list[FileImport] = []
     with progress_bar(hidden=as_json) as progress:
         checked = []
         for path in files:
@@ -110,27 +134,30 @@ def import_files(
             began = time.monotonic()
             file = _file(path, plan, options, intervals)
             summary = file.check(lambda done, task=task: progress.update(task, completed=done))  # type: ignore[misc]
-            progress.update(task, completed=1.0, visible=len(files) <= 10)
-            checked.append((path, file, summary, time.monotonic() - began))
+            progress.update(task, completed=1.0, visible=len(files) <= _LISTED_FILES)
+            checked.append(CheckedFile(path, file, summary, time.monotonic() - began))
     if connect is None:
         compile_kernels(quiet=as_json)
     with progress_bar(hidden=as_json) as progress:
-        for path, file, summary, checking_s in checked:
-            task = progress.add_task(f"importing {path.name}", total=1.0)
-            imported.append(
-                import_file(
-                    path,
-                    file,
-                    summary,
-                    folder,
-                    place,
-                    connect=connect,
-                    listen=[listen] if listen else (),
-                    units=entries,
-                    checking_s=checking_s,
-                    progress=lambda done, task=task: progress.update(task, completed=done),  # type: ignore[misc]
-                )
+        tasks = {each.path: progress.add_task(f"importing {each.path.name}", total=1.0) for each in checked}
+
+        def show(path: Path, done: float) -> None:
+            progress.update(tasks[path], completed=done, visible=done < 1.0 or len(files) <= _LISTED_FILES)
+
+        imported = list(
+            import_checked(
+                checked,
+                folder,
+                place,
+                connect=connect,
+                listen=[listen] if listen else (),
+                units=entries,
+                about=about,
+                restates=restates,
+                estimated=EstimatedSignals.named(estimated),
+                progress=show,
             )
+        )
     known = {entry.serial for entry in entries}
     units = dict.fromkeys(signal.unit for each in imported for signal in each.signals)
     left_out = [each for each in units if entries and each not in known]
@@ -143,10 +170,67 @@ def import_files(
             told = f"{units_file} says nothing of {len(left_out)} of the {len(units)} units: {', '.join(left_out[:10])}"
             notes().print(told, markup=False, soft_wrap=True)
         for each in imported:
-            _tell(each, folder)
+            if len(imported) <= _LISTED_FILES:
+                _tell(each, folder)
+            else:
+                _tell_briefly(each)
+        if len(imported) > _LISTED_FILES:
+            results().print(_total(imported, folder), soft_wrap=True, markup=False)
         _tell_next(imported[-1], folder)
     if any(each.damage for each in imported):
         sys.exit(1)
+
+
+def _warn_of_words(procedure: str | None, position: str | None) -> None:
+    """Say where a procedure or position is none that characteristics go by: perhaps a typing error."""
+    from ingest.procedure import load_procedure
+    from ingest.procedure_file import ready_names
+
+    if procedure and procedure not in ready_names():
+        notes().print(
+            f"warning: --procedure {procedure} is none of gyrofleet's, which `gyrofleet procedure list` has: the step "
+            f"is judged by its position alone",
+            soft_wrap=True,
+        )
+    if position:
+        steps = [step for name in ready_names() for step in load_procedure(name).steps()]
+        known = sorted({step.words.position for step in steps if step.words.position})
+        if position not in known:
+            notes().print(
+                f"warning: --position {position} is none of {', '.join(known)}: nothing tells how the input axis lies",
+                soft_wrap=True,
+            )
+
+
+def _stated_place(
+    site: str | None,
+    station: str | None,
+    latitude_deg: float | None,
+    time_zone: str | None,
+    altitude_m: float | None,
+) -> "tuple[Place, dict[str, str]]":
+    """Site and station, and what the runs remember of where that stands: by its file, and by options before it."""
+    from ingest.station import load_station
+    from ingest.station_location import StationLocation
+    from stream.identity import Place, check_name
+
+    given = StationLocation(latitude_deg=latitude_deg, time_zone=time_zone, altitude_m=altitude_m)
+    given.check(_LOCATION_OPTIONS.__getitem__)
+    if station is None or Path(station).suffix.lower() != ".toml":
+        return Place(check_name("site", site or "local"), check_name("station", station or "files")), given.details
+    found = load_station(Path(station))
+    if site is not None and site != found.place.site:
+        raise BadInput(f"--site is {site!r}, but {station} says {found.place.site!r}; leave out --site")
+    of_file = found.table.location
+    # gravity that was measured there is not that of another latitude or altitude
+    measured = None if latitude_deg is not None or altitude_m is not None else of_file.gravity_m_per_s2
+    location = StationLocation(
+        latitude_deg=of_file.latitude_deg if latitude_deg is None else latitude_deg,
+        time_zone=time_zone or of_file.time_zone,
+        altitude_m=of_file.altitude_m if altitude_m is None else altitude_m,
+        gravity_m_per_s2=measured,
+    )
+    return found.place, location.details
 
 
 def _is_can_log(path: Path) -> bool:
@@ -208,6 +292,30 @@ def _tell(imported: "FileImport", folder: Path) -> None:
         console.print(said, style="red", markup=False, soft_wrap=True)
 
 
+def _tell_briefly(imported: "FileImport") -> None:
+    """Report one of many files in a line; what is amiss with it, in full."""
+    _tell_bad_rows(imported)
+    signals = len(imported.signals)
+    stored = sum(signal.already_stored for signal in imported.signals)
+    line = f"{imported.file}: {imported.rows:,} {imported.counted}, {signals} signals, {imported.added:,} samples added"
+    line += f", {stored:,} already stored" if stored else ""
+    line += f"; {len(imported.remarks)} remarks, --json lists them" if imported.remarks else ""
+    results().print(line, soft_wrap=True, markup=False)
+    if imported.damage:
+        said = f"error: {imported.file}: {imported.damage}; what is good of it is imported"
+        notes().print(said, style="red", markup=False, soft_wrap=True)
+
+
+def _total(imported: "Sequence[FileImport]", folder: Path) -> str:
+    """All files in one sentence."""
+    added, seconds = sum(each.added for each in imported), sum(each.seconds for each in imported)
+    counted = all(signal.in_lake is not None for each in imported for signal in each.signals)
+    where = f"in the lake of {folder}, each once" if counted else "sent and acknowledged as recorded"
+    undated = sum(not each.date_known for each in imported)
+    date = f" The date of {undated} files is unknown, as no --start was given." if undated else ""
+    return f"{len(imported)} files: {added:,} samples {where} ({seconds:.1f} s).{date}"
+
+
 def _file(
     path: Path, plan: "CanPlan", options: "TableOptions", intervals: dict[tuple[str, str, str], int]
 ) -> "SampleFile":
@@ -215,7 +323,9 @@ def _file(
     if _is_can_log(path):
         from ingest.can_import import CanLogFile
 
-        return CanLogFile(path, plan, run=options.run, start_ns=options.start_ns, intervals=intervals)
+        return CanLogFile(
+            path, plan, run=options.run, start_ns=options.start_ns, words=options.words, intervals=intervals
+        )
     from ingest.instruments.table_file import TableFile
 
     return TableFile(path, options)
@@ -225,6 +335,12 @@ def _tell_next(imported: "FileImport", folder: Path) -> None:
     """What to ask of the last file, in words that can be copied."""
     from stream.quantities import is_angular_rate
 
+    if not imported.steps and not _has_steps(imported, folder):
+        notes().print(
+            "No step says what was measured, so there are no characteristics of it: give the same command again with "
+            "--procedure, as --procedure static_bias --position IRA_up for a record at rest",
+            soft_wrap=True,
+        )
     here = [signal for signal in imported.signals if signal.in_lake is not None]
     if not here:
         return
@@ -237,13 +353,28 @@ def _tell_next(imported: "FileImport", folder: Path) -> None:
     notes().print(f"Ask it: gyrofleet allan {which}{how}{store}", soft_wrap=True, markup=False)
 
 
+def _has_steps(imported: "FileImport", folder: Path) -> bool:
+    """Whether the store has a step of what was in it before this file."""
+    from storage.catalog import Catalog
+    from storage.store import Store
+
+    before = {(each.unit, each.run) for each in imported.signals if each.already_stored and each.in_lake is not None}
+    if not before:
+        return False
+    with Catalog(Store.open(folder)) as catalog:
+        return not before.isdisjoint(catalog.rows("select distinct unit, run from steps"))
+
+
 def _conclusion(imported: "FileImport", folder: Path) -> str:
     in_file = sum(signal.in_file for signal in imported.signals)
+    told = f"{imported.steps:,} step{'' if imported.steps == 1 else 's'}"
     if imported.added == 0:
-        return f"Nothing to add: all {in_file:,} samples are stored already."
+        verb = "says" if imported.steps == 1 else "say"
+        says = f"; {told} in the store {verb} what was measured" if imported.steps else ""
+        return f"Nothing to add: all {in_file:,} samples are stored already{says}."
     rate = imported.added / imported.seconds
     speed = f"{imported.seconds:.2f} s" + (f", {rate / 1e6:.2f} M samples/s" if rate >= 1e5 else "")
-    steps = f", {imported.steps} steps" if imported.steps else ""
+    steps = f", {told}" if imported.steps else ""
     date = "" if imported.date_known else " Their date is unknown, as no --start was given."
     if any(signal.in_lake is None for signal in imported.signals):
         return f"{imported.added:,} samples{steps} sent and acknowledged as recorded ({speed}).{date}"

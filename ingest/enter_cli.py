@@ -1,12 +1,17 @@
 """The command `gyrofleet check`: what a person found of a unit, entered by hand."""
 
+import difflib
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput
+
+if TYPE_CHECKING:
+    from storage.catalog import Catalog
 
 
 @click.command("check")
@@ -41,7 +46,8 @@ def check(
 ) -> None:
     """Enter a check that was made by eye or by hand (GJB 2426A-2004 5.2, 5.3): it stands in the log beside the samples.
 
-    A recorder that is at work on the store gets it over its bus.
+    A recorder that is at work on the store gets it over its bus. A check can fail a unit; it does not pass a unit of
+    which no limit was judged. A serial number of which the store has no recording is entered with a warning.
 
     \b
     gyrofleet check --unit FOG-0231 --item visual --verdict PASS --by "Li Wei"
@@ -57,32 +63,53 @@ def check(
     if t_ns > time.time_ns() + 60 * 10**9:
         raise BadInput(f"--at {moment} lies in the future; a check is entered when it has been made")
     document = check_entered(Entry(unit, item, by, given, value, unit_of_measure, lower, upper, words, run), t_ns)
-    _refuse_second_name(folder, unit)
+    unknown = _unknown_unit(folder, unit)
     is_seen = enter(folder, [document], role="gyrofleet check")
     if as_json:
-        print_json({"store": str(folder), "uid": document.uid, "verdict": document.verdict, "in_lake": is_seen})
+        told = {"store": str(folder), "uid": document.uid, "verdict": document.verdict, "in_lake": is_seen}
+        print_json({**told, "unit_is_known": unknown is None, "warnings": [] if unknown is None else [unknown]})
         return
     results().print(f"{document.verdict}: {document.item} of unit {unit}, entered by {document.by}", markup=False)
+    if unknown is not None:
+        notes().print(f"warning: {unknown}", markup=False, soft_wrap=True)
     if not is_seen:
         notes().print(
             "The recorder that writes the store has it on disk; SQL sees it with the recorder's next segment."
         )
 
 
-def _refuse_second_name(folder: Path, unit: str) -> None:
-    """A unit that is in the store under this name in other letters is the same unit."""
+def _unknown_unit(folder: Path, unit: str) -> str | None:
+    """Say that nothing was recorded of a unit; None where something was.
+
+    Raises
+    ------
+    BadInput
+        If the unit is in the store under this name in other letters.
+    """
     from storage.catalog import Catalog
     from storage.store import Store
     from storage.store_marker import MARKER
 
-    if not (folder / MARKER).exists():
-        return
-    with Catalog(Store.open(folder)) as catalog:
-        known = {
-            name for (name,) in catalog.rows("select unit from lake_channels union select unit from lake_documents")
-        }
-    same = sorted(each for each in known if each and each.casefold() == unit.casefold())
+    recorded: set[str] = set()
+    entered: set[str] = set()
+    if (folder / MARKER).exists():
+        with Catalog(Store.open(folder)) as catalog:
+            recorded = _names(catalog, "select unit from lake_channels union select unit from units")
+            entered = _names(catalog, "select distinct unit from lake_documents where kind = 'CheckEntered'")
+    same = sorted(each for each in recorded | entered if each.casefold() == unit.casefold())
     if same and unit not in same:
         raise BadInput(
             f"unit {unit!r} is in the store as {same[0]!r}; give that name, since names are told by letter case"
         )
+    if unit in recorded:
+        return None
+    near = difflib.get_close_matches(unit, sorted(recorded), n=3, cutoff=0.6)
+    alike = f", which has {', '.join(near)}" if near else ""
+    return (
+        f"nothing was recorded of unit {unit!r} in {folder}{alike}: is the serial number right? The check is entered; "
+        "it can fail the unit, which passes only when its limits are judged"
+    )
+
+
+def _names(catalog: "Catalog", sql: str) -> set[str]:
+    return {str(name) for (name,) in catalog.rows(sql) if name}

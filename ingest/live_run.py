@@ -14,7 +14,17 @@ from ingest.run_state import Outcome, RunParameters, RunState, begin_run, read_r
 from stream.acknowledgement import StreamId
 from stream.batch import SampleBatch
 from stream.delivery import Sender
-from stream.events import NoteAdded, PowerOn, RunEnded, RunResumed, RunStarted, StreamTotal
+from stream.events import (
+    NoteAdded,
+    PowerOn,
+    RunEnded,
+    RunResumed,
+    RunStarted,
+    StepEnded,
+    StepStarted,
+    StepWords,
+    StreamTotal,
+)
 from stream.identity import Place, SampleKey, event_key, parse_key, sample_key
 from stream.spool import Spool
 
@@ -64,6 +74,11 @@ class LiveRun:
         self._uid = partial(_uid, name)
 
     @property
+    def units(self) -> list[str]:
+        """Units that are simulated."""
+        return self._units
+
+    @property
     def is_over(self) -> bool:
         """Whether everything of it is in a recorder's hands."""
         return self.state.phase == "ended"
@@ -100,6 +115,8 @@ class LiveRun:
         if self.state.power_ups[-1].t0_ns < self._end_ns:
             for unit in self._units:
                 send(self._power_on(unit))
+            for started in self._steps_started():
+                send(started)
         self._save(phase="running")
 
     def batches(self, wait: Callable[[float], bool]) -> Iterator[SampleBatch]:
@@ -131,6 +148,7 @@ class LiveRun:
             return
         if self.state.phase != "ending":
             self._save(phase="ending", outcome=outcome)
+        self._end_steps(sender, self._measured_until())
         t_ns = self._end_ns if self.state.outcome == "completed" else self._measured_until()
         ended = RunEnded(
             run=self.state.run,
@@ -151,6 +169,7 @@ class LiveRun:
         measured_until = self._measured_until()
         power_ups, now_ns = state.power_ups, measured_until
         if state.parameters.speed:
+            self._end_steps(sender, measured_until)
             on_its_clock = state.t0_ns + round((self._clock_ns() - state.began_ns) * state.parameters.speed)
             now_ns = min(max(on_its_clock, measured_until), self._end_ns)
             power_ups = (*power_ups, PowerUp(len(power_ups), now_ns))
@@ -175,6 +194,24 @@ class LiveRun:
         epoch = str(self._station.epoch(power_up, unit))
         uid = self._uid("power-on", epoch)
         return PowerOn(run=self.state.run, t_ns=power_up.t0_ns, uid=uid, unit=unit, epoch=epoch)
+
+    def _steps_started(self) -> Iterator[StepStarted]:
+        """The step that each unit is in from its power-on; none where nothing says what is done."""
+        parameters, power_up = self.state.parameters, self.state.power_ups[-1]
+        if parameters.procedure is None and parameters.position is None:
+            return
+        words = StepWords(procedure=parameters.procedure, position=parameters.position)
+        for unit in self._units:
+            uid = self._uid("step", power_up.number, unit)
+            yield StepStarted(run=self.state.run, t_ns=power_up.t0_ns, uid=uid, unit=unit, words=words)
+
+    def _end_steps(self, sender: Sender, until_ns: int) -> None:
+        """End the steps of the last power-on at their last sample."""
+        for begun in self._steps_started():
+            last_ns = max(until_ns - self._station.dt_ns, begun.t_ns)
+            uid = self._uid("end of step", begun.uid)
+            ended = StepEnded(run=begun.run, t_ns=last_ns, uid=uid, unit=begun.unit, step_uid=begun.uid)
+            sender.send_event(event_key(self.place), ended)
 
     def _measured_until(self) -> int:
         """Time after the last rate sample that is kept."""

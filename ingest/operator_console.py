@@ -47,7 +47,7 @@ class ConsoleOperator:
         self._asked: str | None = None
         self._told_at = time.monotonic()
         self._progress = Progress(
-            TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console,
+            TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(), console=console,
             disable=quiet or not console.is_terminal, transient=True,
         )  # fmt: skip
         self._task = self._progress.add_task("", total=1.0)

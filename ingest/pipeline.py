@@ -15,6 +15,7 @@ from stream.batch import SampleBatch
 from stream.console import notes
 from stream.delivery import DurablePublisher
 from stream.errors import GyrofleetError
+from stream.estimated_signals import EstimatedSignals
 from stream.events import AnyDocument
 from stream.spool import Spool
 from stream.worker import EstimationWorker
@@ -45,6 +46,8 @@ class EmbeddedPipeline:
         Called with what the recorder warns of, such as a full disk, for which it waits; by default it is printed.
     spool : Spool, optional
         Keeps on disk what the source sends; what it holds from before is sent first.
+    estimated : EstimatedSignals
+        Which signals are estimated; by default angular rates, and those that limits of a run are on.
 
     Raises
     ------
@@ -63,6 +66,7 @@ class EmbeddedPipeline:
         on_document: Callable[[AnyDocument], None] | None = None,
         on_warning: Callable[[str], None] | None = None,
         spool: Spool | None = None,
+        estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
     ) -> None:
         with ExitStack() as stack:
             self.store = Store.create(folder)
@@ -83,6 +87,7 @@ class EmbeddedPipeline:
                 self._estimates,
                 every_s=estimate_every_s,
                 on_document=on_document,
+                estimated=estimated,
                 log=LogTail(self.store),  # a run that was begun before is estimated from its beginning
             )
             self.recorder = stack.enter_context(

@@ -10,6 +10,7 @@ import msgspec
 from ingest.procedure_series import Kind
 from stream.errors import BadInput
 from stream.identity import check_name
+from stream.toml_text import decode_toml
 
 Value = float | str
 Least1 = msgspec.Meta(min_length=1)
@@ -222,7 +223,7 @@ def parse_procedure(text: str | bytes, source: str) -> ProcedureFile:
     stream.errors.BadInput: a.toml: Object contains unknown field `recrod_s` - at `$.step[0]`
     """
     try:
-        parsed = msgspec.toml.decode(text, type=ProcedureFile)
+        parsed = decode_toml(text, ProcedureFile)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise BadInput(f"{source}: {error}") from error
     try:

@@ -17,6 +17,7 @@ import msgspec
 
 from ingest.instruments.base import Instrument
 from ingest.operator_console import ConsoleOperator
+from ingest.preflight import Preflight, preflight
 from ingest.procedure import PlannedStep, Procedure, load_procedure
 from ingest.run_path import RunPath, TroubleWatch, opened_spool, path_to, recorder_at
 from ingest.run_steps import goes_on_at
@@ -31,6 +32,7 @@ from ingest.units_file import UnitEntry, load_units, mounted_documents
 from storage.store import writer_endpoint
 from stream.console import Stop, compile_kernels, notes, print_json, results, until_stopped
 from stream.errors import BadInput, InstrumentError, RunAborted
+from stream.estimated_signals import EstimatedSignals
 
 _INTERRUPTED = 130
 _PATIENCE_S = 5.0
@@ -48,8 +50,10 @@ class ProcedureRun(NamedTuple):
     lot: str | None
     says_yes: bool
     is_ended: bool
+    is_check: bool
     settle_timeout_s: float
     every_s: float | None
+    estimated: EstimatedSignals
 
 
 def run_procedure(
@@ -77,12 +81,26 @@ def run_procedure(
     clock = station.make_clock()
     instruments = station.make_instruments(clock)
     check_limits(station, instruments, procedure, asked.parameters)
-    run = asked.run or _run_id(spool_folder, procedure, serials, station, clock.now_ns())
     with ExitStack() as stack:
         stack.enter_context(station.held())
         plan = hashlib.sha256(msgspec.json.encode(steps)).hexdigest()
-        known = _known(asked, spool_folder / run, procedure, plan, serials)
+        left = asked.run or _left_run(spool_folder, procedure, serials)
+        known = None if left is None else _known(spool_folder / left, procedure, plan, serials)
+        if known is None and asked.is_ended:
+            raise BadInput(
+                f"there is nothing to end: no run of {procedure.name} with these units has been left unfinished"
+            )
         connect = connect or writer_endpoint(folder)
+        phase = "starting" if known is None else known.phase
+        sources = None if _is_over(phase, asked) else StationSources(station, instruments, clock, serials)
+        folders = [spool_folder] if connect is not None else [folder, spool_folder]
+        found = _looked(
+            stack, sources, station, instruments, folders, clock, procedure.duration_s(None, asked.parameters)
+        )
+        if asked.is_check:
+            _tell_checked(found, procedure, steps, as_json=as_json)
+            return 0
+        run = left or _fresh_id(spool_folder, procedure, station, clock.now_ns())
         if connect is None:
             compile_kernels(quiet=as_json)
         stop = stack.enter_context(until_stopped())
@@ -91,12 +109,6 @@ def run_procedure(
                 notes(), stop, says_yes=asked.says_yes, quiet=as_json, listens=not asked.says_yes or sys.stdin.isatty()
             )
         )
-        phase = "starting" if known is None else known.phase
-        about: dict[str, str] = {}
-        sources: StationSources | None = None
-        if phase == "starting" or (phase == "running" and not asked.is_ended):
-            sources = StationSources(station, instruments, clock, serials)
-            about = {f"instrument.{name}": _opened(stack, each, station) for name, each in instruments.items()}
         # nothing is made on disk before everybody is reached
         elsewhere = stack.enter_context(recorder_at(None if phase == "ended" else connect))
         spool = stack.enter_context(
@@ -106,19 +118,21 @@ def run_procedure(
         if log.state.phase == "ended":
             _tell(log, steps, "ended", "nothing to do, all of it is recorded", as_json=as_json)
             return 0
-        path = stack.enter_context(path_to(folder, run, elsewhere, spool, asked.every_s))
+        path = stack.enter_context(path_to(folder, run, elsewhere, spool, asked.every_s, asked.estimated, serials))
         trouble = TroubleWatch(path.publisher, operator.told)
         operator.watch(trouble.look)
         leave = partial(_leave, log, steps, path, stop, as_json=as_json)
-        warnings = log.begin(
+        log.begin(
             path.sender,
             mounted_documents(entries, run, log.state.t0_ns),
-            about | _about(station, procedure, asked.parameters),
+            {f"instrument.{name}": each for name, each in found.instruments.items()}
+            | _about(station, procedure, asked.parameters),
             operator=asked.operator or _common(entries, "operator"),
             lot=asked.lot or _common(entries, "lot"),
             at=goes_on_at(steps, log.state.step),
+            warnings=found.warnings,
         )
-        for warning in [*warnings, *_others(spool_folder, log, procedure)]:
+        for warning in _others(spool_folder, log, procedure):
             operator.told(warning)
         resumed = f"goes on at step {log.state.step + 1} after a gap of {log.gap_s:,.0f} s, " if log.is_resumed else ""
         _tell(log, steps, "running", f"{resumed}{path.where}", as_json=as_json)
@@ -152,29 +166,32 @@ def run_procedure(
         return code
 
 
-def _known(
-    asked: ProcedureRun, spool: Path, procedure: Procedure, plan: str, units: tuple[str, ...]
-) -> StationRunState | None:
+def _is_over(phase: str, asked: ProcedureRun) -> bool:
+    """Whether nothing more is to be measured."""
+    return phase not in {"starting", "running"} or (phase == "running" and asked.is_ended)
+
+
+def _looked(
+    stack: ExitStack, sources: StationSources | None, station: Station, instruments: Mapping[str, Instrument],
+    folders: list[Path], clock: StationClock, duration_s: float,
+) -> Preflight:  # fmt: skip
+    """See whether a run can begin, where one is to; people are warned at once."""
+    if sources is None:
+        return Preflight({}, ())
+    found = preflight(
+        stack, station, instruments, sources, folders=folders, now_ns=clock.now_ns(), duration_s=duration_s
+    )
+    for warning in found.warnings:
+        notes().print(warning, soft_wrap=True, markup=False)
+    return found
+
+
+def _known(spool: Path, procedure: Procedure, plan: str, units: tuple[str, ...]) -> StationRunState | None:
     """The run as it was left; None where none was begun."""
     state = read_station_run(spool)
     if state is not None:
         check_same(state, procedure.name, plan, units)
-    elif asked.is_ended:
-        raise BadInput(f"there is nothing to end: no run of {procedure.name} with these units has been left unfinished")
     return state
-
-
-def _opened(stack: ExitStack, instrument: Instrument, station: Station) -> str:
-    """Connect to an instrument until the stack is left; what it says it is."""
-    try:
-        identity = instrument.open()
-    except InstrumentError as error:
-        if not station.table.simulated:
-            raise
-        folder = shlex.quote(str(station.path.parent))
-        raise InstrumentError(f"{error}; this station is simulated: `gyrofleet simulate {folder}` plays it") from error
-    stack.callback(instrument.close)
-    return identity
 
 
 def _bring_to_rest(
@@ -200,11 +217,16 @@ def _others(spool: Path, log: RunLog, procedure: Procedure) -> list[str]:
     ]
 
 
-def _run_id(spool: Path, procedure: Procedure, units: tuple[str, ...], station: Station, now_ns: int) -> str:
-    """The run of this procedure and these units that is to go on; else a fresh id: the day and a letter."""
+def _left_run(spool: Path, procedure: Procedure, units: tuple[str, ...]) -> str | None:
+    """The run of this procedure and these units that is to go on; None where none was left."""
     for state in unfinished_runs(spool):
         if state.procedure == procedure.name and set(state.units) == set(units):
             return state.run
+    return None
+
+
+def _fresh_id(spool: Path, procedure: Procedure, station: Station, now_ns: int) -> str:
+    """A run's id: the day and a letter."""
     day = dt.datetime.fromtimestamp(now_ns / 1e9, ZoneInfo(station.table.time_zone)).date()
     for n in range(26 * 26):
         letters = string.ascii_uppercase
@@ -217,9 +239,7 @@ def _run_id(spool: Path, procedure: Procedure, units: tuple[str, ...], station: 
 def _about(station: Station, procedure: Procedure, parameters: Mapping[str, str]) -> dict[str, str]:
     """What the run's first document says beside its names."""
     chosen = {f"parameter.{name}": str(value) for name, value in procedure.chosen(parameters).items()}
-    where = {"time_zone": station.table.time_zone}
-    if station.table.latitude_deg is not None:
-        where["latitude_deg"] = f"{station.table.latitude_deg:g}"
+    where = station.table.location.details
     calibrated = {
         f"calibration_due.{name}": options.calibration_due
         for name, (_, options) in station.instruments.items()
@@ -292,3 +312,14 @@ def _tell(log: RunLog, steps: tuple[PlannedStep, ...], event: str, remark: str, 
     console.print(
         f"run {state.run} {event}{outcome}: {done}, {log.samples:,} samples; {remark}", soft_wrap=True, markup=False
     )
+
+
+def _tell_checked(found: Preflight, procedure: Procedure, steps: tuple[PlannedStep, ...], *, as_json: bool) -> None:
+    """Say that a run could begin."""
+    if as_json:
+        about = {"procedure": procedure.name, "steps": len(steps)}
+        print_json({"event": "checked", **about, "instruments": found.instruments, "warnings": list(found.warnings)})
+        return
+    for name, identity in found.instruments.items():
+        results().print(f"{name}: {identity}", soft_wrap=True, markup=False)
+    results().print(f"{procedure.name} could begin: {len(steps)} steps; nothing was written", soft_wrap=True)

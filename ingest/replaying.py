@@ -12,6 +12,7 @@ from storage.store import Store
 from stream.bus import LocalBus
 from stream.delivery import DurablePublisher, Sender
 from stream.errors import BadInput, NotFound, StoreError
+from stream.estimated_signals import EstimatedSignals
 from stream.estimators.base import Estimator, default_estimators
 from stream.estimators.bias_stability import BiasStability
 from stream.events import decode_event
@@ -88,7 +89,7 @@ def compared(run: StoredRun, every_s: float, speed: float, progress: Progress) -
     pace, found, comparing = Pace(speed), Replayed(), Comparing(run.estimates)
     with (
         LocalBus() as bus,
-        EstimationWorker(bus, comparing, every_s=every_s, estimators=factories) as worker,
+        EstimationWorker(bus, comparing, every_s=every_s, estimators=factories, estimated=_estimated(run)) as worker,
     ):
         for message in run.messages(progress):
             pace.wait_for(message)
@@ -100,7 +101,7 @@ def compared(run: StoredRun, every_s: float, speed: float, progress: Progress) -
 
 def sent_into(run: StoredRun, folder: Path, every_s: float, speed: float, progress: Progress) -> Replayed:
     """Record and estimate a run in another store."""
-    with EmbeddedPipeline(folder, "gyrofleet replay", estimate_every_s=every_s) as pipeline:
+    with EmbeddedPipeline(folder, "gyrofleet replay", estimate_every_s=every_s, estimated=_estimated(run)) as pipeline:
         found = _send(run, pipeline, speed, progress)
         pipeline.finish()
     return found
@@ -112,6 +113,11 @@ def sent_to(run: StoredRun, endpoint: str, speed: float, progress: Progress) -> 
         found = _send(run, publisher, speed, progress)
         publisher.drain()
     return found
+
+
+def _estimated(run: StoredRun) -> EstimatedSignals:
+    """Return the signals that were estimated when the run was recorded; without any, what is estimated by default."""
+    return EstimatedSignals(frozenset(run.signals), rates=False) if run.signals else EstimatedSignals()
 
 
 def _send(run: StoredRun, sender: Sender, speed: float, progress: Progress) -> Replayed:

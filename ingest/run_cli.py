@@ -7,11 +7,11 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from stream.console import reporting, store_option
+from stream.console import estimates_option, reporting, store_option
 from stream.errors import BadInput
 
-_ONLY_PROCEDURE = frozenset({"units", "parameters", "says_yes", "settle_timeout_h", "every_s"})
-_ONLY_SIMULATED = frozenset({"hours", "rate_hz", "batch", "speed", "seed", "start", "procedure", "site"})
+_ONLY_PROCEDURE = frozenset({"units", "parameters", "says_yes", "settle_timeout_h", "every_s", "estimated", "is_check"})
+_ONLY_SIMULATED = frozenset({"hours", "rate_hz", "batch", "speed", "seed", "start", "procedure", "position", "site"})
 
 
 @click.command("run")
@@ -28,6 +28,7 @@ _ONLY_SIMULATED = frozenset({"hours", "rate_hz", "batch", "speed", "seed", "star
     help="PROCEDURE: how long an instrument may take to settle, at the station.",
 )
 @click.option("--every", "every_s", type=click.FloatRange(min=1.0), help="PROCEDURE: seconds between estimates.")
+@estimates_option
 @click.option("--simulate", type=click.IntRange(1, 100_000), metavar="N", help="Simulated units, at rest.")
 @click.option("--hours", type=click.FloatRange(min=1e-4), default=1.0, show_default=True, help="Length of the run.")
 @click.option(
@@ -41,7 +42,8 @@ _ONLY_SIMULATED = frozenset({"hours", "rate_hz", "batch", "speed", "seed", "star
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulation.")
 @click.option("--start", help="Moment of the first samples, as 2026-11-21T18:00:00+08:00; by default they end now.")
-@click.option("--procedure", help="With --simulate: what the run is called a run of.")
+@click.option("--procedure", help="With --simulate: what is done, as static_bias: all of the run is a step of it.")
+@click.option("--position", help="With --simulate: where the input axis points, as IRA_east_west.")
 @click.option("--operator", help="Who is responsible.")
 @click.option("--lot", help="Production lot.")
 @click.option("--site", default="local", show_default=True, help="Site the samples come from.")
@@ -55,6 +57,7 @@ _ONLY_SIMULATED = frozenset({"hours", "rate_hz", "batch", "speed", "seed", "star
 @click.option(
     "--spool-mb", type=click.IntRange(min=1), default=4096, show_default=True, help="How much may wait in the spool."
 )
+@click.option("--check", "is_check", is_flag=True, help="PROCEDURE: only look whether the run could begin.")
 @click.option("--end", "is_ended", is_flag=True, help="End the run where it is, with outcome `stopped`.")
 @reporting
 def run(
@@ -64,12 +67,14 @@ def run(
     parameters: tuple[str, ...],
     settle_timeout_h: float,
     every_s: float | None,
+    estimated: tuple[str, ...],
     folder: Path,
     connect: str | None,
     spool_folder: Path | None,
     spool_mb: int,
     *,
     says_yes: bool,
+    is_check: bool,
     is_ended: bool,
     as_json: bool,
     **given: Any,
@@ -81,6 +86,9 @@ def run(
     with --yes too, p Enter pauses, c Enter goes on, a Enter aborts; Ctrl-C makes the station safe and leaves the run
     to go on later. What prepares the record that was cut, a soak or a time without power, is then done again.
 
+    Before a run begins, all instruments, buses, serial lines, disks, the clock and the dates of calibration are looked
+    at; --check does that alone. What stands in the way is told at once, and nothing is written.
+
     Where a `gyrofleet record` writes the store, it goes there, else it is recorded in this process. What no recorder
     has yet waits in a spool on disk. Interrupted or killed, the run goes on under its id when the same command is
     given again; --end ends it.
@@ -88,8 +96,9 @@ def run(
     if procedure_name is not None:
         sys.exit(
             _run_procedure(
-                procedure_name, run_id, units, parameters, settle_timeout_h, every_s, folder, connect, spool_folder,
-                spool_mb, given, says_yes=says_yes, is_ended=is_ended, as_json=as_json,
+                procedure_name, run_id, units, parameters, settle_timeout_h, every_s, estimated, folder, connect,
+                spool_folder, spool_mb, given, says_yes=says_yes, is_check=is_check, is_ended=is_ended,
+                as_json=as_json,
             )
         )  # fmt: skip
     if given["simulate"] is None or run_id is None:
@@ -130,6 +139,7 @@ def _run_procedure(
     parameters: tuple[str, ...],
     settle_timeout_h: float,
     every_s: float | None,
+    estimated: tuple[str, ...],
     folder: Path,
     connect: str | None,
     spool_folder: Path | None,
@@ -137,12 +147,14 @@ def _run_procedure(
     given: dict[str, Any],
     *,
     says_yes: bool,
+    is_check: bool,
     is_ended: bool,
     as_json: bool,
 ) -> int:
     from ingest.procedure_run_cli import ProcedureRun, run_procedure
     from ingest.run_path import check_spool_name, spools_of
     from storage.store import writer_endpoint
+    from stream.estimated_signals import EstimatedSignals
     from stream.identity import check_name
 
     if given["simulate"] is not None:
@@ -176,8 +188,10 @@ def _run_procedure(
         lot=given["lot"],
         says_yes=says_yes,
         is_ended=is_ended,
+        is_check=is_check,
         settle_timeout_s=settle_timeout_h * 3600.0,
         every_s=every_s,
+        estimated=EstimatedSignals.named(estimated),
     )
     if spool_folder is None:
         check_spool_name(run_id or "")

@@ -1,20 +1,25 @@
 """Where a live run is sent: to a recorder elsewhere, or into a store that this process records."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import NamedTuple
+from uuid import NAMESPACE_URL, uuid5
 
 from ingest.pipeline import EmbeddedPipeline
 from ingest.replaying import estimated_every_s
+from storage.recorder_client import HeldClaim, RecorderClient
 from storage.store import Store
 from stream.console import notes
 from stream.delivery import DurablePublisher, Sender
-from stream.errors import BadInput
+from stream.errors import BadInput, DeliveryError
+from stream.estimated_signals import EstimatedSignals
 from stream.spool import Spool
 from stream.zenoh_bus import ZenohBus
 
 _LONGEST_FOLDER_BYTES = 200
+_RECORDER_PATIENCE_S = 3.0
 
 
 class Elsewhere(NamedTuple):
@@ -129,7 +134,13 @@ def opened_spool(folder: Path, spool_folder: Path, max_bytes: int, *, is_remote:
 
 @contextmanager
 def path_to(
-    folder: Path, run: str, elsewhere: Elsewhere | None, spool: Spool, every_s: float | None = None
+    folder: Path,
+    run: str,
+    elsewhere: Elsewhere | None,
+    spool: Spool,
+    every_s: float | None = None,
+    estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
+    units: Sequence[str] = (),
 ) -> Iterator[RunPath]:
     """Open the way to a recorder, or record in this process.
 
@@ -145,19 +156,53 @@ def path_to(
         Keeps what the recorder does not have yet.
     every_s : float, optional
         Interval between estimates, seconds of the signals' time; by default that which the run was begun with.
+    estimated : EstimatedSignals
+        Which signals are estimated, where it is recorded in this process.
+    units : sequence of str
+        Units of the run, which nobody else may send in it to the same recorder meanwhile.
 
     Raises
     ------
     GyrofleetError
-        If the store cannot be written.
+        If the store cannot be written, or another source sends the same units in a run of this id.
     """
     if elsewhere is not None:
-        with DurablePublisher(elsewhere.bus, spool=spool) as publisher:
+        with ExitStack() as stack:
+            client = _client(elsewhere.bus, folder, spool)
+            claim = None
+            if client is not None:
+                holder = uuid5(NAMESPACE_URL, f"{socket.gethostname()}/{spool.folder.absolute()}").hex
+                claim = stack.enter_context(
+                    HeldClaim(client, [(unit, run) for unit in units], f"gyrofleet run {run}", holder=holder)
+                )
+            publisher = stack.enter_context(
+                DurablePublisher(elsewhere.bus, spool=spool, only_store=None if client is None else client.store)
+            )
+            if claim is not None:
+                claim.on_loss = publisher.fail
             where = f"to the recorder at {elsewhere.endpoint}"
             yield RunPath(publisher, publisher, publisher.drain, where, None)
     else:
         # of the same interval as those of a `gyrofleet estimate` that may have begun them, else they would differ
         every_s = every_s or estimated_every_s(folder, run)
-        with EmbeddedPipeline(folder, "gyrofleet run", spool=spool, estimate_every_s=every_s) as pipeline:
+        with EmbeddedPipeline(
+            folder, "gyrofleet run", spool=spool, estimate_every_s=every_s, estimated=estimated
+        ) as pipeline:
             where = f"recorded in this process to {folder}"
             yield RunPath(pipeline, pipeline.publisher, pipeline.finish, where, folder)
+
+
+def _client(bus: ZenohBus, folder: Path, spool: Spool) -> RecorderClient | None:
+    """The recorder of the store that has the run already, or of that in `folder`, or whichever is there.
+
+    None where none answers: what is measured waits in the spool until one does.
+    """
+    wanted = spool.store
+    if not wanted and (folder / "store.json").exists():
+        wanted = Store.open(folder).identity
+    try:
+        return RecorderClient(bus, wanted=wanted or None, patience_s=_RECORDER_PATIENCE_S)
+    except DeliveryError:
+        told = "no recorder answers yet; whether another source sends the same run is not known"
+        notes().print(f"warning: {told}", soft_wrap=True, markup=False)
+        return None

@@ -28,6 +28,7 @@ class RunParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     site: str
     station: str
     procedure: str | None = None
+    position: str | None = None
     operator: str | None = None
     lot: str | None = None
     start: str | None = None

@@ -92,7 +92,7 @@ def run_simulated(
         if live.is_over:
             _tell(live, "ended", "nothing to do, all of it is recorded", as_json=as_json)
             return 0
-        with path_to(folder, run, elsewhere, spool) as path:
+        with path_to(folder, run, elsewhere, spool, units=live.units) as path:
             return _send(live, path, stop, _Watch(path.publisher, as_json=as_json), is_ended=is_ended)
 
 

@@ -2,12 +2,10 @@
 
 import datetime as dt
 import fcntl
-import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
-from zoneinfo import ZoneInfo
 
 import msgspec
 
@@ -16,8 +14,10 @@ from ingest.instruments.can_bus_open import CanBusOptions
 from ingest.instruments.scpi import ScpiOptions
 from ingest.instruments.visa_resource import resource_trouble
 from ingest.station_clock import StationClock
+from ingest.station_location import StationLocation
 from stream.errors import BadInput
 from stream.identity import Place, check_name
+from stream.toml_text import decode_toml
 
 
 class ClockTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -63,13 +63,25 @@ class SlotTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class StationTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`[station]`: names, place on Earth, and time zone (what is "the same day")."""
+    """`[station]`: names, place on Earth (see `StationLocation`), and time zone (what is "the same day")."""
 
     site: str
     name: str
     latitude_deg: float | None = None
+    altitude_m: float | None = None
+    gravity_m_per_s2: float | None = None
     time_zone: str = "UTC"
     simulated: bool = False
+
+    @property
+    def location(self) -> StationLocation:
+        """Where it stands."""
+        return StationLocation(
+            latitude_deg=self.latitude_deg,
+            time_zone=self.time_zone,
+            altitude_m=self.altitude_m,
+            gravity_m_per_s2=self.gravity_m_per_s2,
+        )
 
 
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -148,14 +160,18 @@ class Station(msgspec.Struct, frozen=True, kw_only=True):
         """A file that the station file names."""
         return self.path.parent / name
 
-    def overdue(self, day: dt.date) -> list[str]:
-        """Instruments whose calibration has ended before that day, each as a sentence."""
+    def overdue(self, first: dt.date, last: dt.date) -> list[str]:
+        """Instruments whose calibration ends before the last day of a run, each as a sentence."""
         found = []
         for name, (kind, options) in self.instruments.items():
-            due = options.calibration_due
-            if due is not None and dt.date.fromisoformat(due) < day:
+            if options.calibration_due is None:
+                continue
+            due = dt.date.fromisoformat(options.calibration_due)
+            if due < last:
                 serial = f", serial {options.serial}" if options.serial else ""
-                found.append(f"the {kind} {name}{serial} was due for calibration on {due}")
+                word = "was" if due < first else "is"
+                during = "" if due < first else ", before the run ends"
+                found.append(f"the {kind} {name}{serial} {word} due for calibration on {due}{during}")
         return found
 
 
@@ -172,16 +188,13 @@ def load_station(path: Path) -> Station:
     except OSError as error:
         raise BadInput(f"the station file {path} cannot be read: {error.strerror}; give --station FILE") from error
     try:
-        raw = tomllib.loads(content.decode())
-        file = msgspec.convert(raw, _File)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
+        file = decode_toml(content, _File)
+    except msgspec.MsgspecError as error:
         raise BadInput(f"{path}: {error}") from error
     for what, name in (("site", file.station.site), ("station", file.station.name)):
         check_name(what, name)
-    latitude_deg = file.station.latitude_deg
-    if latitude_deg is not None and not -90.0 <= latitude_deg <= 90.0:
-        raise BadInput(f"{path}: station.latitude_deg is {latitude_deg:g}; it lies between -90 and 90")
-    _check_times(path, file)
+    file.station.location.check(lambda field: f"{path}: station.{field}")
+    _check_clock(path, file.clock)
     instruments = {name: _options(path, name, table) for name, table in file.instruments.items()}
     return Station(
         path=path,
@@ -195,14 +208,7 @@ def load_station(path: Path) -> Station:
     )
 
 
-def _check_times(path: Path, file: _File) -> None:
-    clock, zone = file.clock, file.station.time_zone
-    try:
-        ZoneInfo(zone)
-    except (ValueError, KeyError, OSError) as error:
-        raise BadInput(
-            f"{path}: station.time_zone is {zone!r}, which is not known; write it as Asia/Shanghai, or UTC"
-        ) from error
+def _check_clock(path: Path, clock: ClockTable) -> None:
     if not 0.0 < clock.speed <= 1e6:
         raise BadInput(f"{path}: clock.speed is {clock.speed:g}; it is more than 0 and at most 1e6 times real time")
     if clock.speed != 1.0 and (clock.start_ns is None or clock.origin_s is None):

@@ -1,12 +1,10 @@
 """The documents and samples of a procedure's run, and how far it is: what is sent, and what is remembered."""
 
 import dataclasses
-import datetime as dt
 import threading
 from collections.abc import Iterable, Mapping
 from functools import partial
 from uuid import NAMESPACE_URL, UUID, uuid4, uuid5
-from zoneinfo import ZoneInfo
 
 from msgspec.structs import replace
 
@@ -124,8 +122,9 @@ class RunLog:
         operator: str | None,
         lot: str | None,
         at: int | None = None,
-    ) -> list[str]:
-        """Send the documents with which the run starts, or goes on; what people should be warned of.
+        warnings: Iterable[str] = (),
+    ) -> None:
+        """Send the documents with which the run starts, or goes on.
 
         Parameters
         ----------
@@ -139,9 +138,10 @@ class RunLog:
             Who is responsible, and the production lot.
         at : int, optional
             Index of the step that it goes on with; by default that at which it was.
+        warnings : iterable of str
+            What people were warned of; remembered with a run that starts.
         """
         self._sender = sender
-        warnings: list[str] = []
         if self.state.phase == "starting":
             self.save()  # killed from here on, it is taken up as the same run
             self._send(
@@ -160,15 +160,12 @@ class RunLog:
             )
             for document in mounted:
                 self._send(document)
-            today = dt.datetime.fromtimestamp(self.state.t0_ns / 1e9, ZoneInfo(self._station.table.time_zone)).date()
-            warnings = [f"warning: {overdue}" for overdue in self._station.overdue(today)]
             for warning in warnings:
                 self.note(warning)
         elif self.is_resumed and self.state.phase == "running":
             self._resume(self.state.step if at is None else at)
         if self.state.phase == "starting":
             self.save(phase="running")
-        return warnings
 
     def end(self, outcome: Outcome) -> None:
         """Send the document with which the run ends."""

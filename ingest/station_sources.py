@@ -5,16 +5,18 @@ from uuid import uuid4
 
 from ingest.instruments.base import Instrument
 from ingest.instruments.can_bus import CanBus
+from ingest.instruments.can_bus_clock import ReceiveClock
+from ingest.instruments.can_bus_intake import open_intake
 from ingest.instruments.can_mapping import CanPlan, load_mapping
 from ingest.instruments.can_stream import CanDecoder
 from ingest.instruments.frame_layout import load_layout
-from ingest.instruments.serial_line import SerialLine
+from ingest.instruments.serial_line import SerialLine, open_port
 from ingest.sampling import Sampler
 from ingest.station import Station
 from ingest.station_clock import StationClock
 from ingest.station_log import RunLog
 from ingest.station_run import Source
-from stream.errors import BadInput
+from stream.errors import BadInput, InstrumentError
 
 
 class StationSources:
@@ -77,6 +79,22 @@ class StationSources:
                     f"{self._station.path}: {what} comes from {other} and from {way} as well: take it out of one"
                 )
 
+    def cannot_be_opened(self) -> list[str]:
+        """Which buses and lines cannot be opened now, each as a sentence; each is closed again."""
+        found = []
+        for name in self._plans:
+            try:
+                open_intake(self._station.buses[name].bus, ReceiveClock(self._clock, _nobody))[0].close()
+            except InstrumentError as error:
+                found.append(f"buses.{name} of {self._station.path}: {error}")
+        for name, line in self._station.lines.items():
+            if line.unit in self._units:
+                try:
+                    open_port(line.port, line.baud, self._layouts[name], f"unit {line.unit} at {line.port}").close()
+                except InstrumentError as error:
+                    found.append(f"lines.{name} of {self._station.path}: {error}")
+        return found
+
     def make(self, log: RunLog, report: Callable[[str], None]) -> list[Source]:
         """Sources for the power-ons as they are; of units that are not tested nothing is taken."""
         made: list[Source] = [
@@ -118,3 +136,7 @@ class StationSources:
 
 def _of_units(plan: CanPlan, units: frozenset[str]) -> CanPlan:
     return CanPlan(tuple(route for route in plan.routes if route.unit in units), plan.remarks)
+
+
+def _nobody(_sentence: str) -> None:
+    """Nothing of a bus that is closed at once is told."""

@@ -147,6 +147,21 @@ def step_words(columns: Iterable[WordColumn], values: Iterable[Any]) -> StepWord
     return StepWords(**words) if words else None
 
 
+def with_common_words(words: StepWords | None, common: StepWords | None) -> StepWords | None:
+    """Words of a step with those that hold for all of a file, where it does not say them itself.
+
+    Examples
+    --------
+    >>> words = with_common_words(StepWords(step="still"), StepWords(procedure="static_bias"))
+    >>> words.procedure, words.step
+    ('static_bias', 'still')
+    """
+    if common is None or words is None:
+        return words or common
+    said = {name: value for name in words.__struct_fields__ if (value := getattr(words, name)) is not None}
+    return msgspec.structs.replace(common, **said)
+
+
 class StepTracker:
     """The step that every unit of every run is in; turns changes of its words into documents.
 

@@ -1,15 +1,16 @@
 """What a store already has of a file: the same samples are left out, others at the same time are refused."""
 
 from collections import Counter
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from ingest.instruments.table_summary import SignalChunk, SignalSummary, TableSummary
 from ingest.sample_file import SampleFile
-from storage.catalog import Catalog
-from storage.reading import stored_between
+from storage.knowledge import Knowledge, KnownStep
 from stream.batch import BoolArray, IntArray
 from stream.errors import BadInput
 
@@ -21,28 +22,27 @@ class StoredSamples:
 
     Parameters
     ----------
-    catalog : Catalog
-        The store.
+    knowledge : Knowledge
+        What the store has.
     path : Path
         The file, for messages.
     summary : TableSummary
         What the first pass found in it.
     """
 
-    def __init__(self, catalog: Catalog, path: Path, summary: TableSummary) -> None:
-        self._catalog = catalog
+    def __init__(self, knowledge: Knowledge, path: Path, summary: TableSummary) -> None:
+        self._knowledge = knowledge
         self._path = path
         self._summary = summary
         self._signals: dict[_Name, SignalSummary] = {(s.unit, s.run, s.signal): s for s in summary.signals}
         self._stored: dict[_Name, tuple[str, int, int]] = {}
-        for unit, run, signal, unit_of_measure, first_ns, last_ns in catalog.rows(
-            "select unit, run, signal, unit_of_measure, t_first_ns, t_last_ns from signals"
-        ):
-            if (unit, run, signal) in self._signals:
-                self._stored[unit, run, signal] = (unit_of_measure, first_ns, last_ns)
-        rows = catalog.rows("select run, date_known, outcome = 'open' from runs")
-        self.runs = {str(run): bool(known) for run, known, _ in rows}
-        self.open_runs = {str(run) for run, _, is_open in rows if is_open}
+        names = sorted({s.run for s in summary.signals})
+        for known in knowledge.signals(names):
+            if (known.unit, known.run, known.signal) in self._signals:
+                stored = (known.unit_of_measure, known.t_first_ns, known.t_last_ns)
+                self._stored[known.unit, known.run, known.signal] = stored
+        self.known = knowledge.runs(names)
+        self.runs, self.open_runs = self.known.dated, set(self.known.open)
 
     def check(self, file: SampleFile) -> Counter[_Name]:
         """Compare the file with the store sample by sample; returns how many of each signal the store has already.
@@ -68,19 +68,8 @@ class StoredSamples:
         """Mask of the samples that the store does not have; `check` has found the others equal."""
         if not self._overlaps((unit, run, signal)):
             return np.ones(len(times_ns), np.bool_)
-        stored_ns, _ = stored_between(self._catalog, unit, signal, run, int(times_ns[0]), int(times_ns[-1]))
+        stored_ns, _ = self._knowledge.samples(unit, signal, run, int(times_ns[0]), int(times_ns[-1]))
         return ~np.isin(times_ns, stored_ns, assume_unique=True)
-
-    def epochs(self, name: _Name) -> set[str]:
-        """Epochs of the stored samples that lie within the file's time of a signal."""
-        unit, run, signal = name
-        sampling = self._signals[name].sampling
-        rows = self._catalog.rows(
-            "select distinct epoch from samples where unit = $unit and run = $run and signal = $signal "
-            "and t_ns between $first and $last",
-            {"unit": unit, "run": run, "signal": signal, "first": sampling.t_first_ns, "last": sampling.t_last_ns},
-        )
-        return {str(epoch) for (epoch,) in rows}
 
     def _check_alike(self, name: _Name, summary: SignalSummary) -> None:
         unit, run, signal = name
@@ -106,8 +95,7 @@ class StoredSamples:
     def _check_chunk(self, chunk: SignalChunk) -> int:
         sampling = self._signals[chunk.unit, chunk.run, chunk.signal].sampling
         times_ns = chunk.times_ns
-        stored_ns, stored = stored_between(
-            self._catalog,
+        stored_ns, stored = self._knowledge.samples(
             chunk.unit,
             chunk.signal,
             chunk.run,
@@ -149,3 +137,31 @@ class StoredSamples:
         if self._summary.date_known:
             return datetime.fromtimestamp(int(t_ns) / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S.%f UTC")
         return f"{int(t_ns) / 1e9:.9g} s"
+
+
+def check_steps(steps: Iterable[KnownStep], path: Path, summary: TableSummary) -> None:
+    """Compare the words given for all steps of a file with the steps that the store has at those times.
+
+    Raises
+    ------
+    BadInput
+        If the store has another step there.
+    """
+    if summary.words is None:
+        return
+    given = msgspec.to_builtins(summary.words)
+    for unit, run in dict.fromkeys((each.unit, each.run) for each in summary.signals):
+        samplings = [each.sampling for each in summary.signals if (each.unit, each.run) == (unit, run)]
+        first_ns = min(each.t_first_ns for each in samplings)
+        last_ns = max(each.t_last_ns for each in samplings)
+        for step in steps:
+            if (step.unit, step.run) != (unit, run) or step.t_start_ns > last_ns or step.t_end_ns < first_ns:
+                continue
+            stored = {"procedure": step.procedure, "position": step.position}
+            wrong = [name for name, value in given.items() if stored.get(name) != value]
+            if wrong:
+                told = ", ".join(f"{name} {stored.get(name) or '(not given)'}" for name in wrong)
+                raise BadInput(
+                    f"{path}: unit {unit}, run {run} has a step there already, with {told}; what is recorded stays: "
+                    f"leave out --{wrong[0]}, or import the file under another --run"
+                )

@@ -1,5 +1,6 @@
 """Signals out of the bytes of many CAN frames at once: shifts and masks on columns instead of a call per frame."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -7,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from ingest.instruments.can_frames import MOST_BYTES
 from stream.batch import BoolArray, CountArray, FloatArray
 
 if TYPE_CHECKING:
@@ -210,6 +212,11 @@ class MessageLayout:
     signals : mapping of str to SignalLayout
         Its signals by name.
 
+    Attributes
+    ----------
+    unusable : dict of str to str
+        Signals of the database that cannot be decoded, and why.
+
     Examples
     --------
     >>> layout = MessageLayout("IMU", {"rate": SignalLayout("rate", BitField("<", 0, 16, is_signed=True), 0.25)})
@@ -221,11 +228,20 @@ class MessageLayout:
     def __init__(self, name: str, signals: Mapping[str, SignalLayout]) -> None:
         self.name = name
         self.signals = dict(signals)
+        self.unusable: dict[str, str] = {}
 
     @classmethod
     def of(cls, message: "Message") -> "MessageLayout":
-        """The layout of a message as cantools has read it."""
-        return cls(message.name, {signal.name: _signal_layout(signal) for signal in message.signals})
+        """The layout of a message as cantools has read it, without signals that cannot be decoded."""
+        unusable = {signal.name: why for signal in message.signals if (why := why_unusable(signal)) is not None}
+        signals = {signal.name: _signal_layout(signal) for signal in message.signals if signal.name not in unusable}
+        for name, layout in list(signals.items()):
+            if layout.switch is not None and layout.switch.name not in signals:
+                unusable[name] = f"its multiplexer {layout.switch.name} is not there"
+                del signals[name]
+        found = cls(message.name, signals)
+        found.unusable = unusable
+        return found
 
     def decode(self, frames: FrameBytes, names: "list[str] | tuple[str, ...]") -> dict[str, Decoded]:
         """Decode the signals `names` of n frames of the message."""
@@ -261,6 +277,21 @@ class MessageLayout:
             raw = layout.field.raw(frames)
         known[name] = rows, raw, short
         return known[name]
+
+
+def why_unusable(signal: "Signal") -> str | None:
+    """Why a signal of a database cannot be decoded; None if it can."""
+    try:
+        conversion = (float(signal.conversion.scale), float(signal.conversion.offset))
+    except OverflowError:
+        conversion = (math.inf, math.inf)
+    if not all(map(math.isfinite, conversion)):
+        return "its factor or offset is too large for a number"
+    if not 1 <= signal.length <= _WORD_BITS or (signal.is_float and signal.length not in _FLOATS):
+        return f"it has {signal.length} bits"
+    if bit_field(signal).needs_bytes > MOST_BYTES:
+        return f"it ends beyond the {MOST_BYTES} bytes of a frame"
+    return None
 
 
 def _signal_layout(signal: "Signal") -> SignalLayout:

@@ -14,13 +14,16 @@ from typing import Any
 import can
 from can.io.generic import MessageReader
 
-from ingest.instruments.can_frames import EXTENDED, Frame, FrameBlock, frame_block
+from ingest.instruments.can_frames import EXTENDED, MOST_BYTES, Frame, FrameBlock, frame_block
 from ingest.instruments.can_summary import LOG_SUFFIXES, FrameCounts
 from stream.errors import BadInput
 
 BLOCK_FRAMES = 10_000
 
 _UTC_FROM_S = 1e8
+_MOST_S = 9e9  # what nanoseconds of 64 bits hold, rounded down
+_MOST_CHANNEL = 2**15 - 1
+_MOST_DIGITS = 9
 _HELD_BYTES = 64 << 20
 _BLF_HEADER = struct.Struct("<4sLBBBBBBBBQQLL")
 _BLF_OBJECT = struct.Struct("<4sHHLL")
@@ -114,7 +117,7 @@ class CanLog:
             except StopIteration:
                 break
             except Exception as error:  # noqa: BLE001  readers raise whatever bad bytes lead to
-                read = self.counts.data + self.counts.errors + self.counts.remote
+                read = self.counts.all
                 said = " ".join(str(error).split()) or type(error).__name__
                 self.damage = self.damage or f"damaged behind frame {read}: {said}"
                 break
@@ -135,9 +138,18 @@ class CanLog:
         if message.is_remote_frame:
             self.counts.remote += 1
             return None
+        channel = self._channel(message.channel)
+        if (
+            not abs(message.timestamp) < _MOST_S  # nor NaN
+            or abs(channel) > _MOST_CHANNEL
+            or not 0 <= message.arbitration_id < EXTENDED
+            or len(message.data) > MOST_BYTES
+        ):
+            self.counts.unusable += 1
+            return None
         self.counts.data += 1
         identifier = message.arbitration_id | (EXTENDED if message.is_extended_id else 0)
-        return Frame(_ns(message.timestamp), self._channel(message.channel), identifier, bytes(message.data))
+        return Frame(_ns(message.timestamp), channel, identifier, bytes(message.data))
 
     def _channel(self, channel: object) -> int:
         """Its number; names that end in none are numbered as they come."""
@@ -146,13 +158,13 @@ class CanLog:
         name = "0" if channel is None else str(channel)
         if name not in self._channels:
             digits = name[len(name.rstrip("0123456789")) :]
-            self._channels[name] = int(digits) if digits else len(self._channels)
+            self._channels[name] = int(digits) if 0 < len(digits) <= _MOST_DIGITS else len(self._channels)
         return self._channels[name]
 
     def _check_complete(self, reader: MessageReader) -> None:
         """Hold what came against what the file says it has; a BLF that is cut reads short without an error."""
         said = getattr(reader, "object_count", 0)
-        read = self.counts.data + self.counts.errors + self.counts.remote
+        read = self.counts.all
         if not self.damage and isinstance(reader, can.BLFReader) and reader._tail:  # noqa: SLF001  the only sign of it
             self.damage = f"cut short inside a frame, behind frame {read} of {said or 'an unknown number'}"
 

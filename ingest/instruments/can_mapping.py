@@ -23,6 +23,7 @@ from ingest.instruments.can_database import arbitration_id, id_text, load_messag
 from ingest.instruments.can_decode import MessageLayout, SignalLayout
 from stream.errors import BadInput
 from stream.identity import check_name
+from stream.toml_text import decode_toml
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
@@ -218,7 +219,7 @@ def load_mapping(path: Path, dbc_paths: Sequence[Path], unit: str | None = None)
         If a file cannot be read, or the mapping names what the databases do not have; the message says where.
     """
     try:
-        mapping = msgspec.toml.decode(path.read_bytes(), type=MappingFile)
+        mapping = decode_toml(path.read_bytes(), MappingFile)
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror or error})") from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -272,7 +273,9 @@ class _Builder:
             if not 1e-6 <= entry.interval_s <= 1e6:
                 raise BadInput(f"{where}: interval_s = {entry.interval_s:g}: expected 1e-6 to 1e6 seconds")
             interval_ns = round(entry.interval_s * 1e9)
-        wanted = entry.signals or {signal.name: self._names[message.name, signal.name] for signal in message.signals}
+        for name, why in layout.unusable.items():
+            self._remarks.append(f"message {layout.name}, signal {name}: left out, {why} in the CAN database")
+        wanted = entry.signals or {name: self._names[message.name, name] for name in layout.signals}
         return MessagePlan(
             layout,
             tuple(self._signal(layout, name, as_, where) for name, as_ in wanted.items()),
@@ -316,6 +319,9 @@ class _Builder:
 
 
 def _known(layout: MessageLayout, name: str, where: str) -> SignalLayout:
+    if name in layout.unusable:
+        why = layout.unusable[name]
+        raise BadInput(f"{where}: signal {name} cannot be decoded: {why} in the CAN database; mend it there")
     if name not in layout.signals:
         raise BadInput(f"{where}: has no signal {name} in the CAN database; it has {', '.join(layout.signals)}")
     return layout.signals[name]

@@ -15,11 +15,20 @@ _IDS_NAMED = 8
 
 @dataclass
 class FrameCounts:
-    """Frames of a log by kind: of data, which are given out, and others, which are only counted."""
+    """Frames of a log by kind: of data, which are given out, and others, which are only counted.
+
+    Unusable are those whose time, channel, id or length no bus has, as in a damaged or forged file.
+    """
 
     data: int = 0
     errors: int = 0
     remote: int = 0
+    unusable: int = 0
+
+    @property
+    def all(self) -> int:
+        """All that were read."""
+        return self.data + self.errors + self.remote + self.unusable
 
 
 @dataclass(frozen=True)
@@ -47,6 +56,8 @@ def remarks(counts: CanCounts, of_kind: FrameCounts) -> Iterator[str]:
         yield f"{of_kind.errors} error frames"
     if of_kind.remote:
         yield f"{of_kind.remote} remote frames"
+    if of_kind.unusable:
+        yield f"{of_kind.unusable} frames left out: no bus has their time, channel, id or length"
     if counts.unknown:
         frames = sum(counts.unknown.values())
         yield f"{frames} frames of {len(counts.unknown)} ids that are not mapped: {some_ids(counts.unknown)}"

@@ -11,6 +11,7 @@ from ingest.instruments.frame_checksum import CHECKSUM_BYTES, ByteArray, Checksu
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput
 from stream.identity import check_name
+from stream.toml_text import decode_toml
 
 FieldType = Literal["u8", "i8", "u16", "i16", "u24", "i24", "u32", "i32", "float32", "float64"]
 ByteOrder = Literal["little", "big"]
@@ -199,7 +200,7 @@ def decode_layout(text: bytes, where: str) -> FrameLayout:
         Naming `where` and the place in it.
     """
     try:
-        layout = msgspec.toml.decode(text, type=FrameLayout)
+        layout = decode_toml(text, FrameLayout)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise BadInput(f"{where}: {error}") from None
     layout.check(where)

@@ -90,24 +90,8 @@ class SerialLine:
         InstrumentError
             If it cannot be opened.
         """
-        import serial
-
-        if self._port is not None:
-            return
-        layout = self.frames.layout
-        try:
-            self._port = serial.serial_for_url(
-                self._address,
-                self._baud,
-                bytesize=layout.data_bits,
-                parity=layout.parity,
-                stopbits=layout.stop_bits,
-                timeout=_LOOK_S,
-            )
-        except (OSError, ValueError) as error:  # serial's own errors are OSErrors
-            raise InstrumentError(
-                f"{self._who}: the port cannot be opened: {error}; see that it is plugged in and free"
-            ) from error
+        if self._port is None:
+            self._port = open_port(self._address, self._baud, self.frames.layout, self._who)
 
     def start(self) -> None:
         """Begin to read; a port that cannot be opened is reported and tried again."""
@@ -192,3 +176,28 @@ class SerialLine:
         if port is not None:
             with suppress(Exception):  # what cannot be closed is gone
                 port.close()
+
+
+def open_port(address: str, baud: int, layout: FrameLayout, who: str) -> Any:
+    """Open a serial port for frames of a layout; a port of pyserial.
+
+    Raises
+    ------
+    InstrumentError
+        If it cannot be opened.
+    """
+    import serial
+
+    try:
+        return serial.serial_for_url(
+            address,
+            baud,
+            bytesize=layout.data_bits,
+            parity=layout.parity,
+            stopbits=layout.stop_bits,
+            timeout=_LOOK_S,
+        )
+    except (OSError, ValueError) as error:  # serial's own errors are OSErrors
+        raise InstrumentError(
+            f"{who}: the port cannot be opened: {error}; see that it is plugged in and free"
+        ) from error

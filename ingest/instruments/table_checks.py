@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ingest.instruments.table_columns import Columns, TableOptions
 from ingest.instruments.table_rows import BadRow, BadRowLog, CellBlock, NumberCells, TextCells
 from ingest.instruments.table_times import RunClock, ns_from_index, seconds_text
-from ingest.steps import cell_text, step_words
+from ingest.steps import cell_text, step_words, with_common_words
 from stream.batch import IntArray
 from stream.errors import BadInput
 from stream.events import StepWords
@@ -79,6 +79,7 @@ class RowFilter:
         self._path = path
         self._columns = columns
         self._rate_hz = options.sample_rate_hz
+        self._common_words = options.words
         self._unit = None if columns.unit else check_name("unit", options.unit or "")
         self._run = None if columns.run else _run_name(path, options.run)
         self._last_ns: dict[Owner, int] = {}
@@ -220,7 +221,8 @@ class RowFilter:
                 cells.values[code[begin]] if code[begin] >= 0 else None
                 for cells, code in zip(words, codes, strict=True)
             ]
-            stretches.append((begin, end, step_words(self._columns.words, values)))
+            said = with_common_words(step_words(self._columns.words, values), self._common_words)
+            stretches.append((begin, end, said))
         return stretches
 
 

@@ -13,9 +13,12 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
+import msgspec
+
 from ingest.instruments.table_times import MAX_NS, ns_per_unit
 from ingest.steps import WORD_NAMES, WordColumn, word_column
 from stream.errors import BadInput
+from stream.events import StepWords
 from stream.identity import check_name
 from stream.quantities import check_unit
 
@@ -40,6 +43,8 @@ class TableOptions:
         Leave bad rows out instead of refusing the file.
     batch_samples : int
         Most samples in a batch.
+    words : StepWords, optional
+        Words of a step that hold for all rows, where no column says them.
 
     Raises
     ------
@@ -58,6 +63,7 @@ class TableOptions:
     sample_rate_hz: float | None = None
     skip_bad: bool = False
     batch_samples: int = 1000
+    words: StepWords | None = None
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -207,5 +213,9 @@ def _check_complete(columns: Columns, titles: Sequence[str], options: TableOptio
     for kind in ("unit", "run"):
         if getattr(options, kind) is not None and getattr(columns, kind) is not None:
             raise BadInput(f"--{kind} is given, but a column {kind!r} says it too; leave out one")
+    given = set() if options.words is None else set(msgspec.to_builtins(options.words))
+    for column in columns.words:
+        if column.word in given:
+            raise BadInput(f"--{column.word} is given, but a column {column.title!r} says it too; leave out one")
     if columns.unit is None and options.unit is None:
         raise BadInput("which unit? give --unit U or a column 'unit'")

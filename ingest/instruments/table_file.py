@@ -119,6 +119,7 @@ class TableFile:
                 SignalSummary(owner.unit, owner.run, name, units[name], may_be_counts[name], grid.finish())
                 for (owner, name), grid in grids.items()
             ),
+            words=self._options.words,
         )
         return self._summary
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from ingest.instruments.table_grid import Sampling
 from ingest.instruments.table_rows import BadRow
 from stream.batch import CountArray, FloatArray, IntArray
+from stream.events import StepWords
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,8 @@ class TableSummary:
         What is wrong with the file as a whole, where what is good of it is used; empty where nothing is.
     remarks : tuple of str
         What whoever imports it should know, for people.
+    words : StepWords, optional
+        What was given for all of its steps, where the file does not say it.
     """
 
     rows: int
@@ -66,6 +69,7 @@ class TableSummary:
     counted: str = "rows"
     damage: str = ""
     remarks: tuple[str, ...] = ()
+    words: StepWords | None = None
 
 
 @dataclass(frozen=True)

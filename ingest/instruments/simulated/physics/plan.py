@@ -1,7 +1,6 @@
 """The plan of a simulated fleet: what is planted in which unit, from TOML."""
 
 import math
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -15,6 +14,7 @@ from ingest.instruments.simulated.physics.scale import NotNegative
 from ingest.instruments.simulated.physics.seeds import unit_generator
 from stream.errors import BadInput
 from stream.identity import check_name
+from stream.toml_text import decode_toml
 
 _TRIES = 1000
 
@@ -167,8 +167,8 @@ def parse_plan(text: str, source: str) -> Plan:
     """
     what = f"simulated fleet {source}"
     try:
-        tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        tree = decode_toml(text, dict[str, Any])
+    except msgspec.MsgspecError as error:
         raise BadInput(f"{what}: {error}") from error
     unknown = set(tree) - {"fleet", "unit"}
     if unknown or not isinstance(tree.get("fleet"), dict) or not isinstance(tree.get("unit", {}), dict):
