@@ -13,6 +13,7 @@ from stream.errors import BadInput
 
 if TYPE_CHECKING:
     from analytics.allan_curve import AllanCurve, Overlap
+    from analytics.isolated_outliers import IsolatedOutliers
     from analytics.noise_coefficients import NoiseCoefficients
     from storage.catalog import Catalog
     from stream.estimators.base import NoEstimate
@@ -24,7 +25,7 @@ _DEVIATIONS = ("adev", "oadev", "mdev", "hdev", "ohdev")
 @click.command("allan")
 @click.option("--unit", required=True, help="Which unit.")
 @click.option("--signal", required=True, help="Which of its signals, as rate or rate_x.")
-@click.option("--run", help="Which run; the one recorded last if left out.")
+@click.option("--run", help="Which run; the one measured last if left out.")
 @store_option
 @click.option(
     "--points-per-octave",
@@ -114,14 +115,14 @@ def allan(
 
         curve = curve_of(unit, run)
         others = [curve_of(each, in_run) for each, in_run in _fleet(catalog, curve, compare)]
-        found = _noise(catalog, curve) if fit else None
+        found, outliers = _noise(catalog, curve) if fit else (None, None)
     if plot_path is not None:
         from analytics.allan_plot import plot_allan
         from stream.estimators.base import NoEstimate
 
         drawn = None if isinstance(found, NoEstimate) or (found is not None and not found.describes) else found
         plot_allan([*others, curve], plot_path, limits=limits, chosen=unit if others else None, found=drawn)
-    _show(curve, found, as_json=as_json)
+    _show(curve, found, outliers, as_json=as_json)
     if plot_path is not None and not as_json:
         notes().print(f"plot: {plot_path}")
 
@@ -130,19 +131,28 @@ def _working(*, as_json: bool) -> AbstractContextManager[object]:
     return nullcontext() if as_json else notes().status("evaluating (some seconds longer the first time)")
 
 
-def _show(curve: "AllanCurve", found: "NoiseCoefficients | NoEstimate | None", *, as_json: bool) -> None:
+def _show(
+    curve: "AllanCurve",
+    found: "NoiseCoefficients | NoEstimate | None",
+    outliers: "IsolatedOutliers | None",
+    *,
+    as_json: bool,
+) -> None:
     from analytics.noise_coefficients import curve_document
     from analytics.noise_table import noise_table
     from stream.estimators.base import NoEstimate
 
     if as_json:
-        print_json(curve.document() if found is None else curve_document(curve, found))
+        print_json(curve.document() if found is None else curve_document(curve, found, outliers))
         return
     results().print(_curve_table(curve))
     if isinstance(found, NoEstimate):
         results().print(f"No noise coefficients (无噪声系数): {found.reason}", soft_wrap=True, markup=False)
     elif found is not None:
         results().print(noise_table(curve, found))
+        if outliers is not None and outliers.is_worth_a_word:
+            text = f"warning (警告): {outliers.sentence} (孤立离群值使N偏大)"
+            results().print(text, soft_wrap=True, markup=False)
 
 
 def _rolling(
@@ -179,13 +189,16 @@ def _rolling(
         notes().print(f"plot: {plot_path}")
 
 
-def _noise(catalog: "Catalog", curve: "AllanCurve") -> "NoiseCoefficients | NoEstimate":
+def _noise(catalog: "Catalog", curve: "AllanCurve") -> "tuple[NoiseCoefficients | NoEstimate, IsolatedOutliers | None]":
+    from analytics.isolated_outliers import isolated_outliers
     from analytics.noise_coefficients import noise_coefficients
     from analytics.normalised_walk import normalised_walk
     from storage.reading import find_signal
+    from stream.estimators.base import NoEstimate
 
     record = find_signal(catalog, curve.unit, curve.signal, curve.run)
-    return noise_coefficients(curve, normalised_walk(catalog, record))
+    found = noise_coefficients(curve, normalised_walk(catalog, record))
+    return found, None if isinstance(found, NoEstimate) else isolated_outliers(catalog, record)
 
 
 def _fleet(catalog: "Catalog", curve: "AllanCurve", compare: tuple[str, ...]) -> list[tuple[str, str | None]]:

@@ -130,7 +130,7 @@ def allan_curve(
     unit, signal : str
         Which signal.
     run : str, optional
-        Of which run; the one recorded last where none is named.
+        Of which run; the one measured last where none is named.
     points_per_octave : int
         1, 2, 4 or 8 averaging times an octave.
     resample_s : float, optional

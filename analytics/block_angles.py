@@ -7,6 +7,8 @@ from analytics.run_blocks import HARMONICS, Channel
 from stream.batch import FloatArray, IntArray
 
 _HALF_TURN_DEG = 180.0
+_TURNING_DEG, _TRUSTED_DEG = 10.0, 15.0
+"""Angle between two readings from which on a rate is compared with them, and by how much it may be off it."""
 
 
 class AngleBlocks:
@@ -71,6 +73,79 @@ class AngleBlocks:
             "deg",
             np.where(is_read, means[at, 2:].T, np.nan),
         )
+
+
+def polled_angle(
+    slot: IntArray, block_s: float, t_s: FloatArray, degrees: FloatArray, rate_deg_per_s: FloatArray
+) -> Channel | None:
+    """An angle that is read once or a few times in a block, with a rate that says how it goes on from there.
+
+    A reading is that of one moment, the rate a mean over an interval: the interval that begins with the reading, ends
+    with it or has it in its middle, whichever makes the readings follow one another. The mean of exp(1j*k*angle) over
+    an interval is then known however often the angle goes round in it.
+
+    Parameters
+    ----------
+    slot : array of int
+        Blocks that are asked for.
+    block_s : float
+        Length of a block, seconds.
+    t_s, degrees : array of shape (readings,)
+        The readings; they may wrap.
+    rate_deg_per_s : array of shape (readings,)
+        Mean rate about each reading; NaN where it is not known.
+
+    Returns
+    -------
+    Channel or None
+        None where the rate is not that of the angle.
+
+    Examples
+    --------
+    >>> t_s = np.arange(0.0, 300.0, 30.0)
+    >>> found = polled_angle(np.arange(10), 30.0, t_s, 20.0 * t_s % 360.0, np.full(10, 20.0))
+    >>> bool(np.abs(found.phasors).max() < 0.2)
+    True
+    """
+    if len(t_s) < 2:
+        return None
+    interval_s = float(np.median(np.diff(t_s)))
+    rate = np.nan_to_num(rate_deg_per_s)
+    is_next = np.abs(np.diff(t_s) - interval_s) < 0.1 * interval_s
+    before, after = rate[:-1], rate[1:]
+    turned = {0.5: before, -0.5: after, 0.0: 0.5 * (before + after)}
+    moved = np.diff(degrees)
+    missed = {at: _wrapped(moved - each * interval_s) for at, each in turned.items()}
+    is_telling = is_next & (np.abs(after - before) * interval_s > _TURNING_DEG)
+    if not is_telling.any():
+        is_telling = is_next
+    middle = min(missed, key=lambda at: float(np.abs(missed[at])[is_telling].mean()) if is_telling.any() else 0.0)
+    is_turning = is_next & (np.abs(turned[middle]) * interval_s > _TURNING_DEG)
+    if is_turning.any() and float(np.median(np.abs(missed[middle][is_turning]))) > _TRUSTED_DEG:
+        return None
+    unwrapped = degrees[0] + np.concatenate([[0.0], np.cumsum(turned[middle] * interval_s + missed[middle])])
+    centre = unwrapped + middle * rate * interval_s
+    order = np.arange(1, HARMONICS + 1)[:, None]
+    phasors = np.exp(1j * np.radians(order * centre)) * np.sinc(order * rate * interval_s / 360.0)
+    slots = np.floor(t_s / block_s).astype(np.int64)
+    found, row = np.unique(slots, return_inverse=True)
+    sums = np.zeros((len(found), 3 + HARMONICS), np.complex128)
+    width = np.abs(rate) * interval_s / np.sqrt(12.0)
+    np.add.at(sums, row, np.column_stack([np.ones_like(centre), centre, centre**2 + width**2, phasors.T]))
+    means = sums[:, 1:] / sums[:, :1]
+    at = np.clip(np.searchsorted(found, slot), 0, len(found) - 1)
+    is_read = found[at] == slot
+    spread = np.sqrt(np.maximum(means[:, 1].real - means[:, 0].real ** 2, 0.0))
+    return Channel(
+        np.where(is_read, means[at, 0].real, np.nan),
+        np.where(is_read, spread[at], 0.0),
+        "deg",
+        np.where(is_read, means[at, 2:].T, np.nan),
+    )
+
+
+def _wrapped(degrees: FloatArray) -> FloatArray:
+    return np.asarray(degrees - 360.0 * np.round(degrees / 360.0))
 
 
 def without_aliases(angle: Channel, rate_deg_per_s: FloatArray, interval_s: float) -> Channel:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from analytics.block_means import FAR, SECOND_NS, Blocks, Grid
+from analytics.block_means import CALM, FAR, SECOND_NS, Blocks, Grid
 from analytics.run_blocks import Channel
 from stream.batch import BoolArray, FloatArray, IntArray
 from stream.errors import UnknownUnit
@@ -35,6 +35,8 @@ class Readings(NamedTuple):
 def is_far_outside(value: FloatArray) -> BoolArray:
     """Mark readings that leave those before and after by more than a hundred times what they usually do.
 
+    One among readings that move as well, three on either side, is motion.
+
     Examples
     --------
     >>> is_far_outside(np.array([20.0, 20.1, 20.0, -9999.0, 20.1, 20.2, 20.1])).nonzero()[0].tolist()
@@ -46,7 +48,15 @@ def is_far_outside(value: FloatArray) -> BoolArray:
     usual = float(np.median(moves)) or float(np.median(moves[moves > 0]))
     before, after = np.concatenate([value[1:2], value[:-1]]), np.concatenate([value[1:], value[-2:-1]])
     above, below = value - np.maximum(before, after), np.minimum(before, after) - value
-    return np.asarray(np.maximum(above, below) > FAR * usual)
+    beyond = np.maximum(above, below)
+    return np.asarray((beyond > FAR * usual) & (_unrest(value) <= CALM * beyond))
+
+
+def _unrest(value: FloatArray) -> FloatArray:
+    """Range of the three readings before and the three after each."""
+    padded = np.concatenate([np.full(3, np.nan), value, np.full(3, np.nan)])
+    beside = np.stack([padded[at : at + value.size] for at in (0, 1, 2, 4, 5, 6)])
+    return np.asarray(np.nanmax(beside, axis=0) - np.nanmin(beside, axis=0))
 
 
 def standard_unit(name: str, unit_of_measure: str) -> tuple[str, float, float]:

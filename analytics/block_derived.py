@@ -9,7 +9,15 @@ from analytics.block_channels import slope
 from analytics.block_checks import Note, in_runs
 from analytics.block_means import SECOND_NS, Blocks
 from analytics.run_blocks import Channel, RunBlocks
-from analytics.step_channels import Step, by_position, commanded_rate, input_axis_up, unknown_positions
+from analytics.step_channels import (
+    Step,
+    by_axis,
+    by_position,
+    commanded_rate,
+    input_axis_up,
+    unknown_axes,
+    unknown_positions,
+)
 from stream.batch import BoolArray, FloatArray, IntArray
 from stream.quantities import conversion, is_angular_rate
 
@@ -18,6 +26,13 @@ _SETTLED = 1e-3
 _AT_REST_DEG_PER_S = 1e-3
 _BEYOND_NOISE = 3.0
 _BEYOND_USUAL = 10.0
+_AS_OFTEN = 1.05
+"""Interval between readings of the reference over that between samples up to which both may be of the same times."""
+_MOVING_DEG_PER_S, _ALONG = 0.1, 0.1
+"""Change of a reference that is an edge in any run, where the signal goes with it by more than this part."""
+_FEWEST_STEADY = 10
+_FOLLOWED = 0.02
+"""Part of an edge that the signal may miss of it where both are means over the same times."""
 
 
 def middle_ns(run: RunBlocks) -> IntArray:
@@ -74,7 +89,11 @@ def with_motion(
     if "gravity_i" not in channels and np.isfinite(up).any():
         channels["gravity_i"] = Channel(up, none, "g_0")
     table, commanded = channels.get("table_rate"), commanded_in(run, blocks, steps)
-    along = up if np.isfinite(up).any() else np.full(len(run), np.nan if turns is None else turns)
+    along = by_axis(steps, centre_ns, run.signal)
+    if np.isfinite(along).any():  # an axis that points down turns the other way
+        along = np.where(np.isfinite(up) & (np.isnan(along) | (along * up != 0.0)), up, along)
+    else:
+        along = up if np.isfinite(up).any() else np.full(len(run), np.nan if turns is None else turns)
     if "input_rate" not in channels and np.isfinite(along).any():
         if table is not None:
             spread = table.spread * np.abs(np.nan_to_num(along))
@@ -111,14 +130,15 @@ def supposed_axis(steps: Mapping[str, Sequence[Step]], runs: Sequence[RunBlocks]
     without = [run for run in runs if "input_rate" not in run.channels]
     if not without:
         return 1.0, []
-    words = sorted({word for run in without for word in unknown_positions(steps.get(run.run, ()), run.signal)})
     names = tuple(run.run for run in without)
-    if len(words) > 1:
-        text = (
-            f"no input_rate is recorded, and the positions {', '.join(words)} do not say how the input axis lies: "
-            "there is no input rate; record or import it as channel input_rate"
-        )
-        return None, [Note("no_input_rate", text, "input_rate", names, is_limit=True)]
+    for kind, unknown in (("axes", unknown_axes), ("positions", unknown_positions)):
+        words = sorted({word for run in without for word in unknown(steps.get(run.run, ()), run.signal)})
+        if len(words) > 1:
+            text = (
+                f"no input_rate is recorded, and the {kind} {', '.join(words)} do not say how the input axis lies: "
+                "there is no input rate; record or import it as channel input_rate"
+            )
+            return None, [Note("no_input_rate", text, "input_rate", names, is_limit=True)]
     return 1.0, []
 
 
@@ -132,16 +152,16 @@ def source_of_input_rate(before: Sequence[RunBlocks], after: Sequence[RunBlocks]
         if runs:
             text = (
                 f"input_rate is taken from {source} {in_runs(runs, len(before))}: the table's axis is supposed to lie "
-                "along the input axis, as far as the position of a step does not say otherwise"
+                "along the input axis, as far as the axis or position of a step does not say otherwise"
             )
             notes.append(Note("input_rate", text, "input_rate", tuple(runs), is_limit=True))
     return notes
 
 
-def without_unresolved(
-    run: RunBlocks, changes: FloatArray, interval_s: float, commanded: FloatArray
-) -> tuple[RunBlocks, int]:
-    """The run without the blocks in which the reference rate changes faster than its readings show, and how many.
+def unresolved(
+    run: RunBlocks, changes: FloatArray, interval_s: float, commanded: FloatArray, gone: BoolArray
+) -> BoolArray:
+    """Mark the blocks in which the reference rate changes faster than its readings show.
 
     Parameters
     ----------
@@ -153,25 +173,90 @@ def without_unresolved(
         Between readings, seconds.
     commanded : array of shape (blocks,)
         Rate that a step commanded throughout the block, deg/s, else NaN; a block that has it is kept.
+    gone : array of bool, shape (blocks,)
+        Blocks that count for nothing.
 
     Notes
     -----
     An edge somewhere between two readings leaves the mean of a block of T uncertain by edge*interval/(sqrt(12)*T). A
     block goes where that is beyond 3 standard deviations of the white noise of its mean, by the run's median, and
-    beyond 10 times what is usual in the run (a tenth of its blocks are better).
+    beyond 10 times what is usual in the run (a tenth of its blocks are better). Where samples come as seldom as the
+    readings, they may be means over the same times, and show every edge as it is: then the samples tell, see
+    `is_followed`.
     """
     channel = run.channels.get("input_rate")
+    none = np.zeros(len(run), dtype=np.bool_)
     if channel is None or not is_angular_rate(run.unit_of_measure) or not is_angular_rate(channel.unit_of_measure):
-        return run, 0
+        return none
     factor = conversion(channel.unit_of_measure, run.unit_of_measure)[0]
-    unsure = np.nan_to_num(changes) * factor * interval_s / (np.sqrt(12.0) * run.block_s)
+    edges = np.nan_to_num(changes) * factor
+    unsure = edges * interval_s / (np.sqrt(12.0) * run.block_s)
     of_samples = run.white_variance * run.n
     of_samples = of_samples[np.isfinite(of_samples)]
     noise = np.sqrt((np.median(of_samples) if len(of_samples) else 0.0) / run.n)
     usual = float(np.quantile(unsure, 0.1))
     is_seen = unsure <= np.maximum(_BEYOND_NOISE * noise, _BEYOND_USUAL * usual)
-    is_kept = is_seen | is_steady(run.channels.get("table_rate", channel), commanded)
-    return kept(run, is_kept), int((~is_kept).sum())
+    is_seen |= is_steady(run.channels.get("table_rate", channel), commanded)
+    across = np.asarray(~is_seen & ~gone)
+    if interval_s > _AS_OFTEN * run.block_s / float(np.median(run.n)):
+        return across
+    reference, least = channel.mean * factor, conversion("deg/s", run.unit_of_measure)[0] * _MOVING_DEG_PER_S
+    # where all of a run moves, no block stands out from what is usual
+    is_still = is_steady(run.channels.get("table_rate", channel), commanded)
+    moving = across | ((edges > least) & (unsure > _BEYOND_NOISE * noise) & ~is_still & ~gone)
+    if is_followed(run.value, reference, edges, moving):
+        return none
+    known = np.isfinite(run.value) & np.isfinite(reference) & ~gone
+    along = _line(reference[known], run.value[known]) if known.any() else None
+    return moving if along is not None and abs(along) > _ALONG else across
+
+
+def is_followed(value: FloatArray, reference: FloatArray, edges: FloatArray, rows: BoolArray) -> bool:
+    """Whether a signal goes with its reference in blocks across edges as in others: both are means over one time.
+
+    Of readings at one moment of a block, half of an edge within it is missed by a third of the edge. That is told from
+    the signal less the reference, the line between them taken from the blocks without edges where they turn at all;
+    what such blocks scatter is no miss.
+
+    Parameters
+    ----------
+    value, reference : array of shape (blocks,)
+        In one unit.
+    edges : array of shape (blocks,)
+        By how much the reference changes about each block.
+    rows : array of bool, shape (blocks,)
+        Blocks across edges.
+
+    Examples
+    --------
+    >>> reference = np.array([0.0, 0.0, 4.0, 10.0, 10.0, 3.0, -10.0, -10.0])
+    >>> edges = np.abs(np.gradient(reference)) * 2
+    >>> means, readings = 1.001 * reference, np.array([0.0, 0.0, 10.0, 10.0, 10.0, 10.0, -10.0, -10.0])
+    >>> [is_followed(value, reference, edges, np.arange(8) % 3 == 2) for value in (means, readings)]
+    [True, False]
+    """
+    known = np.isfinite(value) & np.isfinite(reference)
+    rows = rows & known & (edges > 0)
+    if not rows.any():
+        return True
+    steady = known & ~rows
+    scale = _line(reference[steady], value[steady]) if np.count_nonzero(steady) > 1 else None
+    if scale is None:
+        scale = _line(reference[known], value[known])
+    if scale is None:
+        return False
+    missed = value - scale * reference
+    missed = np.abs(missed - np.median(missed[steady] if steady.any() else missed[known]))
+    noise = float(np.median(missed[steady])) if np.count_nonzero(steady) >= _FEWEST_STEADY else 0.0
+    allowed = _FOLLOWED * max(1.0, abs(scale)) * edges + _BEYOND_NOISE * noise
+    return bool(np.median(missed[rows] / allowed[rows]) <= 1.0)
+
+
+def _line(x: FloatArray, y: FloatArray) -> float | None:
+    """Slope of a line, None where nothing moves along it; an axis across the reference's own has nearly none."""
+    off = x - x.mean()
+    squares = float(off @ off)
+    return float(off @ y) / squares if squares > 0 and np.ptp(x) > _AT_REST_DEG_PER_S else None
 
 
 def kept(run: RunBlocks, rows: BoolArray) -> RunBlocks:

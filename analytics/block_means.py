@@ -12,6 +12,8 @@ SECOND_NS = 10**9
 LEAST_PAIRS = 8
 FAR = 100.0
 """A reading lies far outside where it leaves those of the seconds beside it by so many times their usual range."""
+CALM = 0.1
+"""A single far reading is no motion where the three on either side differ by less than this part of its distance."""
 FEW, ALONE = 3.0, 0.6
 """How many readings of a second may be far, and by which part of its distance one leaves the mean: motion has more."""
 _MEDIAN_OF_SQUARE = 0.4549364231195728  # of a standard normal
@@ -36,6 +38,8 @@ class Blocks:
         Of each mean, by the scatter within the block; NaN where nothing tells.
     is_far : array of bool
         Whether a reading in it lies far outside: then the mean is that of no measurement.
+    far_reading : array
+        That reading; NaN where there is none.
     farthest : float
         The reading of the run that lies farthest outside; 0 where none does.
     """
@@ -49,6 +53,7 @@ class Blocks:
     last_s: FloatArray
     white_variance: FloatArray
     is_far: BoolArray
+    far_reading: FloatArray
     farthest: float = 0.0
 
     def part(self, rows: BoolArray) -> "Blocks":
@@ -92,8 +97,11 @@ with read as (
 ), neighbours as (
   select *, mean - lag(mean) over own as move,
     hi - greatest(lag(hi) over own, lead(hi) over own) as above,
-    least(lag(lo) over own, lead(lo) over own) - lo as below
-  from read window own as (partition by run order by start_ns)
+    least(lag(lo) over own, lead(lo) over own) - lo as below,
+    greatest(max(hi) over before, max(hi) over after) - least(min(lo) over before, min(lo) over after) as unrest
+  from read window own as (partition by run order by start_ns),
+    before as (own rows between 3 preceding and 1 preceding),
+    after as (own rows between 1 following and 3 following)
 ), beside as (
   select *, greatest(above, below) as beyond, case when above >= below then hi else lo end as extreme from neighbours
 ), usual as (
@@ -102,7 +110,8 @@ with read as (
 ), piece as (
   select b.*, coalesce(
       beyond > $far * case when width > 0 then width else step end
-      and (n < 4 or abs(extreme - mean) >= $alone * beyond) and (n < 16 or m2 <= $few * (extreme - mean) ** 2),
+      and case when n < 4 then coalesce(unrest, 0.0) <= $calm * beyond else abs(extreme - mean) >= $alone * beyond end
+      and (n < 16 or m2 <= $few * (extreme - mean) ** 2),
       false) as is_far
   from beside b join usual u using (run)
 ), gone as (
@@ -116,13 +125,14 @@ with read as (
     sqrt(sum(m2) / sum(n) + var_pop(mean)) as spread,
     sum(n * ((t_ns - t0_ns) / 1e9)) / sum(n) as centre_s,
     min(start_ns - t0_ns) / 1e9 as first_s, max(end_ns - t0_ns) / 1e9 as last_s,
-    avg(step * step / pair) as sample_variance, count(step) as pairs, bool_or(is_far) as is_far
+    avg(step * step / pair) as sample_variance, count(step) as pairs, bool_or(is_far) as is_far,
+    arg_max(extreme, beyond) filter (is_far) as far_reading
   from stepped group by run, slot
 ), typical as (
   select run, median(step * step / pair) as middle, avg(step * step / pair) as average from stepped group by run
 )
 select run, slot, n, mean, spread, centre_s, first_s, last_s, sample_variance, pairs, middle, average,
-  is_far, coalesce(farthest, 0.0) as farthest
+  is_far, far_reading, coalesce(farthest, 0.0) as farthest
 from block join typical using (run) left join gone using (run) order by run, slot
 """
 
@@ -145,7 +155,7 @@ def block_means(
 
     A block is marked where a reading of a piece leaves the pieces before and after it by more than a hundred times
     their usual range, and by itself, not as one of many: a fill value, a bit that was flipped on the way, a knock. What
-    lasts longer, and motion, has more readings on its way.
+    lasts longer, and motion, has more readings on its way; of pieces with one reading, the pieces beside it move, too.
     """
     if not grids:
         return {}
@@ -164,6 +174,7 @@ def block_means(
             "block_ns": block_ns,
             "piece_ns": max(1, block_ns // 32),
             "far": FAR,
+            "calm": CALM,
             "few": FEW,
             "alone": ALONE,
         },
@@ -194,5 +205,6 @@ def _blocks(columns: Mapping[str, FloatArray]) -> Blocks:
         last_s=columns["last_s"].astype(np.float64),
         white_variance=variance / n,
         is_far=columns["is_far"].astype(np.bool_),
+        far_reading=columns["far_reading"].astype(np.float64),
         farthest=float(columns["farthest"][0]),
     )

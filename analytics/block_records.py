@@ -1,6 +1,6 @@
 """What a store has of a signal, run by run, and the grids that its blocks lie on."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from stream.quantities import report_unit
 
 FAR_NS = 2**62
 _FAST_S = 0.5
+_SAME = 1.05
 
 
 class Record(NamedTuple):
@@ -81,6 +82,19 @@ def records_of(catalog: Catalog, unit: str, signal: str, runs: Iterable[str] | N
             "runs of one unit of measure"
         )
     return records
+
+
+def usual_block_s(
+    catalog: Catalog, units: Sequence[str], signal: str, runs: Collection[str] | None, least_s: float
+) -> float:
+    """Length of a block that suits units: the least, or the interval of the samples of most runs if that is longer."""
+    rows = catalog.rows(
+        "select median(sample_interval_s) from signals where list_contains($units, unit) and signal = $signal "
+        "and ($runs is null or list_contains($runs, run))",
+        {"units": list(units), "signal": signal, "runs": None if runs is None else list(runs)},
+    )
+    interval_s = float(rows[0][0] or 0.0)
+    return interval_s if interval_s > _SAME * least_s else least_s
 
 
 def reach(records: Mapping[str, Record]) -> str:

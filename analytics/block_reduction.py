@@ -1,7 +1,7 @@
 """From the store to blocks: runs of a unit as block means of its signal, with the channels of unit and station."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -9,26 +9,42 @@ from analytics.block_checks import Note, check_channels, check_clocks, check_run
 from analytics.block_derived import (
     commanded_in,
     is_table,
+    kept,
+    middle_ns,
     source_of_input_rate,
     split_at_power_ons,
     supposed_axis,
+    unresolved,
     with_motion,
     with_times,
-    without_unresolved,
 )
 from analytics.block_join import ChannelJoiner
+from analytics.block_labels import check_labels
 from analytics.block_means import Blocks, block_means
+from analytics.block_motion import RateSeries
+from analytics.block_notes import (
+    LEAST_SHARE,
+    apart,
+    far_outside,
+    no_scatter,
+    not_finite,
+    not_resolved,
+    partial,
+    positions,
+)
+from analytics.block_outliers import outlier_notes
 from analytics.block_records import Record, is_rolled_up, reach, records_of
 from analytics.block_sources import Source, sources_of
+from analytics.left_out import LeftOut, Loss, left_out
 from analytics.run_blocks import RunBlocks
-from analytics.step_channels import Step, position_numbers, read_steps
+from analytics.step_channels import Step, position_numbers, read_steps, step_rows
 from storage.catalog import Catalog
+from stream.batch import BoolArray
 from stream.errors import BadInput, NotFound
-from stream.quantities import report_unit
+from stream.quantities import conversion, is_angular_rate, report_unit
 
 BLOCK_S = 30.0
 _FEWEST_BLOCKS = 2
-_LEAST_SHARE = 0.2
 _MOST_SLOTS = 10_000_000
 _LONGEST_S = 1e9
 
@@ -43,15 +59,39 @@ class Reduction:
         In the order of time.
     notes : tuple of Note
         What was left out, converted, supposed or looks wrong.
+    left_out : tuple of LeftOut
+        What was left out, with its share of blocks, runs, steps and excitation.
     """
 
     runs: tuple[RunBlocks, ...]
     notes: tuple[Note, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
 
     @property
     def limits(self) -> tuple[str, ...]:
         """The notes that limit what can be concluded, as sentences."""
         return tuple(note.text for note in self.notes if note.is_limit)
+
+
+@dataclass(frozen=True)
+class _Losses:
+    """Blocks of each run that are left out, by reason."""
+
+    far: dict[str, BoolArray] = field(default_factory=dict)
+    partial: dict[str, BoolArray] = field(default_factory=dict)
+    unresolved: dict[str, BoolArray] = field(default_factory=dict)
+
+    def both(self, run: str) -> BoolArray:
+        """Those that the signal itself costs."""
+        return np.asarray(self.far[run] | self.partial[run])
+
+    def named(self) -> tuple[Loss, ...]:
+        """With their reasons."""
+        return (
+            Loss("a reading of the signal lies far outside of those before and after it", self.far),
+            Loss("they hold but a few samples", self.partial),
+            Loss("the reference rate changes within them faster than its readings show", self.unresolved),
+        )
 
 
 class BlockReducer:
@@ -72,6 +112,8 @@ class BlockReducer:
     tolerance_s : float, optional
         How far from a reading a channel is still believed; by default a block, or the channel's own interval where that
         is longer.
+    channels : collection of str
+        Other outputs of the units that are to be channels all the same.
 
     Raises
     ------
@@ -81,7 +123,8 @@ class BlockReducer:
     Notes
     -----
     What each block's mean stands for and how sure it is: see `block_means`. A channel with four readings or more a
-    block is its mean over the block's readings; one with fewer is interpolated at the middle of the signal's samples,
+    block, or read at the moments of the samples, is its mean over the block's readings; one with fewer is interpolated
+    at the middle of the signal's samples,
     between readings at most two tolerances apart, else it is the nearest within the tolerance, else NaN.
     """
 
@@ -95,6 +138,7 @@ class BlockReducer:
         since_ns: int | None = None,
         until_ns: int | None = None,
         tolerance_s: float | None = None,
+        channels: Collection[str] = (),
     ) -> None:
         if not 0 < block_s <= _LONGEST_S:
             raise BadInput(f"blocks of {block_s:g} s: give a positive number of seconds, {_LONGEST_S:g} at most")
@@ -104,6 +148,7 @@ class BlockReducer:
         self._signal = signal
         self._block_s = block_s
         self._wanted = runs
+        self._channels = channels
         self._since_ns, self._until_ns = since_ns, until_ns
         self._joiner = ChannelJoiner(catalog, block_s, tolerance_s)
         self._clock_offsets: dict[tuple[str, str], dict[str, float]] | None = None
@@ -127,35 +172,41 @@ class BlockReducer:
                 f"unit {unit}, signal {self._signal}: no sample lies in the time that was asked for; the record "
                 f"reaches {reach(records)}"
             )
-        sources, notes = sources_of(self._catalog, unit, self._signal, order)
+        sources, notes = sources_of(self._catalog, unit, self._signal, order, self._channels)
         if self._clock_offsets is None:
             self._clock_offsets = clock_offsets(self._catalog)
         instruments = sorted({(run, each.unit) for run in order for each in sources[run] if each.unit != unit})
-        notes += _not_finite(found, records) if whole_time else []
+        notes += not_finite(found, records) if whole_time else []
         units = {run: records[run].unit_of_measure for run in order}
-        far = {run: (int(found[run].is_far.sum()), found[run].farthest) for run in order if found[run].is_far.any()}
-        notes += _far_outside(self._signal, far, units, len(order))
-        found = {run: blocks.part(~blocks.is_far) for run, blocks in found.items() if not blocks.is_far.all()}
-        order = [run for run in order if run in found]
-        notes += _apart({run: records[run] for run in order}, self._block_s)
+        notes += outlier_notes(self._catalog, unit, self._signal, {run: records[run] for run in order})
+        notes += apart({run: records[run] for run in order}, self._block_s)
         notes += check_clocks(self._clock_offsets, unit, self._signal, instruments)
-        found, partial = _whole(found)
-        notes += partial
         grids = {run: records[run].grid(self._since_ns, self._until_ns) for run in order}
-        self._joiner.prepare(sources, grids)
-        runs = [self._run(unit, run, records[run], found[run], sources[run]) for run in order]
+        sampled = {run: (records[run].interval_s, records[run].first_ns) for run in order}
+        self._joiner.prepare(sources, grids, sampled)
+        losses = _Losses()
+        runs = []
+        for run in order:
+            joined, is_far = self._run(unit, run, records[run], found[run], sources[run])
+            runs.append(joined)
+            losses.far[run] = is_far
+            losses.partial[run] = found[run].n < LEAST_SHARE * np.median(found[run].n)
+        far = {run: (int(rows.sum()), found[run].farthest) for run, rows in losses.far.items() if rows.any()}
+        notes += far_outside(self._signal, far, units, len(order))
+        notes += partial(losses.partial)
         for name in sorted({each.name for run in order for each in sources[run]}):
             own = {run: each for run in order for each in sources[run] if each.name == name}
             parts = {run: told for run, each in own.items() if (told := self._joiner.far(each, grids[run]))}
-            notes += _far_outside(name, parts, {run: each.unit_of_measure for run, each in own.items()}, len(order))
+            notes += far_outside(name, parts, {run: each.unit_of_measure for run, each in own.items()}, len(order))
         self._joiner.forget(unit)
-        runs, more = self._derived(unit, runs, records, found, sources)
+        runs, more, lost = self._derived(unit, runs, records, found, sources, losses)
         notes += more
         if not runs:
             raise NotFound(
                 f"unit {unit}, signal {self._signal}: no block is left: {'; '.join(note.text for note in notes)}"
             )
-        return Reduction(tuple(runs), (*notes, *_scatter(runs), *check_runs(runs), *check_channels(runs)))
+        notes += [*no_scatter(runs), *check_runs(runs), *check_channels(runs), *check_labels(runs)]
+        return Reduction(tuple(runs), tuple(notes), lost)
 
     def _means(self, unit: str, records: Mapping[str, Record]) -> dict[str, Blocks]:
         longest_s = max((record.last_ns - record.first_ns) / 1e9 for record in records.values())
@@ -181,10 +232,19 @@ class BlockReducer:
             found |= block_means(self._catalog, unit, self._signal, grids, self._block_s, rolled_up=rolled_up)
         return found
 
-    def _run(self, unit: str, run: str, record: Record, found: Blocks, sources: Sequence[Source]) -> RunBlocks:
+    def _run(
+        self, unit: str, run: str, record: Record, found: Blocks, sources: Sequence[Source]
+    ) -> tuple[RunBlocks, BoolArray]:
+        """All blocks of a run with their channels, and in which of them the signal is that of no measurement."""
         result_unit, factor = report_unit(record.unit_of_measure)
         grid = record.grid(self._since_ns, self._until_ns)
-        return RunBlocks(
+        own = None
+        if is_angular_rate(record.unit_of_measure):
+            own = RateSeries(
+                found.mean * conversion(record.unit_of_measure, "deg/s")[0], found.is_far, found.far_reading
+            )
+        channels, is_far = self._joiner.channels(sources, found, grid, own)
+        joined = RunBlocks(
             unit=unit,
             run=run,
             signal=self._signal,
@@ -195,9 +255,10 @@ class BlockReducer:
             n=found.n,
             white_variance=found.white_variance * factor**2,
             unit_of_measure=result_unit,
-            channels=self._joiner.channels(sources, found, grid),
+            channels=channels,
             is_date_known=record.is_date_known,
         )
+        return joined, is_far
 
     def _derived(
         self,
@@ -206,7 +267,8 @@ class BlockReducer:
         records: Mapping[str, Record],
         found: Mapping[str, Blocks],
         sources: Mapping[str, Sequence[Source]],
-    ) -> tuple[list[RunBlocks], list[Note]]:
+        losses: "_Losses",
+    ) -> tuple[list[RunBlocks], list[Note], tuple[LeftOut, ...]]:
         """The runs with what the record gives beside its channels, each power-on as a run of its own."""
         steps = read_steps(self._catalog, unit)
         turns, notes = supposed_axis(steps, runs)
@@ -214,48 +276,52 @@ class BlockReducer:
         power_ons, first_day_ns = self._power_ons(unit), self._first_day(unit)
         moved: list[RunBlocks] = []
         done: list[RunBlocks] = []
-        left_out: dict[str, int] = {}
         split: list[str] = []
         for run in runs:
             own_steps, on_ns = steps.get(run.run, ()), power_ons.get(run.run, [])
             moving = with_motion(run, found[run.run], own_steps, turns, numbers)
             moved.append(moving)
-            clean, gone = self._resolved(moving, found[run.run], sources[run.run], own_steps)
-            if gone:
-                left_out[run.run] = gone
+            losses.unresolved[run.run] = self._unresolved(
+                moving, found[run.run], sources[run.run], own_steps, losses.both(run.run)
+            )
+            clean = kept(moving, ~(losses.both(run.run) | losses.unresolved[run.run]))
             counted_from = on_ns or ([] if is_table(run) else [records[run.run].first_ns])
             parts = split_at_power_ons(with_times(clean, counted_from, first_day_ns), on_ns, _FEWEST_BLOCKS)
             if any(part.run != run.run for part in parts):
                 split.append(run.run)
             done.extend(part for part in parts if len(part) > 0)
         notes += source_of_input_rate(runs, moved)
-        notes += _positions(runs, steps, numbers)
+        notes += positions(runs, steps, numbers)
         if unknown := [run.run for run in runs if run.run not in power_ons and not _tells_power_on(run)]:
             where = f"any of {len(runs)} runs" if len(unknown) == len(runs) > 1 else in_runs(unknown, len(runs))[3:]
             text = f"no power-on is recorded in {where}: time_since_power_on counts from the first sample"
             notes.append(Note("no_power_on", text, "time_since_power_on", tuple(unknown), is_limit=True))
-        if left_out:
-            text = (
-                f"{sum(left_out.values()):,} blocks are left out {in_runs(list(left_out), len(runs))}: the reference "
-                "rate changes within them faster than its readings show; shorter blocks or more readings keep more"
-            )
-            notes.append(Note("unresolved", text, "input_rate", tuple(left_out)))
+        notes += not_resolved(losses.unresolved, self._interval_s(sources), self._block_s)
         if split:
             where = in_runs(split, len(runs))
             text = f"the unit was powered on several times {where}: each power-on counts as a run, RUN#1, RUN#2, ..."
             notes.append(Note("power_ons", text, runs=tuple(split)))
-        return _without_rest(done, sources), notes
+        in_steps = {
+            (run.run, name): rows
+            for run in moved
+            for name, rows in step_rows(steps.get(run.run, ()), middle_ns(run)).items()
+        }
+        return _without_rest(done, sources), notes, left_out(moved, losses.named(), in_steps)
 
-    def _resolved(
-        self, run: RunBlocks, found: Blocks, sources: Sequence[Source], steps: Sequence[Step]
-    ) -> tuple[RunBlocks, int]:
-        """The run without blocks whose reference rate its readings do not resolve."""
-        by_name = {each.name: each for each in sources}
-        source = by_name.get("input_rate", by_name.get("table_rate"))
+    def _unresolved(
+        self, run: RunBlocks, found: Blocks, sources: Sequence[Source], steps: Sequence[Step], gone: BoolArray
+    ) -> BoolArray:
+        """Blocks whose reference rate its readings do not resolve."""
+        source = _reference(sources)
         if source is None:
-            return run, 0
+            return np.zeros(len(run), dtype=np.bool_)
         changes = self._joiner.changes(source, run.slot, run.t0_ns)
-        return without_unresolved(run, changes, source.interval_s, commanded_in(run, found, steps))
+        return unresolved(run, changes, source.interval_s, commanded_in(run, found, steps), gone)
+
+    def _interval_s(self, sources: Mapping[str, Sequence[Source]]) -> float:
+        """Longest interval between readings of the reference rate."""
+        found = [_reference(own) for own in sources.values()]
+        return max((each.interval_s for each in found if each is not None), default=0.0)
 
     def _power_ons(self, unit: str) -> dict[str, list[int]]:
         found: dict[str, list[int]] = {}
@@ -274,53 +340,9 @@ class BlockReducer:
         return None if rows[0][0] is None else int(rows[0][0])
 
 
-def _not_finite(found: Mapping[str, Blocks], records: Mapping[str, Record]) -> list[Note]:
-    missing = {run: records[run].samples - int(blocks.n.sum()) for run, blocks in found.items()}
-    having = [run for run, samples in missing.items() if samples > 0]
-    if not having:
-        return []
-    where = in_runs(having, len(found))
-    text = f"{sum(missing[run] for run in having):,} samples are no finite numbers {where}: left out"
-    return [Note("not_finite", text, runs=tuple(having))]
-
-
-def _far_outside(name: str, far: Mapping[str, tuple[int, float]], units: Mapping[str, str], of: int) -> list[Note]:
-    if not far:
-        return []
-    worst = max(far, key=lambda run: abs(far[run][1]))
-    count, value = sum(count for count, _ in far.values()), f"{far[worst][1]:g} {units[worst]}"
-    text = (
-        f"{count:,} blocks or readings of {name} are left out {in_runs(list(far), of)}: a reading, {value} the "
-        "largest, lies far outside of those before and after it, as a fill value does, a bit that was flipped on the "
-        "way, or a knock"
-    )
-    return [Note("far_outside", text, name, tuple(far), is_limit=True)]
-
-
-def _apart(records: Mapping[str, Record], block_s: float) -> list[Note]:
-    having = [run for run, record in records.items() if record.interval_s > 1.5 * block_s]
-    if not having:
-        return []
-    apart_s = max(records[run].interval_s for run in having)
-    text = (
-        f"samples are up to {apart_s:g} s apart {in_runs(having, len(records))}, blocks are {block_s:g} s long: most "
-        f"are empty, and the noise N is told too low; give blocks from {apart_s:g} s on"
-    )
-    return [Note("apart", text, runs=tuple(having), is_limit=True)]
-
-
-def _whole(found: Mapping[str, Blocks]) -> tuple[dict[str, Blocks], list[Note]]:
-    """Blocks without those that hold but a few samples, at the edge of a gap."""
-    kept = {run: blocks.part(blocks.n >= _LEAST_SHARE * np.median(blocks.n)) for run, blocks in found.items()}
-    gone = {run: len(blocks.n) - len(kept[run].n) for run, blocks in found.items()}
-    having = [run for run, blocks in gone.items() if blocks]
-    if not having:
-        return kept, []
-    text = (
-        f"{sum(gone.values()):,} blocks are left out {in_runs(having, len(found))}: they hold less than "
-        f"{_LEAST_SHARE:.0%} of the usual number of samples"
-    )
-    return kept, [Note("partial", text, runs=tuple(having))]
+def _reference(sources: Sequence[Source]) -> Source | None:
+    by_name = {each.name: each for each in sources}
+    return by_name.get("input_rate", by_name.get("table_rate"))
 
 
 def _without_rest(runs: Sequence[RunBlocks], sources: Mapping[str, Sequence[Source]]) -> list[RunBlocks]:
@@ -336,30 +358,3 @@ def _without_rest(runs: Sequence[RunBlocks], sources: Mapping[str, Sequence[Sour
 def _tells_power_on(run: RunBlocks) -> bool:
     """Whether the time since power-on is recorded, or has no meaning."""
     return "time_since_power_on" in run.channels or is_table(run)
-
-
-def _positions(
-    runs: Sequence[RunBlocks], steps: Mapping[str, Sequence[Step]], numbers: Mapping[str, float]
-) -> list[Note]:
-    words = sorted({step.position for run in runs for step in steps.get(run.run, ()) if step.position})
-    if not words:
-        return []
-    text = f"channel position stands for: {', '.join(f'{numbers[word]:g} {word}' for word in words)}"
-    if len(words) > 1:
-        text += (
-            "; what differs between positions is gravity, the earth's rate and field, or the mounting itself: only "
-            "positions that were mounted anew several times tell"
-        )
-    return [Note("positions", text, "position", is_limit=len(words) > 1)]
-
-
-def _scatter(runs: Sequence[RunBlocks]) -> list[Note]:
-    if not all(is_table(run) for run in runs):
-        return []
-    most = max(int(run.n.max()) for run in runs)
-    held = "hold one sample each" if most == 1 else f"hold up to {most:,} samples without scatter"
-    text = (
-        f"blocks of {runs[0].block_s:g} s {held}: nothing within them tells the noise, which is judged by what the "
-        "model leaves"
-    )
-    return [Note("no_scatter", text, is_limit=True)]

@@ -1,14 +1,15 @@
 """Which stored signals are the channels of a unit: its own, and those of the instruments that were in the run."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 from analytics.block_channels import standard_unit
 from analytics.block_checks import Note
 from analytics.run_blocks import STANDARD_CHANNELS
+from analytics.signal_axes import is_output
 from storage.catalog import Catalog
-from stream.errors import UnknownUnit
-from stream.quantities import conversion, is_angular_rate
+
+_SAME_INTERVAL, _SAME_MOMENT = 1e-3, 0.02
 
 
 class Source(NamedTuple):
@@ -26,6 +27,8 @@ class Source(NamedTuple):
         Between readings, seconds.
     samples, kept_raw : int
         Readings, and how many of them are still there one by one.
+    first_ns : int
+        Moment of the first one.
     """
 
     name: str
@@ -36,6 +39,14 @@ class Source(NamedTuple):
     interval_s: float
     samples: int
     kept_raw: int
+    first_ns: int
+
+    def is_in_step(self, interval_s: float, first_ns: int) -> bool:
+        """Whether its readings are taken at the moments of a signal of this interval and first moment."""
+        if not abs(self.interval_s - interval_s) <= _SAME_INTERVAL * interval_s or interval_s <= 0.0:
+            return False
+        apart = (self.first_ns - first_ns) / 1e9 / interval_s
+        return abs(apart - round(apart)) <= _SAME_MOMENT
 
     @property
     def is_angle(self) -> bool:
@@ -44,7 +55,7 @@ class Source(NamedTuple):
 
 
 _CANDIDATES = """
-select c.run, c.unit, c.signal, c.unit_of_measure, coalesce(c.sample_interval_s, 0), c.samples, c.kept_raw
+select c.run, c.unit, c.signal, c.unit_of_measure, coalesce(c.sample_interval_s, 0), c.samples, c.kept_raw, c.t_first_ns
 from signals c
 where list_contains($runs, c.run) and not (c.unit = $unit and c.signal = $signal)
   and (c.unit = $unit or not exists (
@@ -55,25 +66,26 @@ order by c.run, c.unit <> $unit, c.unit, c.signal
 
 
 def sources_of(
-    catalog: Catalog, unit: str, signal: str, runs: Sequence[str]
+    catalog: Catalog, unit: str, signal: str, runs: Sequence[str], wanted: Collection[str] = ()
 ) -> tuple[dict[str, list[Source]], list[Note]]:
     """Channels of each run, and what is to be said of them.
 
     Own signals come first. Every other unit of the run that neither has the signal nor was mounted as a unit under
-    test is an instrument. What the unit itself measures beside the signal, its rates called alike (``rate_y`` beside
-    ``rate_x``) and its accelerations, are outputs like the signal: they share its temperature and electronics, and
-    are no channels unless they have a standard name. Where several instruments give the same signal, the one that
-    changes most has the name; of the others those that change are called ``INSTRUMENT.SIGNAL``.
+    test is an instrument. What the unit itself measures beside the signal, its other rates, whatever they are called,
+    and its accelerations, are outputs like the signal: they share its temperature and electronics, and are no channels
+    unless they have a standard name or are among those `wanted`. Where several instruments give the same signal, the
+    one that changes most has the name; of the others those that change are called ``INSTRUMENT.SIGNAL``.
     """
     found: dict[str, dict[str, list[Source]]] = {run: {} for run in runs}
     outputs: set[str] = set()
-    for run, owner, name, unit_of_measure, interval_s, samples, kept_raw in catalog.rows(
+    for run, owner, name, unit_of_measure, interval_s, samples, kept_raw, first_ns in catalog.rows(
         _CANDIDATES, {"unit": unit, "signal": signal, "runs": list(runs)}
     ):
-        if owner == unit and name not in STANDARD_CHANNELS and _is_output(name, unit_of_measure, signal):
+        if owner == unit and name not in (*STANDARD_CHANNELS, *wanted) and is_output(name, unit_of_measure):
             outputs.add(name)
             continue
-        source = Source(name, owner, name, run, unit_of_measure, float(interval_s), int(samples), int(kept_raw))
+        counts = int(samples), int(kept_raw), int(first_ns)
+        source = Source(name, owner, name, run, unit_of_measure, float(interval_s), *counts)
         found[run].setdefault(name, []).append(source)
     notes = []
     if outputs:
@@ -101,17 +113,6 @@ def sources_of(
         for (name, of), others in sorted(several.items())
     ]
     return chosen, notes
-
-
-def _is_output(name: str, unit_of_measure: str, signal: str) -> bool:
-    """Whether a signal of the unit itself is an inertial output like the one that is looked at."""
-    if is_angular_rate(unit_of_measure):
-        return name.partition("_")[0] == signal.partition("_")[0]
-    try:
-        conversion(unit_of_measure, "m/s^2")
-    except UnknownUnit:
-        return False
-    return True
 
 
 def _ordered(catalog: Catalog, unit: str, sources: Sequence[Source]) -> tuple[Source, list[Source]]:

@@ -1,7 +1,7 @@
 """Noise to start from where nobody declares it: a unit's own Allan fits, and the scatter of its bias over runs."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -70,11 +70,26 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
             "noise is estimated from these runs alone, or give --noise"
         )
     white, flicker, walk = (float(np.quantile([_value(fit[key]) for fit in usable], _QUANTILE)) for key in _KEYS)
-    constants = _constants(runs, model)
-    if len(constants) > 1:
-        turn_on = _NORMAL_PER_MAD * float(np.median(np.abs(constants - np.median(constants))))
-    else:
+    return with_turn_on(GivenNoise(white, flicker, walk, None), runs, model)
+
+
+class GivenNoise(NamedTuple):
+    """Noise as it is given: N, B and K in the units of `NoiseCoefficients`, turn-on scatter where it is known."""
+
+    N: float
+    B: float
+    K: float
+    turn_on: float | None
+
+
+def with_turn_on(noise: GivenNoise, runs: Sequence[RunBlocks], model: ErrorModel) -> NoiseCoefficients:
+    """Return noise with turn-on scatter: as given, else that of the runs' constants, of a single run the flicker."""
+    white, flicker, walk, turn_on = noise
+    if turn_on is None:
+        constants = _constants(runs, model)
         turn_on = flicker
+        if len(constants) > 1:
+            turn_on = _NORMAL_PER_MAD * float(np.median(np.abs(constants - np.median(constants))))
     return NoiseCoefficients(N=white, B=flicker, K=walk, turn_on=turn_on)
 
 

@@ -22,6 +22,9 @@ from stream.events import (
     PowerOn,
     RunEnded,
     RunStarted,
+    StepEnded,
+    StepStarted,
+    StepWords,
     StreamTotal,
     VerdictGiven,
 )
@@ -31,6 +34,8 @@ from stream.quantities import report_unit
 PLACE = Place("simulated", "demo-station")
 ESTIMATE_EVERY_S = 600.0
 _BEFORE_S = 3600.0
+# the simulated gyros at rest feel no Earth's rate
+_AT_REST = StepWords(procedure="static_bias", position="IRA_east_west")
 
 
 @dataclass
@@ -137,6 +142,7 @@ def run_demo(
                 shown_at = time.monotonic()
                 on_progress(state)
         end_ns = t0_ns + round(duration_s * 1e9)
+        _send_steps(pipeline, fleet, run, t0_ns, end_ns)
         pipeline.send_event(events, RunEnded(run=run, t_ns=end_ns, totals=tuple(totals.values())))
         state.phase = "completing the record"
         if on_progress is not None:
@@ -152,6 +158,17 @@ def run_demo(
     if on_progress is not None:
         on_progress(state)
     return state
+
+
+def _send_steps(
+    pipeline: EmbeddedPipeline, fleet: tuple[GyroParameters, ...], run: str, t0_ns: int, end_ns: int
+) -> None:
+    """Say that each unit was at rest throughout the run."""
+    for gyro in fleet:
+        step = StepStarted(run=run, t_ns=t0_ns, unit=gyro.unit, words=_AT_REST)
+        last_ns = end_ns - gyro.sample_interval_ns
+        pipeline.send_event(event_key(PLACE), step)
+        pipeline.send_event(event_key(PLACE), StepEnded(run=run, t_ns=last_ns, unit=gyro.unit, step_uid=step.uid))
 
 
 def _close_the_loop(

@@ -7,17 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.markup import escape
 from rich.table import Table
 
 from analytics.metrics_cli import language_option, opened_catalog
-from stream.console import notes, print_json, reporting, results, store_option
+from stream.console import notes, print_json, reporting, results, store_option, styled, told_status
 from stream.errors import BadInput, GyrofleetError
 
 if TYPE_CHECKING:
+    from analytics.declared_noise import GivenNoise
     from analytics.report.report_tables import TextTable
     from analytics.report.wording import Language, Wording
-    from analytics.tracing.result import NoiseCoefficients
     from analytics.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
 
 _MOST_NAMED = 3
@@ -34,11 +33,16 @@ _LEAST_NOISE, _MOST_NOISE = 1e-20, 1e20
 @click.option(
     "--model", required=True, help="The declared error model: 'rate = bias + scale_factor*input_rate + temperature'."
 )
-@click.option("--block", default="30s", show_default=True, help="Length of the blocks that are averaged: 10s, 1min.")
+@click.option(
+    "--block",
+    show_default="30s, or the interval of the samples where that is longer",
+    help="Length of the blocks that are averaged: 10s, 1min.",
+)
 @click.option(
     "--noise",
-    metavar="N=..,B=..,K=..,turn_on=..",
-    help="Declared noise in deg/sqrt(h), deg/h, deg/h/sqrt(h), deg/h; from each unit's own Allan fits if left out.",
+    metavar="N=..,B=..,K=..[,turn_on=..]",
+    help="Declared noise in deg/sqrt(h), deg/h, deg/h/sqrt(h), deg/h; from each unit's own Allan fits if left out. "
+    "Turn-on scatter is estimated from the runs if left out.",
 )
 @click.option(
     "--holdout",
@@ -59,7 +63,7 @@ def diagnose(
     units: tuple[str, ...],
     signal: str | None,
     model: str,
-    block: str,
+    block: str | None,
     noise: str | None,
     holdout: str,
     runs: tuple[str, ...],
@@ -92,18 +96,18 @@ def diagnose(
     question = Question(
         model=model,
         signal=signal,
-        block_s=block_seconds(block),
+        block_s=None if block is None else block_seconds(block),
         noise=None if noise is None else noise_of(noise),
         holdout=holdout_of(holdout),
         runs=runs or None,
         since_ns=None if since is None else dated(since),
     )
-    with notes().status("starting") as status:
+    with told_status() as told:
         with opened_catalog(folder, quiet=as_json) as catalog:
             chosen = list(dict.fromkeys(units)) or units_with(catalog, question.signal_name)
-            read = reduce_units(catalog, chosen, question, told=status.update)
+            read = reduce_units(catalog, chosen, question, told=told)
         # the catalogue's memory is free for the trace
-        found = trace_units(read, question, is_pooled=fleet, told=status.update)
+        found = trace_units(read, question, is_pooled=fleet, told=told)
     saved, unsaved = _saved(folder, found) if save else ({}, {})
     is_one = len(chosen) == 1 and not fleet
     _write(found, report_path, plot_folder, language)
@@ -144,26 +148,28 @@ def block_seconds(text: str) -> float:
         raise BadInput(f"--block {text}: give a length of time, as 30s, 1min or 0.5h") from None
 
 
-def noise_of(text: str) -> "NoiseCoefficients":
+def noise_of(text: str) -> "GivenNoise":
     """Noise as it is declared on the command line.
 
     Raises
     ------
     BadInput
-        If a term is missing, not known or no number, or N is zero.
+        If a term other than turn_on is missing, one is not known or no number, or N is zero.
 
     Examples
     --------
     >>> noise_of("N=0.005, B=0.02, K=0.01, turn_on=0.3").turn_on
     0.3
+    >>> noise_of("N=0.005, B=0.02, K=0.01").turn_on is None
+    True
     """
-    from analytics.tracing.result import NoiseCoefficients
+    from analytics.declared_noise import GivenNoise
 
-    form = "N=..,B=..,K=..,turn_on=.. in deg/sqrt(h), deg/h, deg/h/sqrt(h), deg/h, 0 for a term that is not there"
+    form = "N=..,B=..,K=..[,turn_on=..] in deg/sqrt(h), deg/h, deg/h/sqrt(h), deg/h, 0 for a term that is not there"
     pairs = [(name.strip(), value.strip()) for name, _, value in (part.partition("=") for part in text.split(","))]
     names = [name for name, _ in pairs]
-    if sorted(names) != sorted(_NOISE_TERMS):
-        missing = [name for name in _NOISE_TERMS if name not in names]
+    if sorted({*names, "turn_on"}) != sorted(_NOISE_TERMS) or len(set(names)) < len(names):
+        missing = [name for name in _NOISE_TERMS[:3] if name not in names]
         wrong = f"{', '.join(missing)} is missing" if missing else "each term stands once"
         raise BadInput(f"--noise {text}: {wrong}; give {form}")
     try:
@@ -174,7 +180,7 @@ def noise_of(text: str) -> "NoiseCoefficients":
         raise BadInput(f"--noise {text}: terms are positive numbers, N above 0; give {form}")
     if strange := [name for name, value in values.items() if value and not _LEAST_NOISE <= value <= _MOST_NOISE]:
         raise BadInput(f"--noise {text}: {', '.join(strange)} is of no sensor's size; give {form}")
-    return NoiseCoefficients(**values)
+    return GivenNoise(values["N"], values["B"], values["K"], values.get("turn_on"))
 
 
 def holdout_of(text: str) -> tuple[str, ...] | None:
@@ -249,23 +255,27 @@ def _write(found: "UnitsDiagnosis", report_path: Path | None, plot_folder: Path 
 
 def _tell_unit(found: "UnitDiagnosis", language: "Language") -> None:
     from analytics.report.evidence import alternative, evidence, separating_test
-    from analytics.report.report_tables import absent_rows, achieved, error_rows, noise_rows
+    from analytics.report.report_tables import absent_rows, achieved, error_rows, gain_rows, noise_rows
     from analytics.report.sentences import verdict_sentence
     from analytics.report.wording import Wording
 
     words, diagnosis, console = Wording(language, found.data.runs[0]), found.diagnosis, results()
-    console.print(f"[bold]{escape(verdict_sentence(diagnosis, words))}[/bold]")
+    for text in diagnosis.losses:
+        console.print(f"{words.of('limit', '局限')}: {words.remark(text)}", markup=False)
+    console.print(styled(verdict_sentence(diagnosis, words), "bold"))
     for effect in (*diagnosis.effects, *diagnosis.unreplicated):
         console.print(f"\n{words.effect(effect)}: {words.coefficient(effect)}", markup=False)
         for text in evidence(effect, diagnosis, words):
             console.print(f"  {text}", markup=False)
         for other in effect.confounded:
             or_else = words.of("or", "或")
-            console.print(f"  {or_else} {alternative(other, effect, diagnosis, words)}", markup=False)
+            console.print(f"  {or_else} {alternative(other, words)}", markup=False)
             tells = words.of("to tell", "区分方法")
             console.print(f"     {tells}: {separating_test(other, words)}", markup=False)
     if diagnosis.error is not None:
         console.print("", _rich(error_rows(diagnosis.error, words)))
+        if (within := gain_rows(diagnosis.error, words)).rows:
+            console.print(_rich(within))
         if (won := achieved(diagnosis.error, words)) is not None:
             console.print(won, markup=False)
     if diagnosis.noise is not None:
@@ -279,7 +289,7 @@ def _tell_unit(found: "UnitDiagnosis", language: "Language") -> None:
 
 def _tell_remarks(found: "UnitDiagnosis", words: "Wording") -> None:
     limit, note = words.of("limit", "局限"), words.of("note", "说明")
-    for text in found.diagnosis.limits:
+    for text in (each for each in found.diagnosis.limits if each not in found.diagnosis.losses):
         notes().print(f"{limit}: {words.remark(text)}", markup=False, soft_wrap=True)
     for each in found.data.notes:
         notes().print(f"{limit if each.is_limit else note}: {words.remark(each.text)}", markup=False, soft_wrap=True)
@@ -290,8 +300,11 @@ def _tell_units(found: "UnitsDiagnosis", language: "Language") -> None:
     from analytics.report.wording import Wording
 
     words, console = Wording(language, next(iter(found.units.values())).data.runs[0]), results()
+    for unit, each in found.units.items():
+        for text in each.diagnosis.losses:
+            console.print(f"{words.of('limit', '局限')} ({unit}): {words.remark(text)}", markup=False)
     if found.fleet is not None:
-        console.print(f"[bold]{escape(fleet_sentence(found.fleet, words))}[/bold]")
+        console.print(styled(fleet_sentence(found.fleet, words), "bold"))
         for name, rows in found.fleet.by_unit.items():
             console.print(_rich(fleet_rows(name, rows, words)))
         for text in found.fleet.limits:
@@ -304,7 +317,7 @@ def _tell_remarks_of(found: "UnitsDiagnosis", words: "Wording") -> None:
     """Limits and notes of several units, each said once, with the units that it is of."""
     units: dict[tuple[bool, str], list[str]] = {}
     for unit, each in found.units.items():
-        told = [(True, text) for text in each.diagnosis.limits]
+        told = [(True, text) for text in each.diagnosis.limits if text not in each.diagnosis.losses]
         told += [(note.is_limit, note.text) for note in each.data.notes]
         for remark in dict.fromkeys(told):
             units.setdefault(remark, []).append(unit)
@@ -315,9 +328,9 @@ def _tell_remarks_of(found: "UnitsDiagnosis", words: "Wording") -> None:
 
 
 def _rich(table: "TextTable") -> Table:
-    shown = Table(title=escape(table.title), title_justify="left", header_style="bold")
+    shown = Table(title=table.title, title_justify="left", header_style="bold")
     for at, title in enumerate(table.columns):
-        shown.add_column(escape(title), justify="right" if table.is_numeric(at) else "left", overflow="fold")
+        shown.add_column(title, justify="right" if table.is_numeric(at) else "left", overflow="fold")
     for row in table.rows:
-        shown.add_row(*map(escape, row))
+        shown.add_row(*row)
     return shown

@@ -22,6 +22,7 @@ from stream.events import (
     VerdictGiven,
 )
 from stream.quantities import conversion, is_angular_rate
+from stream.toml_text import decode_toml
 
 ANGLE_RANDOM_WALK = "angle_random_walk"
 ALLAN_DEVIATION = "allan_deviation"
@@ -109,7 +110,7 @@ def parse_limits(text: str | bytes, source: str) -> LimitsTable:
     ('A', 0.5)
     """
     try:
-        parsed = msgspec.toml.decode(text, type=_File)
+        parsed = decode_toml(text, _File)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise BadInput(f"limits {source}: {error}") from error
     limits = tuple(

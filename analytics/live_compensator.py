@@ -69,7 +69,7 @@ class LiveCompensator:
     Notes
     -----
     A channel is the unit's own signal of that name, else that of the one instrument of the run that has it. Without
-    ``input_rate`` it is ``table_rate``, unless the position of a step says how the unit is mounted. The channels'
+    ``input_rate`` it is ``table_rate``, unless the position or axis of a step says how the unit lies. The channels'
     readings of the last ten minutes are kept for a power-on whose first sample comes behind them.
     """
 
@@ -119,7 +119,7 @@ class LiveCompensator:
                 run = self._runs.setdefault(document.run, _Run(place))
                 run.units.add(document.unit)
                 run.power_ons[document.unit, document.epoch.replace("-", "")] = document.t_ns
-            case StepStarted() if document.words.position is not None:
+            case StepStarted() if document.words.position is not None or document.words.axis is not None:
                 self._runs.setdefault(document.run, _Run(place)).positions.add(document.unit)
             case RunEnded() if document.run in self._runs:
                 run = self._runs[document.run]

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import click
 from rich.table import Table
 
-from stream.console import notes, print_json, progress_bar, reporting, results, store_option
+from analytics.limits_cli import warn_of_copies
+from stream.console import notes, print_json, progress_bar, reporting, results, store_option, styled
 from stream.errors import BadInput
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from storage.catalog import Catalog
 
 _SHOWN_ROWS = 500
+_SHOWN_REASONS = 5
 _LANGUAGES = click.Choice(["en", "zh"])
 
 language_option = click.option(
@@ -61,7 +63,7 @@ def metrics(
     gyrofleet metrics --annex-a FOG-0231 --lang zh
     """  # noqa: D301  click's mark for lines that are not to be joined
     from analytics.annex_a import annex_a
-    from analytics.metrics_selection import Selection, dated, selected, undated_runs
+    from analytics.metrics_selection import Selection, dated, selected, undated_runs, unused_steps
     from analytics.metrics_table import metrics_table, write_csv, write_xlsx
 
     if annex_unit is not None and (units or lots or runs or ids or standards or since or csv_path or xlsx_path):
@@ -73,6 +75,7 @@ def metrics(
             return
         rows = selected(catalog, asked)
         undated = undated_runs(catalog) if since else 0
+        _tell_unused(unused_steps(catalog, asked))
     if undated:
         notes().print(f"--since leaves out {undated} runs whose date is not known; import them with --start")
     if csv_path is not None:
@@ -91,6 +94,7 @@ def metrics(
 def opened_catalog(folder: Path, *, quiet: bool) -> "Iterator[Catalog]":
     """A store's catalogue that tells on standard error how far the reduction of changed runs is."""
     from storage.catalog import Catalog
+    from storage.specification_chain import read_chain
     from storage.store import Store
 
     with progress_bar(hidden=quiet) as progress:
@@ -100,13 +104,12 @@ def opened_catalog(folder: Path, *, quiet: bool) -> "Iterator[Catalog]":
             progress.update(task, completed=done, total=total, visible=done < total)
 
         with Catalog(Store.open(folder), told=told) as catalog:
+            warn_of_copies(catalog.store, read_chain(catalog.store, catalog))
             yield catalog
 
 
 def tell_annex(rows: "Sequence[AnnexRow]", unit: str, language: str, *, as_json: bool) -> None:
     """Print the annex."""
-    from rich.markup import escape
-
     from analytics.metrics_table import interval_of, told_number, told_parameters, told_unit
 
     if as_json:
@@ -125,12 +128,21 @@ def tell_annex(rows: "Sequence[AnnexRow]", unit: str, language: str, *, as_json:
     for row in rows:
         name = row.characteristic.zh if in_chinese else row.characteristic.en
         if not row.results:
-            table.add_row(str(row.number), name, f"[yellow]{escape(row.reason or '')}[/yellow]", "", "", row.clause)
+            table.add_row(str(row.number), name, styled(row.reason or "", "yellow"), "", "", row.clause)
         for at, each in enumerate(row.results):
             value = f"{told_number(each['value'], each['standard_uncertainty'])} {told_unit(each['unit_of_measure'])}"
             head = ("", "") if at else (str(row.number), name)
             table.add_row(*head, value.strip(), interval_of(each), told_parameters(each["parameters"]), each["clause"])
     results().print(table)
+
+
+def _tell_unused(unused: "Sequence[tuple[str, int, str]]") -> None:
+    """Say which steps no characteristic rests on; their reasons, and how many of how many units."""
+    for reason, steps, units in unused[:_SHOWN_REASONS]:
+        notes().print(f"not judged: {steps} steps of {units}: {reason}", soft_wrap=True, markup=False)
+    if len(unused) > _SHOWN_REASONS:
+        more = len(unused) - _SHOWN_REASONS
+        notes().print(f'... and {more} reasons more; `gyrofleet sql "from unused_steps"` has all', markup=False)
 
 
 def _tell(table: Table, count: int) -> None:

@@ -1,11 +1,11 @@
 """Which metrics are asked for: by unit, lot, run, metric, standard and time; and what has gone by a wrong name."""
 
-import difflib
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from analytics.metrics.evaluation import row_of
+from analytics.metrics.names import alike, check_metrics
 from analytics.metrics.registry import metrics
 from ingest.moment import moment_ns
 from storage.catalog import Catalog
@@ -13,6 +13,7 @@ from stream.errors import BadInput, NotFound
 
 Row = dict[str, Any]
 
+_FEW_UNITS = 5
 _YEAR = re.compile(r"[-—]\d{4}$")
 
 
@@ -85,6 +86,31 @@ def undated_runs(catalog: Catalog) -> int:
     return int(count)
 
 
+def unused_steps(catalog: Catalog, asked: Selection) -> list[tuple[str, int, str]]:
+    """Steps of the chosen units and runs that no characteristic rests on.
+
+    Returns
+    -------
+    list of tuple
+        Reason, how many steps, and of which units (by name where they are few).
+    """
+    conditions = ["true"]
+    given: dict[str, object] = {}
+    for column, names in (("unit", asked.units), ("run", asked.runs)):
+        if names:
+            conditions.append(f"list_contains(${column}, {column})")
+            given[column] = list(names)
+    found = catalog.rows(
+        "select reason, count(*), list(distinct unit order by unit) from unused_steps "  # noqa: S608
+        f"where {' and '.join(conditions)} group by reason order by count(*) desc, reason",
+        given or None,
+    )
+    return [
+        (str(reason), int(steps), ", ".join(units) if len(units) <= _FEW_UNITS else f"{len(units)} units")
+        for reason, steps, units in found
+    ]
+
+
 def standard_named(text: str) -> str:
     """A standard as the metrics name it, from how people write it.
 
@@ -103,42 +129,6 @@ def standard_named(text: str) -> str:
     if name not in known:
         raise BadInput(f"no metric is of the standard {text!r}; there are {', '.join(known)}")
     return name
-
-
-def check_metrics(names: Iterable[str], where: str = "") -> None:
-    """Refuse what is no metric.
-
-    Raises
-    ------
-    BadInput
-        The message names metrics that look alike.
-
-    Examples
-    --------
-    >>> check_metrics(["biass"], "spec.toml: $.limit[0]")
-    Traceback (most recent call last):
-    stream.errors.BadInput: spec.toml: $.limit[0]: there is no metric 'biass'; did you mean bias?
-    """
-    for name in names:
-        if name not in metrics():
-            place = f"{where}: " if where else ""
-            raise BadInput(f"{place}there is no metric {name!r}; {alike(name, metrics(), 'metrics are')}")
-
-
-def alike(name: str, known: Collection[str], else_: str) -> str:
-    """What might have been meant: names that look alike, or, where none does, some that are known.
-
-    Examples
-    --------
-    >>> alike("FOG-O231", ["FOG-0230", "FOG-0231"], "there are")
-    'did you mean FOG-0231?'
-    """
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
-    folded = [each for each in known if each.casefold() == name.casefold()]
-    if folded or near:
-        return f"did you mean {(folded or near)[0]}?"
-    names = sorted(known)
-    return f"{else_} {', '.join(names[:20])}{', ...' if len(names) > 20 else ''}" if names else "there is none"
 
 
 def narrowed(row: Row, standards: Sequence[str]) -> Row | None:
@@ -174,6 +164,11 @@ def _check(catalog: Catalog, kind: str, names: Iterable[str]) -> None:
         known |= {name for (name,) in catalog.rows("select distinct unit from unit_metrics")}
     for name in names:
         if name not in known:
+            if kind in {"unit", "run"} and catalog.rows(f"from signals where {kind} = $name limit 1", {"name": name}):
+                raise NotFound(
+                    f"{kind} {name!r} has samples, but no completed step says what was measured: import its files "
+                    "again with --procedure, as --procedure static_bias --position IRA_up for records at rest"
+                )
             raise NotFound(
                 f"no completed step of {kind} {name!r} is in the store; {alike(name, known, f'{kind}s are')}"
             )

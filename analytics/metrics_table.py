@@ -12,6 +12,7 @@ from rich.table import Table
 
 from analytics.metrics.registry import metrics
 from analytics.metrics_selection import Row, clauses_of
+from stream.console import csv_text, shown_text, styled
 from stream.errors import BadInput
 
 LANGUAGES = ("en", "zh")
@@ -147,16 +148,16 @@ def metrics_table(rows: Sequence[Row], language: str) -> Table:
     for (unit, run), section in groupby(sorted(rows, key=_section), key=_section):
         runs = run or ("几次试验合计" if language == "zh" else "over several runs")
         table.add_section()
-        table.add_row(f"[bold]{_escaped(unit)}[/bold]  {_escaped(runs)}")
+        table.add_row(styled(unit, "bold").append(f"  {shown_text(runs)}", "default"))
         for row in section:
             value = f"{told_number(row['value'], row['standard_uncertainty'])} {told_unit(row['unit_of_measure'])}"
             table.add_row(
                 name_of(row["metric"], language),
                 row["signal"] or "",
-                f"[yellow]{_escaped(row['reason'])}[/yellow]" if row["value"] is None else _escaped(value.strip()),
+                styled(str(row["reason"]), "yellow") if row["value"] is None else value.strip(),
                 interval_of(row),
                 "" if row["n"] is None else f"{row['n']:,}",
-                _escaped(told_parameters(row["parameters"])),
+                told_parameters(row["parameters"]),
                 told_clauses(row),
             )
     return table
@@ -184,7 +185,8 @@ def write_csv(rows: Iterable[Row], path: Path, language: str) -> None:
         with fresh.open("w", encoding="utf-8-sig", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(["name", *COLUMNS])
-            writer.writerows(_plain(row, language) for row in rows)
+            for row in rows:
+                writer.writerow(csv_text(each) if isinstance(each, str) else each for each in _plain(row, language))
         fresh.replace(path)
     except OSError as error:
         raise _unwritable(path, "--csv", error) from error
@@ -235,12 +237,6 @@ def _plain(row: Row, language: str) -> list[object]:
             value = ", ".join(str(each) for each in value)
         cells.append(value)
     return cells
-
-
-def _escaped(text: object) -> str:
-    from rich.markup import escape
-
-    return escape(str(text))
 
 
 def _unwritable(path: Path, option: str, error: Exception) -> BadInput:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stream.console import notes, print_json, reporting, results, store_option
+from stream.console import notes, print_json, reporting, results, store_option, told_status
 from stream.errors import BadInput
 
 if TYPE_CHECKING:
     from analytics.model_registry import ModelVersion
-    from analytics.model_use import InUse
+    from analytics.model_use import InUse, Uses
 
 _unit = click.option("--unit", required=True, help="Which unit.")
 _by = click.option("--by", default=None, help="Who does it; by default the user of the system.")
@@ -60,7 +60,12 @@ def _tell_list(rows: list[dict[str, Any]], unit: str | None, *, is_empty: bool, 
         return
     if is_empty:
         whose = f"unit {unit}" if unit else "any unit"
-        notes().print(f"no version of the error model of {whose}: make one with `gyrofleet model promote`")
+        notes().print(
+            f"no version of the error model of {whose}: `gyrofleet model promote --unit {unit or 'UNIT'} --model TEXT` "
+            "traces its runs and writes one",
+            markup=False,
+            soft_wrap=True,
+        )
         return
     table = Table(header_style="bold")
     for title in ("unit", "version", "stage", "verdict", "made", "by", "model"):
@@ -128,7 +133,11 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
 @click.option("--version", "number", type=click.IntRange(min=1), help="A version that is there already.")
 @click.option("--model", "text", help="Trace the residual of this declared model, and promote it with what is found.")
 @click.option("--signal", help="Which signal, as rate; left out where the model names it.")
-@click.option("--block", default="30s", show_default=True, help="Length of the blocks that are averaged: 10s, 1min.")
+@click.option(
+    "--block",
+    show_default="30s, or the interval of the samples where that is longer",
+    help="Length of the blocks that are averaged: 10s, 1min.",
+)
 @click.option("--noise", metavar="N=..,B=..,K=..,turn_on=..", help="Declared noise, as of `gyrofleet diagnose`.")
 @click.option("--holdout", default="last-third", show_default=True, metavar="last-third|runs=A,B", help="Lockbox.")
 @click.option("--run", "runs", multiple=True, help="Only this run; may be given several times.")
@@ -142,7 +151,7 @@ def promote(
     number: int | None,
     text: str | None,
     signal: str | None,
-    block: str,
+    block: str | None,
     noise: str | None,
     holdout: str,
     runs: tuple[str, ...],
@@ -154,21 +163,25 @@ def promote(
 ) -> None:
     """Put an error model to use: what a trace of the unit's runs finds, or a version that is there already.
 
-    What it adds to the declared model has to be confirmed by held-out runs before it goes live.
+    What it adds to the declared model has to be confirmed by held-out runs before it goes live. Where the data cannot
+    tell which of several effects it is, a warning says so.
 
     \b
     gyrofleet model promote --unit FOG-0235 --model 'rate = bias + scale_factor*input_rate + temperature'
     gyrofleet model promote --unit FOG-0235 --version 2 --shadow
     """  # noqa: D301  click's mark for lines that are not to be joined
     from analytics.diagnose_cli import block_seconds, holdout_of, noise_of
-    from analytics.model_promotion import check_usable, promote_trace
+    from analytics.model_promotion import check_usable, confounded_warning, promote_trace
     from analytics.model_registry import ModelRegistry
     from analytics.model_use import Stage, activate
     from analytics.unit_reduction import Question
     from storage.store import Store
 
     if (number is None) is (text is None):
-        raise BadInput("give either --model, to trace the unit's runs, or --version, of those that are there")
+        raise BadInput(
+            "give either --model 'rate = bias + ...', to trace the unit's runs, or --version N, one of those that "
+            f"`gyrofleet model list --unit {unit}` shows"
+        )
     store, stage = Store.open(folder), Stage.SHADOW if shadow else Stage.LIVE
     if number is not None:
         version = ModelRegistry(store).version(unit, number)
@@ -178,19 +191,22 @@ def promote(
         question = Question(
             model=text or "",
             signal=signal,
-            block_s=block_seconds(block),
+            block_s=None if block is None else block_seconds(block),
             noise=None if noise is None else noise_of(noise),
             holdout=holdout_of(holdout),
             runs=runs or None,
         )
-        with notes().status("starting") as status:
-            version, _ = promote_trace(store, unit, question, stage, by=_who(by), note=reason, told=status.update)
+        with told_status() as told:
+            version, _ = promote_trace(store, unit, question, stage, by=_who(by), note=reason, told=told)
+    warning = confounded_warning(version) if stage is Stage.LIVE else None
     if as_json:
-        print_json(
-            {"unit": unit, "version": version.version, "hash": version.hash, "stage": stage, "text": version.text}
-        )
+        told_of = {"unit": unit, "version": version.version, "hash": version.hash, "stage": stage}
+        document = {**told_of, "text": version.text}
+        print_json({**document, "warnings": [warning] if warning else []})
         return
     results().print(f"{unit}: version {version.version} is {stage.value}: {version.text}", markup=False)
+    if warning:
+        notes().print(f"warning: {warning}", markup=False, soft_wrap=True)
 
 
 @model.command("rollback")
@@ -208,12 +224,13 @@ def rollback(folder: Path, unit: str, signal: str, reason: str, by: str | None, 
     from storage.store import Store
 
     store = Store.open(folder)
-    use = read_uses(store).get((unit, signal), InUse())
+    uses = read_uses(store)
+    use = uses.get((unit, signal), InUse())
     stage = Stage.SHADOW if shadow else Stage.LIVE
     if (use.shadow if shadow else use.live) is None:
         raise BadInput(
             f"unit {unit}, signal {signal}: no version of its error model is {stage.value}; "
-            "`gyrofleet model list` says what is in use"
+            + _rollback_hint(use, uses, unit, signal)
         )
     documents = rollback_documents(ModelRegistry(store), use, stage, reason=reason, by=_who(by))
     enter_activations(store, documents)
@@ -224,11 +241,24 @@ def rollback(folder: Path, unit: str, signal: str, reason: str, by: str | None, 
         results().print(f"{unit}: version {document.version} is {document.stage}: {document.reason}", markup=False)
 
 
+def _rollback_hint(use: "InUse", uses: "Uses", unit: str, signal: str) -> str:
+    """What could be rolled back instead."""
+    if use.live is not None:
+        return f"version {use.live.version} is live: leave --shadow out to take it out of use"
+    if use.shadow is not None:
+        return f"version {use.shadow.version} is only watched (shadow): give --shadow to take it out"
+    others = sorted(name for (of, name), each in uses.items() if of == unit and each.activations)
+    if others and signal not in others:
+        return f"there is one of signal {', '.join(others)}: give --signal"
+    return f"`gyrofleet model list --unit {unit}` shows its versions"
+
+
 def _newest(versions: "list[ModelVersion]", unit: str) -> "ModelVersion":
+    from analytics.model_registry import no_version
     from stream.errors import NotFound
 
     if not versions:
-        raise NotFound(f"unit {unit} has no version of its error model: make one with `gyrofleet model promote`")
+        raise NotFound(no_version(unit))
     return versions[-1]
 
 

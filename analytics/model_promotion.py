@@ -1,13 +1,15 @@
 """From a trace to a version of the unit's error model."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import msgspec
 
+from analytics.effects.turn_on import TURN_ON
 from analytics.model_registry import ModelRegistry, ModelVersion, run_hashes
 from analytics.model_use import InUse, Stage, activate, read_uses
 from analytics.tracing.contenders import JUMP, LINE
+from analytics.tracing.result import Diagnosis, Verdict
 from analytics.unit_diagnosis import UnitDiagnosis, diagnose_units
 from analytics.unit_reduction import Question
 from storage.catalog import Catalog
@@ -15,7 +17,7 @@ from storage.store import Store
 from stream.errors import BadInput
 from stream.events import ModelActivated
 
-EVENTS = (LINE, JUMP)
+EVENTS = (LINE, JUMP, TURN_ON)
 """What no model predicts: a line has a phase of its own in each run, a jump happens once."""
 
 
@@ -55,6 +57,26 @@ def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: str, n
         made_ns=time.time_ns(),
         by=by,
         note=note,
+        confounded=tuple(dict.fromkeys(_confounded(found.diagnosis))),
+    )
+
+
+def _confounded(diagnosis: Diagnosis) -> Iterator[str]:
+    """Effects that the data do not tell from those that are added."""
+    for effect in diagnosis.effects:
+        if effect.name not in EVENTS:
+            yield from (other.name for other in effect.confounded if other.name not in diagnosis.names)
+
+
+def confounded_warning(version: ModelVersion) -> str | None:
+    """Say that a version holds one of several effects that the data cannot tell apart; None where it does not."""
+    if not version.confounded and version.verdict != Verdict.CONFOUNDED:
+        return None
+    added, others = ", ".join(version.added), ", ".join(version.confounded) or "others"
+    return (
+        f"unit {version.unit}, version {version.version}: the data cannot tell {added} from {others} (verdict "
+        f"{version.verdict}); the model holds {added}, and is wrong wherever the two differ: "
+        "separate them by the test that `gyrofleet diagnose` names, or use --shadow"
     )
 
 

@@ -61,6 +61,8 @@ class ModelVersion(msgspec.Struct, frozen=True, kw_only=True):
         Who made it.
     note : str
         Free words.
+    confounded : tuple of str
+        Effects that explain the training runs as well as the added ones.
     """
 
     unit: str
@@ -81,6 +83,7 @@ class ModelVersion(msgspec.Struct, frozen=True, kw_only=True):
     made_ns: int
     by: str
     note: str = ""
+    confounded: tuple[str, ...] = ()
 
     @property
     def is_confirmed(self) -> bool:
@@ -89,12 +92,29 @@ class ModelVersion(msgspec.Struct, frozen=True, kw_only=True):
 
     def content(self) -> bytes:
         """What stands in its file."""
-        return msgspec.json.format(msgspec.json.encode(self, order="sorted"), indent=1) + b"\n"
+        fields: dict[str, Any] = msgspec.to_builtins(self)
+        if not self.confounded:
+            del fields["confounded"]  # versions without it keep the hash under which they were written
+        return msgspec.json.format(msgspec.json.encode(fields, order="sorted"), indent=1) + b"\n"
 
     @property
     def hash(self) -> str:
         """Hash of its content, by which it is named."""
         return hash_of(self.content())
+
+
+def no_version(unit: str) -> str:
+    """Say that a unit has no version, and how its first one is made.
+
+    Examples
+    --------
+    >>> no_version("U1").partition(":")[0]
+    'unit U1 has no version of its error model'
+    """
+    return (
+        f"unit {unit} has no version of its error model: `gyrofleet model promote --unit {unit} --model 'rate = bias + "
+        "temperature'`, with the terms that you declare, traces the unit's runs and writes version 1"
+    )
 
 
 def hash_of(content: bytes) -> str:
@@ -164,8 +184,11 @@ class ModelRegistry:
         """
         paths = {_number(path): path for path in _files(self._folder / check_name("unit", unit))}
         if number not in paths:
-            there = ", ".join(map(str, paths)) or "none: make one with `gyrofleet model promote`"
-            raise NotFound(f"unit {unit} has no version {number} of its error model; there are {there}")
+            if not paths:
+                raise NotFound(no_version(unit))
+            raise NotFound(
+                f"unit {unit} has no version {number} of its error model; there are {', '.join(map(str, paths))}"
+            )
         return self._read(paths[number])
 
     def by_hash(self, unit: str, wanted: str) -> ModelVersion:

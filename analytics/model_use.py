@@ -11,11 +11,10 @@ from analytics.model_registry import ModelRegistry, ModelVersion
 from ingest.entered import enter
 from storage.catalog import Catalog
 from storage.lake_manifest import read_manifest
-from storage.log_tail import records_of
+from storage.log_tail import documents_beyond
 from storage.store import Store
-from stream.errors import BadInput, NotFound, StoreError, WireError
-from stream.events import AnyDocument, ModelActivated, decode_event, new_uid
-from stream.identity import EventKey, parse_key
+from stream.errors import BadInput, NotFound, QueryError, StoreError
+from stream.events import AnyDocument, ModelActivated, new_uid
 
 _ROLE = "gyrofleet model"
 _SQL = "select document from events where list_contains($kinds, kind) order by t_ns"
@@ -104,14 +103,16 @@ def logged_documents(store: Store, kinds: Iterable[type[AnyDocument]]) -> list[A
     in_lake = read_manifest(store).segments
     found: dict[str, AnyDocument] = {}
     with Catalog(store) as catalog:
-        for (text,) in catalog.rows(_SQL, {"kinds": [each.__name__ for each in wanted]}):
-            document: AnyDocument = msgspec.json.decode(text, type=AnyDocument)
-            found[document.uid] = document
-    for record in records_of(store, lambda segment: segment not in in_lake, _is_event):
         try:
-            document = decode_event(record.data).document
-        except WireError:
-            continue  # `gyrofleet verify` reports it
+            for (text,) in catalog.rows(_SQL, {"kinds": [each.__name__ for each in wanted]}):
+                decoded: AnyDocument = msgspec.json.decode(text, type=AnyDocument)
+                found[decoded.uid] = decoded
+        except (QueryError, msgspec.MsgspecError, UnicodeDecodeError) as error:
+            raise StoreError(
+                f"documents in the lake of {store.folder} cannot be read ({error}); `gyrofleet verify` says what is "
+                f"damaged, `gyrofleet recover` makes it anew from the log"
+            ) from error
+    for document, _ in documents_beyond(store, in_lake):
         if isinstance(document, wanted):
             found.setdefault(document.uid, document)
     return sorted(found.values(), key=lambda each: each.t_ns)
@@ -209,10 +210,3 @@ def rollback_documents(
 
 def _last_ns(use: InUse) -> int | None:
     return max((each.t_ns for each in use.activations), default=None)
-
-
-def _is_event(key: str) -> bool:
-    try:
-        return isinstance(parse_key(key), EventKey)
-    except BadInput:
-        return False  # kept aside, or a preview

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from analytics.allan_curve import AllanCurve
+from analytics.isolated_outliers import IsolatedOutliers
 from stream.batch import FloatArray
 from stream.estimators.base import NoEstimate
 from stream.estimators.noise_fit import Coefficient, NoiseFit, fit_noise
@@ -164,7 +165,9 @@ def noise_coefficients(curve: AllanCurve, normalised: Coefficient | NoEstimate) 
     return NoiseCoefficients(fit, normalised)
 
 
-def curve_document(curve: AllanCurve, found: NoiseCoefficients | NoEstimate) -> dict[str, Any]:
+def curve_document(
+    curve: AllanCurve, found: NoiseCoefficients | NoEstimate, outliers: IsolatedOutliers | None = None
+) -> dict[str, Any]:
     """Return a curve and its coefficients, or the reason why there are none, as one JSON document."""
     return {
         **curve.document(),
@@ -172,4 +175,5 @@ def curve_document(curve: AllanCurve, found: NoiseCoefficients | NoEstimate) -> 
         "coefficients_reason": found.reason if isinstance(found, NoEstimate) else None,
         "misfit": None if isinstance(found, NoEstimate) else found.fit.misfit,
         "confidence": CONFIDENCE,
+        "outliers": None if outliers is None else dataclasses.asdict(outliers),
     }

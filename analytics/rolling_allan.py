@@ -58,7 +58,8 @@ class RollingAllan:
         every = math.ceil(len(self.tau_s) / _SHOWN_TAUS)
         columns = range(0, len(self.tau_s), every)
         rows = range(0, len(self.start_h), math.ceil(len(self.start_h) / _SHOWN_ROWS))
-        left_out = "" if len(rows) == len(self.start_h) and every == 1 else "; --json gives all windows and times"
+        is_all = len(rows) == len(self.start_h) and every == 1
+        left_out = f"; --json gives {'the limits' if is_all else 'all windows and times, with limits'}"
         table = Table(
             title=f"Rolling Allan deviation (动态 Allan 标准差) of {self.unit} {self.signal}, run {self.run}",
             title_justify="left",
@@ -95,7 +96,7 @@ def rolling_allan(
     unit, signal : str
         Which signal.
     run : str, optional
-        Of which run; the one recorded last where none is named.
+        Of which run; where none is named the one measured last of those that fill a window.
     window_s, step_s : float
         Length of the window and by how much it moves on, seconds; the window is a whole number of steps.
     points_per_octave : int
@@ -108,7 +109,7 @@ def rolling_allan(
     EstimatorError
         If the steps do not fill the window.
     """
-    record = find_signal(catalog, unit, signal, run)
+    record = find_signal(catalog, unit, signal, run, at_least_s=window_s)
     rolling = RollingWindow(lambda: AllanDeviation(points_per_octave), window_s, step_s)
     windows: list[WindowEstimate] = []
     first_ns = last_ns = None

@@ -1,6 +1,6 @@
 """A product specification: limits of metrics under one revision, and from when until when they hold.
 
-Not the limits of a running test (`analytics.limits`), which are held against estimates while the samples flow.
+Not the limits of estimates (`analytics.limits`), with which `gyrofleet demo` and `allan --limits` compare curves.
 """
 
 import math
@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from analytics.metrics.product_files import Product
+from analytics.metrics.names import alike, check_metrics
+from analytics.metrics.product import Product
 from analytics.metrics.registry import metrics
-from analytics.metrics_selection import alike, check_metrics
 from analytics.specification_dates import begin_ns, end_ns
 from stream.errors import BadInput, UnknownUnit
 from stream.quantities import check_result_unit, result_factor
+from stream.toml_text import decode_toml
 
 Parameter = float | int | str | bool
 
@@ -111,7 +112,7 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     limit: tuple[SpecificationLimit, ...] = ()
 
 
-def parse_specification(content: bytes, source: str) -> Specification:
+def parse_specification(content: bytes, source: str, *, is_checked: bool = False) -> Specification:
     r"""Read and check a specification.
 
     Parameters
@@ -120,6 +121,8 @@ def parse_specification(content: bytes, source: str) -> Specification:
         The TOML.
     source : str
         The file it comes from: for messages, and for its name where the file gives none.
+    is_checked : bool
+        Whether it was checked when it was entered: then metrics that this gyrofleet does not have are no error.
 
     Raises
     ------
@@ -143,7 +146,7 @@ def parse_specification(content: bytes, source: str) -> Specification:
     """
     where = f"specification {source}"
     try:
-        file = msgspec.toml.decode(content, type=_File)
+        file = decode_toml(content, _File)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise BadInput(f"{where}: {error}") from error
     name = file.name or Path(source).stem.removesuffix(f"-{file.revision}")
@@ -164,6 +167,12 @@ def parse_specification(content: bytes, source: str) -> Specification:
         raise BadInput(f"{where}: valid_until {file.valid_until} lies before valid_from {file.valid_from}")
     if not found.limits and not found.products:
         raise BadInput(f"{where}: it has neither a [[limit]] nor a [product.NAME]; see `gyrofleet limits --help`")
+    if not is_checked:
+        _check_limits(found, content, where)
+    return found
+
+
+def _check_limits(found: Specification, content: bytes, where: str) -> None:
     lines = [at for at, line in enumerate(content.decode().splitlines(), 1) if re.match(r"\s*\[\[\s*limit", line)]
     for at, limit in enumerate(found.limits):
         line = f"line {lines[at]}, " if at < len(lines) else ""
@@ -173,7 +182,6 @@ def parse_specification(content: bytes, source: str) -> Specification:
             raise BadInput(
                 f"{place}: $.limit[{first}] limits the same; keep one, or tell them apart by their parameters"
             )
-    return found
 
 
 def told_parameter(value: Parameter) -> str:
@@ -193,6 +201,10 @@ def _check_limit(limit: SpecificationLimit, found: Specification, place: str) ->
     check_metrics([limit.metric], place)
     header = metrics()[limit.metric].header
     _check_unit(limit, header.unit, place)
+    for name in limit.parameters:
+        if name not in header.parameters:
+            known = alike(name, header.parameters, "its parameters are")
+            raise BadInput(f"{place}: no value of {limit.metric} has a parameter {name!r}; {known}")
     numbers = {"lower": limit.lower, "upper": limit.upper}
     if limit.lower is None and limit.upper is None:
         raise BadInput(f"{place}: it has neither lower nor upper")

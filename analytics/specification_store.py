@@ -1,43 +1,45 @@
-"""The specifications of a store: immutable copies, one file a revision, whose times do not contradict each other."""
+"""The specifications of a store: documents in its log, which are added, revised and withdrawn, never changed."""
 
-import os
+import time
 from collections.abc import Sequence
-from itertools import combinations, pairwise
 from pathlib import Path
-from typing import NamedTuple
 
-from analytics.metrics.product_files import FOLDER
+from analytics.metrics.names import alike
 from analytics.specification import Specification, parse_specification
-from analytics.specification_dates import told_moment
-from storage.store import Store, only_one, sync_folder
-from stream.errors import BadInput, NotFound, StoreError
+from analytics.specification_periods import Period, in_force, ordered_periods, periods_of, specification_of
+from storage.specification_chain import Chain, Link, append_document, read_chain
+from storage.specification_copies import FOLDER, write_copy
+from storage.store import Store, only_one
+from stream.errors import BadInput, NotFound
+from stream.events import SpecificationAction, SpecificationEntered
 
-EVER = -(2**63)
-NEVER = 2**63 - 1
-
-
-class Period(NamedTuple):
-    """A specification with the time in which it holds; without an end of its own it ends where the next begins."""
-
-    specification: Specification
-    from_ns: int
-    until_ns: int
-
-    @property
-    def told(self) -> str:
-        """The time for people."""
-        begin = told_moment(None if self.from_ns == EVER else self.from_ns) or "ever"
-        end = told_moment(None if self.until_ns == NEVER else self.until_ns)
-        return f"from {begin}" if end is None else f"from {begin} until {end} (not included)"
+_LOCK = ".lock"
+_COMMAND = "gyrofleet limits"
 
 
-def add_specification(store: Store, path: Path) -> tuple[Specification, bool]:
-    """Keep a specification in a store.
+def add_specification(
+    store: Store, path: Path, *, by: str = "", reason: str = "", is_revision: bool = False, rejudges: bool = False
+) -> tuple[Specification, bool]:
+    """Enter a specification into a store's log.
+
+    Parameters
+    ----------
+    store : Store
+        Which store.
+    path : Path
+        The file.
+    by, reason : str
+        Who enters it, and why.
+    is_revision : bool
+        Whether its name has to be there already.
+    rejudges : bool
+        Whether what was recorded before is judged anew by what holds from now on.
 
     Returns
     -------
     tuple
-        The specification, and whether it is new; the same content again is not.
+        The specification, and whether it is new; the same content again is not, and is entered once more only if
+        it judges anew.
 
     Raises
     ------
@@ -51,117 +53,165 @@ def add_specification(store: Store, path: Path) -> tuple[Specification, bool]:
     except OSError as error:
         raise BadInput(f"specification {path}: cannot be read ({error.strerror or error})") from error
     found = parse_specification(content, str(path))
-    folder = store.folder / FOLDER
-    with only_one(folder / ".lock", "gyrofleet limits add"):
-        kept = folder / f"{found.label}.toml"
-        if kept.exists():
-            if kept.read_bytes() == content:
-                return found, False
+    with only_one(store.folder / FOLDER / _LOCK, _COMMAND):
+        chain = _whole_chain(store)
+        held = in_force(chain.links)
+        names = {each.name for each in held}
+        if is_revision and found.name not in names:
             raise BadInput(
-                f"specification {path}: revision {found.revision} of {found.name} is in the store with other content "
-                f"({kept}); what was judged by it must stay traceable: give the new content another revision"
+                f"specification {path}: there is no {found.name!r} to revise; {alike(found.name, names, 'there are')}; "
+                "`gyrofleet limits add` enters a new one"
             )
-        periods_of([*stored_specifications(store), found])
-        _write(kept, content)
-    return found, True
+        is_new = _is_new(chain.links, held, found, content, path)
+        if not is_new and not rejudges:
+            return found, False
+        periods_of([*(each for each in held if each.label != found.label), found])
+        document = SpecificationEntered(
+            run="",
+            t_ns=_now_ns(chain),
+            action=SpecificationAction.REVISED if found.name in names else SpecificationAction.ADDED,
+            name=found.name,
+            revision=found.revision,
+            content=content.decode(),
+            by=by,
+            reason=reason,
+            previous=chain.head,
+            rejudges=rejudges,
+        )
+        append_document(store, document)
+        write_copy(store, document)
+    return found, is_new
 
 
-def stored_specifications(store: Store) -> list[Specification]:
-    """All specifications of a store.
+def withdraw_specification(
+    store: Store, label: str, *, by: str, reason: str, rejudges: bool = False
+) -> SpecificationEntered:
+    """Take a revision out of force: what is recorded from now on is not judged by it.
+
+    Raises
+    ------
+    NotFound
+        If no revision in force is called that.
+    BadInput
+        If those that hold again without it contradict each other.
+    StoreError
+        If the store cannot be written.
+    """
+    with only_one(store.folder / FOLDER / _LOCK, _COMMAND):
+        chain = _whole_chain(store)
+        held = {each.label: each for each in in_force(chain.links)}
+        if label not in held:
+            raise NotFound(f"no revision {label!r} is in force; {alike(label, held, 'there are')}")
+        try:
+            periods_of([each for name, each in held.items() if name != label])
+        except BadInput as error:
+            raise BadInput(
+                f"{label} cannot be withdrawn, since without it {error}; withdraw one of these first"
+            ) from error
+        document = SpecificationEntered(
+            run="",
+            t_ns=_now_ns(chain),
+            action=SpecificationAction.WITHDRAWN,
+            name=held[label].name,
+            revision=held[label].revision,
+            by=by,
+            reason=reason,
+            previous=chain.head,
+            rejudges=rejudges,
+        )
+        append_document(store, document)
+    return document
+
+
+def settle_chain(store: Store, *, by: str, reason: str) -> list[str]:
+    """Accept that the chain of documents is broken; what is wrong with it, a sentence for each break.
 
     Raises
     ------
     BadInput
-        If a file there is not right.
+        If it is whole.
+    StoreError
+        If the store cannot be written.
     """
-    try:
-        return [
-            parse_specification(path.read_bytes(), str(path)) for path in sorted((store.folder / FOLDER).glob("*.toml"))
-        ]
-    except OSError as error:
-        raise StoreError(f"the specifications in {store.folder / FOLDER} cannot be read: {error}") from error
+    with only_one(store.folder / FOLDER / _LOCK, _COMMAND):
+        chain = read_chain(store)
+        if not chain.breaks:
+            raise BadInput("the chain of specification documents is whole: there is nothing to settle")
+        document = SpecificationEntered(
+            run="",
+            t_ns=_now_ns(chain),
+            action=SpecificationAction.SETTLED,
+            name="",
+            revision="",
+            by=by,
+            reason=reason,
+            previous=chain.head,
+            settles=tuple(each.at for each in chain.breaks),
+        )
+        append_document(store, document)
+    return [each.what for each in chain.breaks]
+
+
+def stored_specifications(store: Store) -> list[Specification]:
+    """Specifications that are in force, that is, added and not withdrawn.
+
+    Raises
+    ------
+    StoreError
+        If the lake or the log is damaged.
+    """
+    return in_force(read_chain(store).links)
 
 
 def specification_named(store: Store, label: str) -> tuple[Period, bytes]:
-    """A specification of a store by ``NAME-REVISION``, or by its name: the revision that was valid last.
+    """A specification of a store by ``NAME-REVISION``, withdrawn or not; by its name, the revision that begins last.
 
     Raises
     ------
     NotFound
         If there is none.
     """
-    periods = periods_of(stored_specifications(store))
+    links = read_chain(store).links
+    every = {link.label: specification_of(link.document) for link in links if link.document.content}
+    periods = ordered_periods(in_force(links))
+    periods += [each for each in ordered_periods(every.values()) if each.specification.label == label]
     named = [each for each in periods if label in {each.specification.label, each.specification.name}]
     if not named:
-        known = ", ".join(each.specification.label for each in periods) or "none; `gyrofleet limits add FILE` adds one"
+        known = ", ".join(every) or "none; `gyrofleet limits add FILE` adds one"
         raise NotFound(f"there is no specification {label!r}; there are {known}")
     period = max(named, key=lambda each: (each.specification.label == label, each.from_ns))
-    return period, (store.folder / FOLDER / f"{period.specification.label}.toml").read_bytes()
+    (content,) = {link.document.content for link in links if link.document.content and _is(link, period)}
+    return period, content.encode()
 
 
-def periods_of(specifications: Sequence[Specification]) -> list[Period]:
-    """When each of them holds, by name and begin.
-
-    Raises
-    ------
-    BadInput
-        If two revisions of one name hold at one time, or two names limit the same at one time.
-    """
-    ordered = sorted(specifications, key=lambda each: (each.name, EVER if each.from_ns is None else each.from_ns))
-    periods = []
-    for each, after in pairwise([*ordered, None]):
-        assert each is not None
-        begin = EVER if each.from_ns is None else each.from_ns
-        until = NEVER if each.until_ns is None else each.until_ns
-        if after is not None and after.name == each.name:
-            next_begin = EVER if after.from_ns is None else after.from_ns
-            if next_begin == begin:
-                raise BadInput(
-                    f"specification {each.name}: revisions {each.revision} and {after.revision} begin to be valid at "
-                    f"the same time ({told_moment(each.from_ns) or 'ever'}); give the later one its valid_from"
-                )
-            if each.until_ns is not None and each.until_ns > next_begin:
-                raise BadInput(
-                    f"specification {each.name}: revision {each.revision} is valid until {told_moment(each.until_ns)} "
-                    f"(not included), but {after.revision} begins at {told_moment(after.from_ns)}: give it a later one"
-                )
-            until = min(until, next_begin)
-        periods.append(Period(each, begin, until))
-    for one, other in combinations(periods, 2):
-        if one.specification.name != other.specification.name:
-            _check_beside(one, other)
-    return periods
+def _is(link: Link, period: Period) -> bool:
+    return link.label == period.specification.label
 
 
-def _check_beside(one: Period, other: Period) -> None:
-    if one.until_ns <= other.from_ns or other.until_ns <= one.from_ns:
-        return
-    first, second = one.specification, other.specification
-    both = f"{first.label} and {second.label} hold at one time"
-    for mine in first.limits:
-        for theirs in second.limits:
-            if mine.meets(theirs):
-                raise BadInput(
-                    f"specifications {both} and both limit {mine.subject} of {mine.product or 'any product'}"
-                )
-    for name in first.products.keys() & second.products.keys():
-        if first.products[name] != second.products[name]:
-            raise BadInput(f"specifications {both} and have different numbers of product {name}")
+def _is_new(
+    links: Sequence[Link], held: Sequence[Specification], found: Specification, content: bytes, path: Path
+) -> bool:
+    """Whether a revision is not in force; one that was entered with other content is refused."""
+    known = {link.label: link.document.content.encode() for link in links if link.document.content}
+    if known.get(found.label, content) != content:
+        raise BadInput(
+            f"specification {path}: revision {found.revision} of {found.name} is in the store with other content "
+            "(`gyrofleet limits show --toml`); what was judged by it must stay traceable: give the new content another "
+            "revision"
+        )
+    return found.label not in {each.label for each in held}
 
 
-def _write(path: Path, content: bytes) -> None:
-    fresh = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with fresh.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.chmod(0o444)
-        fresh.replace(path)
-        sync_folder(path.parent)
-    except OSError as error:
-        raise StoreError(
-            f"cannot write {path}: {error}; free the disk or mend its permissions and try again"
-        ) from error
-    finally:
-        fresh.unlink(missing_ok=True)
+def _whole_chain(store: Store) -> Chain:
+    """The chain of documents, which must not be broken where it is continued."""
+    chain = read_chain(store)
+    if chain.breaks:
+        raise BadInput(
+            f"the chain of specification documents in {store.log} is broken: {chain.breaks[0].what}; `gyrofleet "
+            "verify` has the details: restore the log from a copy, or accept it by `gyrofleet limits settle`"
+        )
+    return chain
+
+
+def _now_ns(chain: Chain) -> int:
+    return max([time.time_ns(), *(link.document.t_ns + 1 for link in chain.links[-1:])])

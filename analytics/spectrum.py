@@ -174,7 +174,7 @@ def spectrum_of(catalog: Catalog, unit: str, signal: str, run: str | None = None
     unit, signal : str
         Which signal.
     run : str, optional
-        Of which run; the one recorded last where none is named.
+        Of which run; the one measured last where none is named.
 
     Raises
     ------

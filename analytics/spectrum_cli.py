@@ -21,7 +21,7 @@ _FEW_ROWS = 4
 @click.command("spectrum")
 @click.option("--unit", required=True, help="Which unit.")
 @click.option("--signal", required=True, help="Which of its signals, as rate or rate_x.")
-@click.option("--run", help="Which run; the one recorded last if left out.")
+@click.option("--run", help="Which run; the one measured last if left out.")
 @store_option
 @click.option("--plot", "plot_path", type=click.Path(path_type=Path), help="Draw the density: FILE.png or FILE.svg.")
 @reporting

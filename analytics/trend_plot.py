@@ -16,7 +16,7 @@ from analytics.plot_fonts import chinese_font, set_fonts
 from analytics.trends.change_points import Changes
 from analytics.trends.control_chart import IndividualsChart
 from analytics.trends.series import Series
-from analytics.trends.trend import NS_PER_DAY, Chart, Limits, Trend
+from analytics.trends.trend import NS_PER_DAY, Chart, Trend
 
 _MOST_CHARTS = 8
 _CENTRE, _ALARM, _LEVEL, _SPECIFIED = "#2f6f4f", "#a40000", "#c46a00", "#6a3d9a"
@@ -41,7 +41,7 @@ def plot_trend(trend: Trend, path: Path) -> None:
     grid: dict[str, Any] = {"left": 0.1, "right": 0.87, "top": top, "bottom": 0.7 / figure.get_figheight()}
     if len(shown) == 1:
         axes = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3, 1.3], "hspace": 0.08, **grid})
-        _draw_chart(axes[0], shown[0], trend.specification)
+        _draw_chart(axes[0], shown[0], trend)
         _draw_averages(axes[1], shown[0], is_chinese=is_chinese)
         _name_axis(axes[1], trend.series, is_chinese=is_chinese)
     else:
@@ -49,12 +49,21 @@ def plot_trend(trend: Trend, path: Path) -> None:
         is_of_units = trend.by == "unit"
         axes = figure.subplots(len(shown), 1, sharex=True, sharey=not is_of_units, gridspec_kw={"hspace": 0.12, **grid})
         for each, chart in zip(axes, shown, strict=True):
-            _draw_chart(each, chart, trend.specification)
+            _draw_chart(each, chart, trend)
             each.set_title(chart.name, loc="left", fontsize=8.5, color=INK, pad=3)
         _name_axis(axes[-1], trend.series, is_chinese=is_chinese)
+    _end_with_the_data(figure, trend.series)
     _write_title(figure, trend, len(order) - len(shown), is_chinese=is_chinese)
     set_fonts(figure)
     write_figure(figure, path)
+
+
+def _end_with_the_data(figure: Figure, series: Series) -> None:
+    """Every value of the series lies within the picture, and little besides."""
+    t = _times(series)
+    margin = 0.02 * float(np.ptp(t)) or 0.5
+    for axes in figure.axes:
+        axes.set_xlim(float(t.min()) - margin, float(t.max()) + margin)
 
 
 def _write_title(figure: Figure, trend: Trend, more: int, *, is_chinese: bool) -> None:
@@ -68,8 +77,10 @@ def _write_title(figure: Figure, trend: Trend, more: int, *, is_chinese: bool) -
         told += f"; {more} charts are not drawn"
     figure.text(0.1, 1 - 0.52 / height, told, fontsize=8.5, color=SOFT)
     marks = "Bars: standard uncertainty. Circles: points that meet rules of Nelson, with their numbers."
-    if any(chart.has_changed for chart in trend.charts):
+    if any(chart.has_changed or chart.shifts for chart in trend.charts):
         marks += " Shaded: where a change of level lies (95 %)."
+    if any(chart.is_adjusted for chart in trend.charts):
+        marks += " Points: each unit's own level taken off."
     figure.text(0.87, 0.1 / height, marks, fontsize=7, color=SOFT, ha="right")
 
 
@@ -88,24 +99,31 @@ def _name_axis(axes: Axes, series: Series, *, is_chinese: bool) -> None:
     axes.set_xlabel(("Time (UTC)" if series.dated else "Point") + ("  时间" if is_chinese else ""), color=INK)
 
 
-def _draw_chart(axes: Axes, chart: Chart, specification: Limits) -> None:
-    series = chart.series
-    t = _times(series)
+def _draw_chart(axes: Axes, chart: Chart, trend: Trend) -> None:
+    series, specification = chart.series, trend.specification
+    t, values = _times(series), chart.charted
+    if trend.by is None and series.value.size < trend.series.value.size:
+        axes.plot(_times(trend.series), trend.series.value, ".", ms=3, color=FLEET, zorder=1.5, label="measured again")
     known = np.nan_to_num(series.uncertainty)
-    axes.errorbar(t, series.value, yerr=known, fmt="none", ecolor=FLEET, elinewidth=0.8, zorder=2)
+    axes.errorbar(t, values, yerr=known, fmt="none", ecolor=FLEET, elinewidth=0.8, zorder=2)
     groups = series.groups["station"]
     levels = sorted(set(groups))
     for level, colour in zip(levels[: len(_COLOURS)], _COLOURS, strict=False):
         at = np.array([each == level for each in groups])
-        axes.plot(t[at], series.value[at], "o", ms=3, color=colour, zorder=3, label=level)
+        axes.plot(t[at], values[at], "o", ms=3, color=colour, zorder=3, label=level)
     rest = np.array([each in levels[len(_COLOURS) :] for each in groups])
-    axes.plot(t[rest], series.value[rest], "o", ms=3, color=SOFT, zorder=3)
+    axes.plot(t[rest], values[rest], "o", ms=3, color=SOFT, zorder=3)
     if len(levels) > 1:
         axes.legend(fontsize=7, loc="lower right", bbox_to_anchor=(1, 0.99), ncols=6, frameon=False)
     if isinstance(chart.limits, IndividualsChart):
         _draw_limits(axes, chart, chart.limits, t)
     if isinstance(chart.changes, Changes) and chart.changes.points:
         _draw_levels(axes, chart.changes, t)
+    elif not chart.is_adjusted:
+        for shift in chart.shifts:
+            ends = _times(trend.series.where([shift.first, shift.last])) if trend.series.dated else None
+            first, last = (shift.first + 1, shift.last + 1) if ends is None else ends
+            axes.axvspan(first, last, color=_LEVEL, alpha=0.15, linewidth=0)
     for side, name in ((specification.lower, "lower"), (specification.upper, "upper")):
         if side is not None:
             axes.axhline(side, color=_SPECIFIED, linewidth=1.4)
@@ -131,7 +149,7 @@ def _draw_limits(axes: Axes, chart: Chart, limits: IndividualsChart, t: np.ndarr
             told.setdefault(point, []).append(str(rule))
     if told:
         at = sorted(told)
-        values = chart.series.value
+        values = chart.charted
         axes.plot(t[at], values[at], "o", ms=6.5, mfc="none", mec=_ALARM, mew=0.9, zorder=4)
         for point in at if len(at) <= 40 else []:
             where = (t[point], values[point])

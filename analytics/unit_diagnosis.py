@@ -106,10 +106,17 @@ def trace_units(
     if is_pooled and units:
         return _pooled(units, question, failed, held_out, told)
     done: dict[str, UnitDiagnosis] = {}
-    for unit, data in units.items():
-        told(f"tracing {unit}")
+    for number, (unit, data) in enumerate(units.items(), start=1):
+        told(f"tracing {unit} ({number} of {len(units)})")
         try:
-            found_in = diagnose(data.runs, read.models[unit], declared_noise=data.noise, holdout=held_out.get(unit))
+            found_in = diagnose(
+                data.runs,
+                read.models[unit],
+                declared_noise=data.noise,
+                holdout=held_out.get(unit),
+                left_out=data.left_out,
+                turn_on_is_declared=data.turn_on_is_declared,
+            )
         except GyrofleetError as error:
             if is_one:
                 raise
@@ -130,13 +137,14 @@ def _pooled(
     held_out: Mapping[str, Sequence[str]],
     told: Callable[[str], None],
 ) -> UnitsDiagnosis:
-    told(f"tracing {len(units)} units together")
     runs = {unit: data.runs for unit, data in units.items()}
     fleet = diagnose_fleet(
         runs,
         model_on(question, [run for each in runs.values() for run in each]),
         declared_noise={unit: data.noise for unit, data in units.items() if data.noise is not None},
         holdout=held_out,
+        left_out={unit: data.left_out for unit, data in units.items()},
+        told=told,
     )
     done = {unit: UnitDiagnosis(data, fleet.units[unit]) for unit, data in units.items()}
     return UnitsDiagnosis(done, failed, fleet.own_findings, fleet)

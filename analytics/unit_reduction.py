@@ -1,15 +1,18 @@
 """From the store to blocks: what was asked of units, each reduced with its declared model and its noise."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from analytics.block_checks import Note, in_runs
+from analytics.block_records import usual_block_s
 from analytics.block_reduction import BLOCK_S, BlockReducer
-from analytics.declared_noise import declared_noise
+from analytics.declared_noise import GivenNoise, declared_noise, with_turn_on
 from analytics.effects.registry import effect
 from analytics.error_model import ErrorModel
+from analytics.left_out import LeftOut
 from analytics.run_blocks import RunBlocks
 from analytics.tracing.result import NoiseCoefficients
 from storage.catalog import Catalog
@@ -29,10 +32,10 @@ class Question:
         The declared error model as text.
     signal : str, optional
         Which signal; the one that the model names if left out.
-    block_s : float
-        Length of a block, seconds.
-    noise : NoiseCoefficients, optional
-        Declared; by default that of each unit's own Allan fits.
+    block_s : float, optional
+        Length of a block, seconds; by default 30, or the interval of the samples where that is longer.
+    noise : GivenNoise or NoiseCoefficients, optional
+        Declared; by default that of each unit's own Allan fits. Turn-on scatter that is not given is estimated.
     holdout : tuple of str, optional
         Runs to hold out; the last third if left out.
     runs : tuple of str, optional
@@ -43,8 +46,8 @@ class Question:
 
     model: str
     signal: str | None = None
-    block_s: float = BLOCK_S
-    noise: NoiseCoefficients | None = None
+    block_s: float | None = None
+    noise: GivenNoise | NoiseCoefficients | None = None
     holdout: tuple[str, ...] | None = None
     runs: tuple[str, ...] | None = None
     since_ns: int | None = None
@@ -86,12 +89,18 @@ class ReducedUnit:
         Declared, or by the unit's own Allan fits.
     noise_source : str
         Where that comes from, or why there is none.
+    left_out : tuple of LeftOut
+        What was left out of the record, with its share.
+    turn_on_is_declared : bool
+        Whether the turn-on scatter of `noise` was given, and not estimated from these runs.
     """
 
     runs: tuple[RunBlocks, ...]
     notes: tuple[Note, ...]
     noise: NoiseCoefficients | None
     noise_source: str
+    left_out: tuple[LeftOut, ...] = ()
+    turn_on_is_declared: bool = False
 
 
 @dataclass(frozen=True)
@@ -134,14 +143,22 @@ def reduce_units(
     GyrofleetError
         If there is one unit only and it cannot be read, or none of several can.
     """
+    signal, block_s = question.signal_name, question.block_s
+    if block_s is None:
+        block_s = usual_block_s(catalog, units, signal, question.runs, BLOCK_S)
     reducer = BlockReducer(
-        catalog, question.signal_name, block_s=question.block_s, runs=question.runs, since_ns=question.since_ns
+        catalog,
+        signal,
+        block_s=block_s,
+        runs=question.runs,
+        since_ns=question.since_ns,
+        channels=re.findall(r"\bchannel:(\w+)", question.model),
     )
     reduced: dict[str, ReducedUnit] = {}
     models: dict[str, ErrorModel] = {}
     failed: dict[str, str] = {}
-    for unit in units:
-        told(f"reading {unit}")
+    for number, unit in enumerate(units, start=1):
+        told(f"reading {unit} ({number} of {len(units)})")
         try:
             found = reducer.reduce(unit)
             runs, left_out = _with_channels_of(question, found.runs)
@@ -149,7 +166,10 @@ def reduce_units(
             gone = {run for note in left_out for run in note.runs}
             notes = (*left_out, *(each for each in found.notes if not (each.runs and gone.issuperset(each.runs))))
             _check_values(runs)
-            reduced[unit] = ReducedUnit(runs, notes, *_noise(catalog, runs, models[unit], question))
+            noise, source, is_declared = _noise(catalog, runs, models[unit], question)
+            reduced[unit] = ReducedUnit(
+                runs, notes, noise, source, left_out=found.left_out, turn_on_is_declared=is_declared
+            )
         except GyrofleetError as error:
             if len(units) == 1:
                 raise
@@ -193,13 +213,18 @@ def model_on(question: Question, runs: Sequence[RunBlocks]) -> ErrorModel:
 
 def _noise(
     catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorModel, question: Question
-) -> tuple[NoiseCoefficients | None, str]:
+) -> tuple[NoiseCoefficients | None, str, bool]:
+    """Declared noise, where it comes from, and whether its turn-on scatter is declared."""
+    if isinstance(question.noise, NoiseCoefficients):
+        return question.noise, "as given", True
     if question.noise is not None:
-        return question.noise, "as given"
+        is_given = question.noise.turn_on is not None
+        source = "as given" if is_given else "as given; turn-on scatter estimated from these runs"
+        return with_turn_on(question.noise, runs, model), source, is_given
     found = declared_noise(catalog, runs, model)
     if isinstance(found, NoEstimate):
-        return None, found.reason
-    return found, "the unit's own Allan fits"
+        return None, found.reason, False
+    return found, "the unit's own Allan fits", False
 
 
 def units_with(catalog: Catalog, signal: str) -> list[str]:

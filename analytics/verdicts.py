@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
-from analytics.metrics_selection import alike
+from analytics.metrics.names import alike
 from storage.catalog import Catalog
 from stream.errors import NotFound
 

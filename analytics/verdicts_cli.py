@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from analytics.metrics_cli import language_option, opened_catalog
-from stream.console import notes, print_json, reporting, results, store_option
+from stream.console import notes, print_json, reporting, results, store_option, styled
 from stream.errors import BadInput
 
 if TYPE_CHECKING:
@@ -98,8 +98,8 @@ def _unit_table(units: Iterable[dict[str, Any]], language: str) -> Table:
         counts = (str(row[name]) for name in ("passed", "failed", "marginal", "no_data"))
         why = _told_reasons(row, language) or row["reason"] or ""
         table.add_row(
-            escape(row["unit"]), row["product"], row["lot"], _coloured(row["verdict"], language),
-            _coloured(row["latest_verdict"], language), *counts, escape(why),
+            row["unit"], row["product"], row["lot"], _coloured(row["verdict"], language),
+            _coloured(row["latest_verdict"], language), *counts, why,
         )  # fmt: skip
     return table
 
@@ -132,10 +132,10 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> Table:
         parameters = told_parameters(json.loads(row["parameters"] or "{}"))
         label = f"{row['specification']}-{row['revision'] or '?'}" if row["specification"] else ""
         table.add_row(
-            escape(_name(row["metric"], language) + (f" ({parameters})" if parameters else "")),
-            row["signal"], row["run"] or _several(row["runs"], language), escape(value), interval,
-            escape(f"{told_limits(row)} {unit}".strip()), _coloured(row["verdict"], language), row["standard"], label,
-            escape(row["reason"] or ""),
+            _name(row["metric"], language) + (f" ({parameters})" if parameters else ""),
+            row["signal"], row["run"] or _several(row["runs"], language), value, interval,
+            f"{told_limits(row)} {unit}".strip(), _coloured(row["verdict"], language), row["standard"], label,
+            row["reason"] or "",
         )  # fmt: skip
     return table
 
@@ -153,7 +153,7 @@ def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> Tabl
         share = ("", "") if row["yield"] is None else (
             f"{row['yield']:.1%}", f"{row['yield_lo']:.1%} .. {row['yield_hi']:.1%}"
         )  # fmt: skip
-        table.add_row("?" if row["name"] is None else escape(row["name"]), *counts, *share)
+        table.add_row("?" if row["name"] is None else row["name"], *counts, *share)
     return table
 
 
@@ -163,7 +163,7 @@ def _pareto_table(rows: Iterable[dict[str, Any]], language: str) -> Table:
         of = row["subject"].removeprefix(row["metric"])
         name = row[language] + ("" if row["subject"] == "entered" else of)
         counts = (str(row[name]) for name in ("failed", "marginal", "judged"))
-        table.add_row(escape(name), *counts, f"{row['share']:.0%}", f"{row['cumulative_share']:.0%}")
+        table.add_row(name, *counts, f"{row['share']:.0%}", f"{row['cumulative_share']:.0%}")
     return table
 
 
@@ -179,12 +179,14 @@ def _name(metric: str, language: str) -> str:
     from analytics.metrics.registry import metrics
     from analytics.metrics_table import name_of
 
-    return name_of(metric, language) if metric in metrics() else metric
+    if metric in metrics():
+        return name_of(metric, language)
+    return _ZH.get(metric, metric) if language == "zh" else metric
 
 
 def _told_verdict(verdict: str, language: str) -> str:
     return _ZH_VERDICTS[verdict] if language == "zh" else verdict
 
 
-def _coloured(verdict: str, language: str) -> str:
-    return f"[{_COLOURS[verdict]}]{_told_verdict(verdict, language)}[/]"
+def _coloured(verdict: str, language: str) -> Text:
+    return styled(_told_verdict(verdict, language), _COLOURS[verdict])

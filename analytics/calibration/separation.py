@@ -64,7 +64,7 @@ class Separation(NamedTuple):
     gamma : Angle
         hypot(y2, z2): the misalignment of the input axis. Its limits are not below 0.
     offset : float
-        Output at rest, V0.
+        Output at rest, V0; where each position has its own, their mean.
     rms : float
         Root of the mean square of the residuals, in the output's unit.
     freedom : int
@@ -97,7 +97,9 @@ def gyro_separation(readings: Sequence[GyroReading], scale_factor: float) -> Sep
     Notes
     -----
     V = V0 - k y0 w cos(beta) + k x0 w sin(beta) - k y1 w + k z2 w sin(alpha) - k y2 w cos(alpha), k the scale factor, w
-    the rate. Erratum: the table's signs hold; the prose after it drops some.
+    the rate. Each position has a V0 of its own, as only the differences of both directions enter the closed forms: what
+    differs between positions at rest is no error of these angles. Erratum: the table's signs hold; the prose after it
+    drops some.
 
     Examples
     --------
@@ -110,9 +112,10 @@ def gyro_separation(readings: Sequence[GyroReading], scale_factor: float) -> Sep
     alpha, beta, rate, output = np.array(readings, dtype=np.float64).T
     alpha, beta = np.radians(alpha), np.radians(beta)
     driven = scale_factor * rate
+    _, place = np.unique(np.stack([alpha, beta], axis=1), axis=0, return_inverse=True)
+    offsets = (place[:, np.newaxis] == np.arange(place.max() + 1)).astype(np.float64)
     design = np.stack(
         [
-            np.ones_like(rate),
             -driven * np.cos(beta),
             driven * np.sin(beta),
             -driven,
@@ -121,7 +124,7 @@ def gyro_separation(readings: Sequence[GyroReading], scale_factor: float) -> Sep
         ],
         axis=1,
     )
-    return _separated(design, output, ("y0", "x0", "y1", "y2", "z2"), "gyro separation")
+    return _separated(offsets, design, output, ("y0", "x0", "y1", "y2", "z2"), "gyro separation")
 
 
 def accelerometer_separation(readings: Sequence[AccelerometerReading], scale_factor: float) -> Separation:
@@ -154,20 +157,20 @@ def accelerometer_separation(readings: Sequence[AccelerometerReading], scale_fac
     """
     beta, output = np.array(readings, dtype=np.float64).T
     beta = np.radians(beta)
-    design = np.stack(
-        [np.ones_like(beta), -scale_factor * np.cos(beta), scale_factor * np.sin(beta)],
-        axis=1,
-    )
-    return _separated(design, output, ("y2", "z2"), "accelerometer separation")
+    design = np.stack([-scale_factor * np.cos(beta), scale_factor * np.sin(beta)], axis=1)
+    return _separated(np.ones((len(beta), 1)), design, output, ("y2", "z2"), "accelerometer separation")
 
 
-def _separated(design: FloatArray, output: FloatArray, names: tuple[str, ...], what: str) -> Separation:
+def _separated(
+    offsets: FloatArray, columns: FloatArray, output: FloatArray, names: tuple[str, ...], what: str
+) -> Separation:
+    design, constants = np.concatenate([offsets, columns], axis=1), offsets.shape[1]
     size = np.sqrt((design * design).sum(axis=0))
     rank = int(np.linalg.matrix_rank(design / np.where(size > 0, size, 1.0), tol=1e-6))
     if rank < design.shape[1]:
         raise BadInput(
             f"{what}: {len(output)} readings tell {rank} of {design.shape[1]} unknowns "
-            f"({', '.join(('offset', *names))}) apart; measure the positions that the method names, both ways"
+            f"({constants} offsets, {', '.join(names)}) apart; measure the positions that the method names, both ways"
         )
     scaled = design / size
     solved, *_ = np.linalg.lstsq(scaled, output, rcond=None)
@@ -178,16 +181,18 @@ def _separated(design: FloatArray, output: FloatArray, names: tuple[str, ...], w
     coefficients = solved / size
     t = float(stats.t.ppf((1 + CONFIDENCE) / 2, freedom)) if freedom else math.nan
     angles = {
-        name: _angle(coefficients[at], math.sqrt(covariance[at, at]), t) for at, name in enumerate(names, start=1)
+        name: _angle(coefficients[at], math.sqrt(covariance[at, at]), t)
+        for at, name in enumerate(names, start=constants)
     }
-    y2, z2 = (1 + names.index(each) for each in ("y2", "z2"))
+    y2, z2 = (constants + names.index(each) for each in ("y2", "z2"))
     own = coefficients[[y2, z2]]
     gamma = float(np.hypot(*own))
     slope = own / gamma if gamma > 0 else np.array([1.0, 0.0])
     error = math.sqrt(float(slope @ covariance[np.ix_([y2, z2], [y2, z2])] @ slope))
     misalignment = _angle(gamma, error, t)
     misalignment = misalignment._replace(lo=max(0.0, misalignment.lo) if freedom else math.nan)
-    return Separation(angles, misalignment, float(coefficients[0]), math.sqrt(float((residual**2).mean())), freedom)
+    rms = math.sqrt(float((residual**2).mean()))
+    return Separation(angles, misalignment, float(coefficients[:constants].mean()), rms, freedom)
 
 
 def _angle(value_rad: float, error_rad: float, t: float) -> Angle:

@@ -106,6 +106,8 @@ class Effect(ABC):
     reference: str
     aliases: tuple[str, ...] = ()
     """Names of effects that ordinary tests do not tell from this one."""
+    follows: tuple[str, ...] = ()
+    """Of a proxy: effects of the causes that it follows. Found alone, it stands for one of them."""
     separating_test: str
     """The measurement that would tell them apart."""
     separating_test_zh: str

@@ -63,7 +63,10 @@ class FunctionOfChannel(Effect):
         if found is None or found[0] == found[1]:
             return []
         low, high = found
-        return [{KNOTS: [float(f"{low + part * (high - low):.6g}") for part in self.parts]}]
+        knots = [float(f"{low + part * (high - low):.6g}") for part in self.parts]
+        if len(set(knots)) < len(knots):  # it moves by less than the digits of its knots
+            return []
+        return [{KNOTS: knots}]
 
     def columns(self, shape: Shape) -> tuple[str, ...]:
         return tuple(f"spline_{k}" for k in range(1, len(numbers(shape, KNOTS)) + 2))

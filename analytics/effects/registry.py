@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 from analytics.effects.base import Effect
 from analytics.effects.channel_linear import PREFIX, ChannelLinear
+from analytics.effects.turn_on import TURN_ON, TurnOnScatter
 from analytics.run_blocks import STANDARD_CHANNELS, RunBlocks
 from stream.errors import BadInput
 
@@ -51,6 +52,8 @@ def effect(name: str) -> Effect:
     known = effects()
     if name in known:
         return known[name]
+    if name == TURN_ON:
+        return TurnOnScatter()
     if name.startswith(PREFIX) and len(name) > len(PREFIX):
         return ChannelLinear(name.removeprefix(PREFIX))
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)

@@ -16,6 +16,7 @@ HEADER = """\
 -- unit:      arcsec
 -- better:    lower
 -- grain:     unit, signal, run, angle
+-- parameters: angle, scale_factor, steps_at_each, rms
 -- source:    HIT 2012 (10)-(13)
 -- needs:     procedure accelerometer_separation: four angles about the input axis
 -- limits:    given
@@ -27,14 +28,14 @@ _STEPS = """
 with gyro as (
   select distinct run, unit from gyro_steps
 )
-select s.run, s.unit, s.signal, s."procedure", s."index", s.position, s.mean, s.unit_of_measure,
+select s.run, s.unit, s.signal, s."procedure", s."index", s.position, s.mean, s.unit_of_measure, s.gravity_m_per_s2,
   regexp_extract(s.position, '^beta(-?[0-9.]+)$', 1)::double as beta,
   case when g.unit is null then p.scale_factor end as per_g,
   case when g.unit is null and p.scale_factor is not null then 'nominal of product ' || s.product
     else 'output is an acceleration' end as scale_source
 from step_means s
 left join gyro g on g.run = s.run and g.unit = s.unit
-left join product_scales p on p.product = s.product and p.unit_of_measure = s.unit_of_measure
+left join product_scales p on p.unit = s.unit and p.run = s.run and p.unit_of_measure = s.unit_of_measure
 where regexp_full_match(s.position, 'beta-?[0-9.]+') and s.n > 0
   and regexp_matches(s.signal, '^acc(el(eration|erometer)?)?(_|$)')
 order by s.run, s.unit, s.signal, s."procedure", s."index"
@@ -59,10 +60,11 @@ def _separated(rows: Sequence[Mapping[str, Any]]) -> Separation:
 
 
 def _per_g(row: Mapping[str, Any]) -> float:
-    """Scale factor, output per g."""
-    measure = row["unit_of_measure"]
+    """Scale factor, output per local g; where that is not known, per standard g."""
+    measure, gravity = row["unit_of_measure"], row["gravity_m_per_s2"]
     try:
-        return 1 / conversion(measure, "g_0")[0]
+        per_standard_g = 1 / conversion(measure, "g_0")[0]
+        return per_standard_g if gravity is None else per_standard_g * gravity * conversion("m/s^2", "g_0")[0]
     except UnknownUnit as error:
         if row["per_g"]:
             return float(row["per_g"])

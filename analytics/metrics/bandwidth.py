@@ -26,6 +26,7 @@ HEADER = """\
 -- unit:      Hz
 -- better:    higher
 -- grain:     unit, signal, run
+-- parameters: method, gain_1, misfit, position, axis, reference, frequencies, records, sample_rate_hz
 -- source:    GJB 2426A-2004 5.13 (35)-(41); JJF 2014-2022 7.2.21 (40)-(43)
 -- needs:     procedure bandwidth: 10 frequencies in equal ratios from 10 Hz to 2 bandwidths, sampled above 20 of them
 -- limits:    t

@@ -4,28 +4,36 @@
 -- unit:      deg/h
 -- better:    neither
 -- grain:     unit, signal, run, step
+-- parameters: earth_rate, scale_factor, position, repeat, duration_s, n_effective, remark
 -- source:    GJB 2426A-2004 5.12.1 (19); JJF 2014-2022 7.2.13 (27)(28)
--- needs:     a static step (procedure static_bias or bias_repeatability), at least one hour long
+-- needs:     a static step (procedure static_bias or bias_repeatability), one hour long as a rule
 -- limits:    t
 -- equation:  B0 = mean(F)/K
--- The Earth's rate is removed where the position says how it enters (JJF 2014 7.2.13 stands the IRA vertical); both the
--- raw and the corrected value are reported.
+-- The Earth's rate is removed where the position says how it enters; both the raw and the corrected value are reported.
 with corrected as (
-  select *, unnest(case when earth_deg_per_h is null then ['none'] else ['none', 'removed'] end) as earth_rate
+  select *, unnest(case when is_attitude_known then ['none', 'removed'] else ['none'] end) as earth_rate
   from bias_steps
+), judged as (
+  select *, coalesce(lack, case when earth_rate = 'removed' and earth_deg_per_h is null then no_latitude() end) as missing
+  from corrected
 )
 select
   unit, signal, run,
-  case when lack is null then
+  case when missing is null then
     mean_deg_per_h - case when earth_rate = 'removed' then earth_deg_per_h else 0 end end as value,
   u_deg_per_h as standard_uncertainty,
   freedom,
   n,
   {
     earth_rate: earth_rate, scale_factor: scale_source, position: position, repeat: repeat,
-    duration_s: round(duration_s), n_effective: round(n_effective, 1)
+    duration_s: round(duration_s), n_effective: round(n_effective, 1), remark: remark
   } as parameters,
   [run] as runs,
   ["index"] as steps,
-  lack as reason
-from corrected
+  -- GJB lays the IRA east-west, JJF stands it upright
+  case when regexp_matches(position, '^IRA_(east|west|east_west)$') then 'GJB2426A'
+    when is_attitude_known and side_in(position) is not null then 'JJF2014' end as standard,
+  case when regexp_matches(position, '^IRA_(east|west|east_west)$') then '5.12.1 (19)'
+    when is_attitude_known and side_in(position) is not null then '7.2.13 (27)(28)' end as clause,
+  missing as reason
+from judged

@@ -13,6 +13,7 @@ HEADER = """\
 -- unit:      deg/h/g
 -- better:    lower
 -- grain:     unit, signal, run, axis
+-- parameters: axis, earth_rate, repeat, scale_factor, earth_rate_unknown, axis_of_largest
 -- source:    JJF 2014-2022 7.2.17
 -- needs:     procedure bias_acceleration_sensitivity: static steps with X, Y and Z up and down
 -- limits:    given

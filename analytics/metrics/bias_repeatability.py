@@ -4,7 +4,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from analytics.metrics.largest_magnitude import json_text
-from analytics.metrics.variance_components import Scatter, between, deviation, scatter
+from analytics.metrics.repeatability import KINDS, Noise, deviation_of, scatters
+from analytics.metrics.variance_components import means_noise, pooled, scatter
 from storage.catalog import Catalog
 
 HEADER = """\
@@ -14,37 +15,45 @@ HEADER = """\
 -- unit:      deg/h
 -- better:    lower
 -- grain:     unit, signal, run (or all runs of the unit, then no run is named), kind
+-- parameters: kind, position, earth_rate, power_ons, power_ons_recorded, days, scatter, uncertainty_of_means, remark
 -- source:    GJB 2426A-2004 5.12.3 (21); JJF 2014-2022 7.2.15 (30)
--- needs:     static steps in several power-ons (procedure bias_repeatability, or several runs of static_bias)
+-- needs:     static steps of an hour in several power-ons (procedure bias_repeatability, or runs of static_bias)
 -- limits:    given
--- equation:  Br = sqrt(sum((B0_i - mean(B0))^2)/(Q - 1)) over Q power-ons
+-- equation:  Br = sqrt(sum((B0_i - mean(B0))^2)/(Q - 1)) over Q power-ons, less the uncertainty of the B0_i
 """
 
 LEAST_GJB = 6
-KINDS = ("all", "run_to_run", "day_to_day", "within_day_component", "between_day_component")
+LEAST_S = 3590.0
+_LIKE = 1.1
+_NOT_KNOWN: Mapping[str, float | None] = {"scatter": None, "uncertainty_of_means": None}
 
 # A run is a test if its procedure is one or it has several power-ons; all runs of a unit together are another test.
 _SQL = """
 with told as (
   select *,
-    count(*) over (partition by unit, signal, position, run) as in_run,
-    bool_or(is_repeated) over (partition by unit, signal, position, run) as is_test
+    count(*) over (partition by unit, signal, position, earth_rate, run) as in_run,
+    bool_or(is_repeated) over (partition by unit, signal, position, earth_rate, run) as is_test
   from bias_power_ons
 ), scoped as (
   select *, run as scope from told where is_test or in_run > 1
   union all
   select *, null as scope from told
 )
-select unit, signal, position, scope as run,
+select unit, signal, position, earth_rate, scope as run, min(lack) as lack,
   list(bias order by t_from_ns, run, power_on) as biases,
+  list(u order by t_from_ns, run, power_on) as uncertainties,
+  list(u_white order by t_from_ns, run, power_on) as of_white_noise,
+  list(freedom order by t_from_ns, run, power_on) as freedoms,
+  list(duration_s order by t_from_ns, run, power_on) as durations,
+  list(counted_by order by t_from_ns, run, power_on) as counted_by,
   list(coalesce(day::varchar, 'run ' || run) order by t_from_ns, run, power_on) as days,
   bool_and(day is not null) as is_dated,
   list(distinct run order by run) as runs,
   flatten(list(steps order by run, t_from_ns, power_on)) as steps
 from scoped
-group by unit, signal, position, scope
+group by unit, signal, position, earth_rate, scope
 having scope is not null or count(distinct run) > 1
-order by unit, signal, position, scope
+order by unit, signal, position, earth_rate, scope
 """
 
 
@@ -53,45 +62,71 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
 
     Notes
     -----
+    Values are what is left of a scatter when the uncertainty of the biases themselves, as a component of its variance,
+    is taken off; ``scatter`` in the parameters is that of the clause's equation, ``uncertainty_of_means`` what is taken
+    off. Of records of a minute the noise is most of the scatter, of those of an hour hardly a part of it.
+
     ``run_to_run`` is the deviation within a day, pooled over days; ``day_to_day`` that of the means of days, in which
     the scatter within the days is also. ``between_day_component`` is what is left of it without that, and
-    ``within_day_component`` is the run-to-run deviation again, as the other part of the analysis of variance. A day is
-    one of the station's time zone. GJB 2426A asks for 6 power-ons (days), JJF 2014 names no number.
+    ``within_day_component`` is the run-to-run deviation again, as the other part of the analysis of variance. ``all``,
+    the deviation of all power-ons, has a value where these are of one day, or each of another: power-ons of one day
+    share its effect, and among several days they are not independent. A day is one of the station's time zone. GJB
+    2426A asks for 6 power-ons (days), JJF 2014 names no number.
     """
     for row in catalog.reader(_SQL).read_all().to_pylist():
+        if row["lack"] is not None:
+            for kind in KINDS:
+                yield from _standards(row, kind, len(row["biases"]), {"reason": row["lack"]})
+            continue
         found = scatter(row["biases"], row["days"])
+        noise = _noise(row)
         repeated = sum(1 for day in row["days"] if row["days"].count(day) > 1)
         compared = {"run_to_run": repeated, "within_day_component": repeated, "all": found.values}
         for kind in KINDS:
             n = compared.get(kind, found.groups)
-            yield from _standards(row, kind, n, _value(found, kind, is_dated=row["is_dated"]))
+            value: dict[str, Any] = {"reason": f"1 power-on measured, at least 2 are needed, {LEAST_GJB} by GJB 2426A"}
+            if found.values > 1:
+                value = deviation_of(found, kind, "power-ons", noise, is_dated=row["is_dated"])
+            yield from _standards(row, kind, n, value, scatters(found, noise, kind))
 
 
-def _value(found: Scatter, kind: str, *, is_dated: bool) -> dict[str, Any]:
-    """Value with its limits, or the reason why there is none."""
-    if found.values < 2:
-        return {"reason": f"1 power-on measured, at least 2 are needed, {LEAST_GJB} by GJB 2426A"}
-    of_days = kind in {"day_to_day", "between_day_component"} or (kind != "all" and not found.within_freedom)
-    if of_days and not is_dated:
-        return {"reason": "the date is unknown, so the day is: import with the moment of the start"}
-    if kind == "all":
-        return deviation(found.square, found.values - 1)._asdict()
-    if kind != "day_to_day" and not found.within_freedom:
-        return {"reason": f"each of the {found.values} power-ons is of another day, 2 of one day are needed"}
-    if kind in {"run_to_run", "within_day_component"}:
-        return deviation(found.within, found.within_freedom)._asdict()
-    if found.groups < 2:
-        return {"reason": f"all {found.values} power-ons are of one day, 2 days are needed"}
-    if kind == "day_to_day":
-        return deviation(found.of_means, found.groups - 1)._asdict()
-    return between(found)._asdict()
+def _noise(row: Mapping[str, Any]) -> Noise:
+    """What the records' own noise adds to their scatter; records of one length are taken for alike."""
+    uncertainties, freedoms, durations = row["uncertainties"], row["freedoms"], row["durations"]
+    if max(durations) <= _LIKE * min(durations):
+        uncertainties = pooled(uncertainties, freedoms)
+    return Noise(
+        likely=means_noise(uncertainties, freedoms, row["days"]),
+        least=means_noise(row["of_white_noise"], freedoms, row["days"]),
+    )
 
 
-def _standards(row: Mapping[str, Any], kind: str, n: int, value: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def _remark(row: Mapping[str, Any]) -> str | None:
+    """What is to be known of the records and power-ons that a value rests on."""
+    remarks = []
+    short = [each for each in row["durations"] if each < LEAST_S]
+    if short:
+        lengths = " to ".join(dict.fromkeys(f"{each:.0f}" for each in (min(short), max(short))))
+        remarks.append(
+            f"{len(short)} of {len(row['durations'])} records are of {lengths} s: the clauses ask for an hour as a rule"
+        )
+    assumed = [each for each in row["counted_by"] if each != "power-on"]
+    if assumed:
+        kinds = " or ".join(sorted(set(assumed)))
+        remarks.append(f"{len(assumed)} power-ons are not recorded: each {kinds} is taken for one")
+    return "; ".join(remarks) or None
+
+
+def _standards(
+    row: Mapping[str, Any], kind: str, n: int, value: dict[str, Any], made_of: Mapping[str, float | None] = _NOT_KNOWN
+) -> Iterator[dict[str, Any]]:
     """The row, or one for each standard where only one of them is content with the number of power-ons."""
-    parameters = {"kind": kind, "position": row["position"], "power_ons": len(row["biases"])}
+    parameters = {"kind": kind, "position": row["position"], "earth_rate": row["earth_rate"]}
+    parameters |= {"power_ons": len(row["biases"]), "power_ons_recorded": row["counted_by"].count("power-on")}
+    parameters |= {"days": len(set(row["days"])) if row["is_dated"] else None, "remark": _remark(row)}
+    parameters |= made_of
     told = {name: row[name] for name in ("unit", "signal", "run", "runs", "steps")}
-    told |= {"n": n, "parameters": json_text(parameters | {"days": len(set(row["days"])) if row["is_dated"] else None})}
+    told |= {"n": n, "parameters": json_text(parameters)}
     if "component" in kind or n >= LEAST_GJB or "reason" in value:
         yield told | value
         return

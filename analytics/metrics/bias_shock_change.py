@@ -13,6 +13,7 @@ HEADER = """\
 -- unit:      deg/h
 -- better:    lower
 -- grain:     unit, signal, run, axis
+-- parameters: axis, repeat, scale_factor, axis_of_largest
 -- source:    JJF 2014-2022 7.2.18 (32)
 -- needs:     procedure bias_shock: static steps before and after a shock along X, Y and Z
 -- limits:    given

@@ -4,8 +4,9 @@
 -- unit:      deg/h
 -- better:    lower
 -- grain:     unit, signal, run, step
+-- parameters: scale_factor, position, repeat, duration_s, n_effective, remark
 -- source:    GJB 2426A-2004 5.12.2 (20)
--- needs:     a static step (procedure static_bias or bias_repeatability), at least one hour long
+-- needs:     a static step (procedure static_bias or bias_repeatability), one hour long as a rule
 -- limits:    chi_square
 -- equation:  Bs = sqrt(sum((F_i - mean(F))^2)/(n - 1))/K
 -- Of the raw samples, so it rises with the sample rate; over averages it is bias_stability_averaged. Not bias
@@ -19,7 +20,7 @@ select
   n,
   {
     scale_factor: scale_source, position: position, repeat: repeat, duration_s: round(duration_s),
-    n_effective: round(n_effective, 1)
+    n_effective: round(n_effective, 1), remark: remark
   } as parameters,
   [run] as runs,
   ["index"] as steps,

@@ -3,7 +3,6 @@
 import numpy as np
 import pyarrow as pa
 
-from analytics.metrics.product_files import products_of
 from analytics.step_records.series_statistics import AVERAGES_S, LEAST_SHARE, scatter_of_averages
 from storage.catalog import Catalog
 
@@ -14,8 +13,9 @@ HEADER = """\
 -- unit:      deg/h
 -- better:    lower
 -- grain:     unit, signal, run, step, averaging time
+-- parameters: average_s, position, repeat, scale_factor, remark
 -- source:    JJF 2014-2022 7.2.14 (29)
--- needs:     a static step (procedure static_bias or bias_repeatability), at least one hour long
+-- needs:     a static step (procedure static_bias or bias_repeatability), one hour long as a rule
 -- limits:    chi_square
 -- equation:  Bs = sqrt(sum((F_i - mean(F))^2)/(N/P - 1))/K, F_i means over P seconds
 """
@@ -35,8 +35,9 @@ select unit, signal, run,
   case when lack is null then nullif(sd_of * abs(deg_per_h), 0) end as value,
   freedom_of as freedom,
   coalesce(averages, 0) as n,
-  to_json({average_s: average_s, position: position, repeat: repeat, scale_factor: scale_source})::varchar
-    as parameters,
+  to_json({
+    average_s: average_s, position: position, repeat: repeat, scale_factor: scale_source, remark: remark
+  })::varchar as parameters,
   [run] as runs, ["index"] as steps,
   coalesce(lack, case
     when sd_of is null then coalesce(averages, 0) || ' averages of ' || replace(average_s::varchar, '.0', '')
@@ -49,8 +50,9 @@ order by unit, signal, run, "index", average_s
 """
 
 _ASKED = """
-select s.run, s.unit, s.signal, s."index", s.t_from_ns, s.t_to_ns, s.product from bias_steps s
-where s.lack is null and s.product in (select unnest($products))
+select s.run, s.unit, s.signal, s."index", s.t_from_ns, s.t_to_ns, p.average_s
+from bias_steps s join run_products p on p.unit = s.unit and p.run = s.run
+where s.lack is null and p.average_s is not null and not list_contains($usual, p.average_s)
 order by s.unit, s.signal, s.run, s."index"
 """
 
@@ -89,14 +91,9 @@ def compute(catalog: Catalog) -> pa.Table:
 
 def _products_averages(catalog: Catalog) -> pa.Table:
     """Averages over the time that a step's product asks for: how many, their deviation, its degrees of freedom."""
-    asked = {
-        name: round(each.average_s * 1e9)
-        for name, each in products_of(catalog.store).by_name.items()
-        if each.average_s is not None and each.average_s not in AVERAGES_S
-    }
-    steps = catalog.reader(_ASKED, {"products": list(asked)}).read_all().to_pylist() if asked else []
+    steps = catalog.reader(_ASKED, {"usual": list(AVERAGES_S)}).read_all().to_pylist()
     for which, step in enumerate(steps):
-        average_ns = asked[step["product"]]
+        average_ns = round(step["average_s"] * 1e9)
         base_ns = next(base for base in _SOURCES if average_ns % base == 0)
         step |= {"which": which, "average_ns": average_ns, "base_ns": base_ns, "average_s": average_ns / 1e9, "n": 0}
     if steps:

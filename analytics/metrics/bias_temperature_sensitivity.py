@@ -13,6 +13,8 @@ HEADER = """\
 -- unit:      deg/h/degC
 -- better:    lower
 -- grain:     unit, signal, run
+-- parameters: room_temperature_deg_c, temperature_source, points
+-- parameters: position, repeat, scale_factor, temperature_deg_c_of_largest
 -- source:    GJB 2426A-2004 5.12.4 (22); JJF 2014-2022 7.2.16 (31)
 -- needs:     procedure bias_temperature_sensitivity: static steps at several temperatures, one of them room temperature
 -- limits:    given

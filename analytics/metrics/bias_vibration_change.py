@@ -13,6 +13,7 @@ HEADER = """\
 -- unit:      deg/h
 -- better:    lower
 -- grain:     unit, signal, run, axis
+-- parameters: axis, repeat, scale_factor, axis_of_largest
 -- source:    JJF 2014-2022 7.2.19 (33)
 -- needs:     procedure bias_vibration: static steps before and after a vibration along X, Y and Z
 -- limits:    given

@@ -4,6 +4,7 @@
 -- unit:      1
 -- better:    neither
 -- grain:     unit, entered record
+-- parameters: item, verdict, lower, upper, by, note, at
 -- source:    GJB 2426A-2004 5.3
 -- needs:     entered checks of other items than visual: insulation_resistance, impedance, dielectric_strength
 -- limits:    given

@@ -2,32 +2,32 @@
 
 import hashlib
 import json
-import os
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from analytics.metrics.header import Limits
 from analytics.metrics.largest_magnitude import json_text
 from analytics.metrics.limits_of_value import chi_square_limits, deviation_uncertainty, t_limits
-from analytics.metrics.product_files import products_of
 from analytics.metrics.registry import Metric, metrics
 from analytics.metrics.scale_factor import keep_scale_fits
+from analytics.specification_tables import put_specifications
 from analytics.step_records import FOLDER
+from analytics.step_records.kept_file import read_kept, write_kept
 from analytics.step_records.step_table import Told, step_means
-from storage.catalog import Catalog
+from storage.catalog import Catalog, NotKept
 from stream.errors import UnknownUnit
 from stream.quantities import conversion, is_angular_rate
 
 _NO_JSON = "NaN|Infinity"
-_FILE = "unit_metrics.parquet"
+FILE = "unit_metrics.parquet"
 # evaluated before the others, which use the tables that it leaves
 _FIRST = "scale_factor"
 _TOO_LITTLE = "the steps hold too little to compute it"
@@ -62,7 +62,11 @@ order by metric, unit, signal nulls first, run nulls first, parameters nulls fir
   reason
 """
 _NO_SCALES = pa.schema(
-    [*((name, pa.string()) for name in ("unit", "signal", "run")), ("value", pa.float64()), ("t_to_ns", pa.int64())]
+    [
+        *((name, pa.string()) for name in ("unit", "signal", "run", "output_unit")),
+        ("value", pa.float64()),
+        ("t_to_ns", pa.int64()),
+    ]
 ).empty_table()
 # In the kept file's own words: what each unit's rows were computed from.
 _PRINTS = b"gyrofleet.units"
@@ -89,12 +93,13 @@ def unit_metrics(catalog: Catalog, told: Told | None = None) -> pa.Table:
         anew they are the same to the last bit.
     """
     steps = step_means(catalog, told)
-    products = products_of(catalog.store)
-    prints = _unit_fingerprints(steps, products.fingerprint, _entered(catalog))
-    table, known = _kept(catalog)
+    define_views(catalog, steps)
+    prints = _unit_fingerprints(steps, _entered(catalog), _products(catalog))
+    table, known = kept_metrics(catalog.kept)
     fresh = {unit for unit, mark in known.items() if prints.get(unit) == mark}
     stale = sorted(prints.keys() - fresh)
-    define_views(catalog, steps, products.scales)
+    if catalog.frozen and (stale or len(fresh) < len(known)):
+        raise NotKept
     if len(fresh) < len(known):
         table = _of_units(table, fresh)
     if stale:
@@ -115,10 +120,10 @@ def unit_metrics(catalog: Catalog, told: Told | None = None) -> pa.Table:
     return table
 
 
-def define_views(catalog: Catalog, steps: pa.Table, product_scales: pa.Table) -> None:
+def define_views(catalog: Catalog, steps: pa.Table) -> None:
     """Define the tables and views that the metrics stand on."""
     catalog.put("step_means", steps)
-    catalog.put("product_scales", product_scales)
+    put_specifications(catalog)
     catalog.put("rate_units", _rate_units(steps))
     catalog.put("scale_factors", _NO_SCALES)
     folder = files("analytics.metrics").joinpath("views")
@@ -229,17 +234,26 @@ def _entered(catalog: Catalog) -> dict[str, str]:
     return {str(unit): str(mark) for unit, mark in found}
 
 
-def _unit_fingerprints(steps: pa.Table, products: str, entered: Mapping[str, str]) -> dict[str, str]:
-    """What a unit's metrics depend on: its records and checks, the products' numbers, how metrics are written."""
+def _products(catalog: Catalog) -> dict[str, str]:
+    """The numbers of each unit's product in its runs, as a hash."""
+    found = catalog.rows(
+        "select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from run_products p group by unit"
+    )
+    return {str(unit): str(mark) for unit, mark in found}
+
+
+def _unit_fingerprints(steps: pa.Table, *parts: Mapping[str, str]) -> dict[str, str]:
+    """What a unit's metrics depend on: its records and `parts` of other things, and how metrics are written."""
     runs: defaultdict[str, set[str]] = defaultdict(set)
-    for unit, mark in entered.items():
-        runs[unit].add(mark)
+    for part in parts:
+        for unit, mark in part.items():
+            runs[unit].add(mark)
     pairs = steps.select(["unit", "fingerprint"]).group_by(["unit", "fingerprint"]).aggregate([])
     for unit, mark in zip(pairs["unit"].to_pylist(), pairs["fingerprint"].to_pylist(), strict=True):
         runs[unit].add(mark)
     written = _written()
     return {
-        unit: hashlib.sha256("/".join([written, products, *sorted(marks)]).encode()).hexdigest()[:32]
+        unit: hashlib.sha256("/".join([written, *sorted(marks)]).encode()).hexdigest()[:32]
         for unit, marks in runs.items()
     }
 
@@ -254,26 +268,19 @@ def _written() -> str:
     return found.hexdigest()
 
 
-def _kept(catalog: Catalog) -> tuple[pa.Table, dict[str, str]]:
-    """What was kept, and for each unit what it was computed from."""
-    # it is derived: what is missing, damaged or of another version is made anew
-    with suppress(OSError, pa.ArrowException, ValueError, KeyError, TypeError):
-        table = pq.read_table(catalog.store.folder / FOLDER / _FILE)
-        known = dict(json.loads(table.schema.metadata[_PRINTS]))
-        return table.replace_schema_metadata(None).cast(COLUMNS), known
+def kept_metrics(folder: Path) -> tuple[pa.Table, dict[str, str]]:
+    """What was kept below a folder, and for each unit what it was computed from."""
+    table = read_kept(folder / FOLDER / FILE)
+    if table is not None:
+        with suppress(pa.ArrowException, ValueError, KeyError, TypeError):  # of another version
+            known = dict(json.loads(table.schema.metadata[_PRINTS]))
+            return table.replace_schema_metadata(None).cast(COLUMNS), known
     return COLUMNS.empty_table(), {}
 
 
 def _keep(catalog: Catalog, table: pa.Table, prints: Mapping[str, str]) -> None:
-    folder = catalog.store.folder / FOLDER
-    with suppress(OSError):
-        folder.mkdir(exist_ok=True)
-        fresh = folder / f"{_FILE}.{os.getpid()}.part"
-        try:
-            pq.write_table(table.replace_schema_metadata({_PRINTS: json.dumps(prints)}), fresh, compression="zstd")
-            fresh.replace(folder / _FILE)
-        finally:
-            fresh.unlink(missing_ok=True)
+    if not catalog.frozen:
+        write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_PRINTS: json.dumps(prints)}))
 
 
 def row_of(row: Mapping[str, Any]) -> dict[str, Any]:

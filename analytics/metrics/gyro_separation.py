@@ -14,6 +14,7 @@ HEADER = """\
 -- unit:      arcsec
 -- better:    lower
 -- grain:     unit, signal, run, angle
+-- parameters: angle, scale_factor, steps_at_each, rms
 -- source:    HIT 2012 (2)-(9)
 -- needs:     procedure gyro_separation: five positions of gyro and fixture, whole turns of the table in both directions
 -- limits:    given

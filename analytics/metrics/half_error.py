@@ -22,21 +22,24 @@ class Direction(NamedTuple):
         Magnitudes of the differences between output (over the scale factor) and input.
     u, freedom : array
         Standard uncertainties of the differences and their degrees of freedom.
+    independent : int, optional
+        How many of the differences are independent, where they are of a curve; else all are.
     """
 
     size: FloatArray
     error: FloatArray
     u: FloatArray
     freedom: FloatArray
+    independent: int | None = None
 
 
 def direction_of(points: Sequence[Mapping[str, float | None]]) -> Direction:
     """Points with ``size, error, u, freedom`` as arrays; an unknown uncertainty is none at all."""
-    columns = (
+    size, error, u, freedom = (
         np.array([each[name] if each[name] is not None else missing for each in points], np.float64)
         for name, missing in (("size", np.nan), ("error", np.nan), ("u", 0.0), ("freedom", 1.0))
     )
-    return Direction(*columns)
+    return Direction(size, error, u, freedom)
 
 
 def smallest_within_half(directions: Mapping[str, Direction]) -> dict[str, Any]:
@@ -82,7 +85,7 @@ def _of_direction(points: Direction) -> tuple[float | None, float, float | None]
     """Smallest input within 50 %, and its limits."""
     order = np.argsort(-points.size, kind="stable")
     size, error = points.size[order], points.error[order]
-    half = joint_half_widths(points.u[order], points.freedom[order])
+    half = joint_half_widths(points.u[order], points.freedom[order], points.independent)
     surely_fails = error - half > _SHARE * size
     lo = float(size[np.argmax(surely_fails)]) if surely_fails.any() else 0.0
     return _last_of_run(error <= _SHARE * size, size), lo, _last_of_run(error + half <= _SHARE * size, size)

@@ -47,6 +47,8 @@ class MetricHeader(NamedTuple):
         ``lower``, ``higher`` or ``neither``.
     grain : str
         What one value is of, such as ``unit, signal, run``.
+    parameters : tuple of str
+        Names in the values' parameters, by which limits tell values apart; may be written in several lines.
     sources : tuple of Source
         Clauses.
     needs : str
@@ -63,6 +65,7 @@ class MetricHeader(NamedTuple):
     unit: str
     better: str
     grain: str
+    parameters: tuple[str, ...]
     sources: tuple[Source, ...]
     needs: str
     limits: Limits
@@ -95,22 +98,26 @@ def parse_header(text: str, where: str) -> MetricHeader:
     ... -- unit: deg/h
     ... -- better: neither
     ... -- grain: unit, signal, run
+    ... -- parameters: earth_rate, position
     ... -- source: GJB 2426A-2004 5.12.1 (19); JJF 2014-2022 7.2.13 (27)(28)
     ... -- needs: a static step
     ... -- limits: t
     ... -- equation: B0 = mean(F)/K
     ... select 1''', "bias.sql")
-    >>> header.standard, header.sources[1]
-    ('GJB2426A, JJF2014', Source(standard='JJF2014', clause='7.2.13 (27)(28)'))
+    >>> header.standard, header.sources[1], header.parameters
+    ('GJB2426A, JJF2014', Source(standard='JJF2014', clause='7.2.13 (27)(28)'), ('earth_rate', 'position'))
     """
     said: dict[str, str] = {}
+    parameters: list[str] = []
     for line in text.splitlines():
         if not line.startswith("--"):
             break
         match = _LINE.fullmatch(line)
-        if match is not None:
+        if match is not None and match[1] == "parameters":
+            parameters += [name.strip() for name in match[2].split(",")]
+        elif match is not None:
             said.setdefault(match[1], match[2])
-    missing = [name for name in MetricHeader._fields if name not in said and name != "sources"]
+    missing = [name for name in MetricHeader._fields if name not in said and name not in {"sources", "parameters"}]
     if missing or "source" not in said:
         raise MetricError(f"metric {where}: its header lacks {', '.join(missing or ['source'])}")
     if said["better"] not in {"lower", "higher", "neither"} or said["limits"] not in set(Limits):
@@ -119,6 +126,7 @@ def parse_header(text: str, where: str) -> MetricHeader:
         **{name: said[name] for name in ("id", "en", "zh", "unit", "better", "grain", "needs", "equation")},
         sources=tuple(_source(each, where) for each in said["source"].split(";")),
         limits=Limits(said["limits"]),
+        parameters=tuple(parameters),
     )
 
 

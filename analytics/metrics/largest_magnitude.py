@@ -76,9 +76,12 @@ def _largest(members: list[Mapping[str, Any]], *, signed: bool) -> dict[str, Any
     }
 
 
-def joint_half_widths(u: FloatArray, freedom: FloatArray) -> FloatArray:
-    """Half widths of limits that hold for all values together: t at 1 - (1 - confidence)/(2 m), times u."""
-    tail = (1 - CONFIDENCE) / 2 / len(u)
+def joint_half_widths(u: FloatArray, freedom: FloatArray, independent: int | None = None) -> FloatArray:
+    """Half widths of limits that hold for all values together: t at 1 - (1 - confidence)/(2 m), times u.
+
+    m is the number of values, or of those that are `independent`.
+    """
+    tail = (1 - CONFIDENCE) / 2 / (independent or len(u))
     return np.asarray(stats.t.isf(tail, np.maximum(np.nan_to_num(freedom, nan=1.0), 1.0)) * u, dtype=np.float64)
 
 

@@ -7,7 +7,9 @@ from analytics.step_records import FOLDER
 
 if TYPE_CHECKING:
     from storage.catalog import Catalog
+    from storage.findings import Finding
     from storage.sql_columns import Words
+    from storage.store import Store
 
 
 class MetricsLayer:
@@ -18,8 +20,8 @@ class MetricsLayer:
 
     tables = (
         "step_means", "rate_steps", "static_steps", "unit_metrics", "bias_by_day", "temperature_curve", "unit_runs",
-        "metric_names", "specification_limits", "verdicts", "unit_verdicts", "yield_by", "failure_pareto",
-        "unit_warnings",
+        "metric_names", "specification_limits", "specification_history", "verdicts", "unit_verdicts", "yield_by",
+        "failure_pareto", "unit_warnings", "unused_steps",
     )  # fmt: skip
     folder = FOLDER
     examples: ClassVar[dict[str, str]] = {
@@ -51,12 +53,18 @@ class MetricsLayer:
         unit_metrics(catalog, catalog.told)
         define_tables(catalog)
 
+    def findings(self, store: "Store") -> "list[Finding]":
+        """What is wrong with the metrics that the store keeps."""
+        from analytics.metrics.kept_check import kept_findings
+
+        return kept_findings(store)
+
 
 def define_tables(catalog: "Catalog") -> None:
     """Define what stands on the step records and metrics of a catalogue, and on the specifications of its store."""
-    from analytics.specification_tables import put_specifications
+    from analytics.specification_tables import put_names
 
-    put_specifications(catalog)
+    put_names(catalog)
     folder = files("analytics.metrics").joinpath("tables")
     for script in sorted(folder.iterdir(), key=lambda each: each.name):
         if script.name.endswith(".sql"):

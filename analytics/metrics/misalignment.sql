@@ -4,6 +4,7 @@
 -- unit:      arcmin
 -- better:    lower
 -- grain:     unit, signal, run, positions, repeat
+-- parameters: procedure, repeat, positions, rate_deg_per_s, towards_x_arcmin, towards_y_arcmin, arcsec, scale_factor
 -- source:    GJB 2426A-2004 5.15 (47)-(49); JJF 2014-2022 7.2.11 (19)-(25)
 -- needs:     both directions of a rate with ox up and oy up; against the fixture's error also turned 180 deg about IRA
 -- limits:    given

@@ -4,6 +4,7 @@
 -- unit:      arcmin
 -- better:    lower
 -- grain:     unit, signal, run (or all runs of the unit, then no run is named)
+-- parameters: misalignments, mean_arcmin
 -- source:    JJF 2014-2022 7.2.12 (26)
 -- needs:     the misalignment in four positions, Q >= 7 times
 -- limits:    chi_square

@@ -24,6 +24,7 @@ HEADER = """\
 -- unit:      ms
 -- better:    lower
 -- grain:     unit, signal, run
+-- parameters: bandwidth_hz, misfit_rad, position, axis, reference, frequencies, records, sample_rate_hz
 -- source:    GJB 2426A-2004 5.14 (42)-(46); JJF 2014-2022 7.2.22 (44)-(50)
 -- needs:     procedure bandwidth, with the table's rate or angle recorded as fast as the units
 -- limits:    t

@@ -4,6 +4,7 @@
 -- unit:      1
 -- better:    neither
 -- grain:     unit, signal, run
+-- parameters: repeat, position, rate_deg_per_s, forwards, backwards
 -- source:    GJB 2426A-2004 5.7
 -- needs:     procedure polarity: a rate along the positive input axis, and the other way
 -- limits:    given

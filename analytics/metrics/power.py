@@ -19,6 +19,7 @@ HEADER = """\
 -- unit:      W
 -- better:    lower
 -- grain:     unit, run, step, supply
+-- parameters: supply, step
 -- source:    GJB 2426A-2004 5.4
 -- needs:     procedure power_consumption with supply_voltage (V) and supply_current (A) of the unit or of its supply
 -- limits:    t

@@ -4,6 +4,8 @@
 -- unit:      deg/s
 -- better:    higher
 -- grain:     unit, signal, run, position, temperature, repeat
+-- parameters: procedure, repeat, temperature_command, room, position
+-- parameters: axis, phase, temperature, nonlinearity_ppm, largest_rate_deg_per_s
 -- source:    GJB 2426A-2004 5.9; JJF 2014-2022 7.2.2
 -- needs:     rates as of a scale factor, and the product's limit nonlinearity_ppm
 -- limits:    given

@@ -14,6 +14,7 @@ HEADER = """\
 -- unit:      deg/h
 -- better:    lower
 -- grain:     unit, signal, run, repeat
+-- parameters: repeat, base_rate_deg_per_h, scale_factor
 -- source:    GJB 2426A-2004 5.11 (18); JJF 2014-2022 7.2.10 (18)
 -- needs:     procedure resolution: falling increments upon a base rate in both directions
 -- limits:    given
@@ -49,7 +50,7 @@ select g.run, g.unit, g.signal, g.repeat,
       error: abs((p.input - base_rate) - (p.output - base_output)), u: sqrt(p.u ** 2 + u_base ** 2), freedom: p.freedom}
     for p in points if p.input <> base_rate] order by is_forward)) as compared,
   sum(n)::bigint as n, list_sort(flatten(list(steps order by is_forward))) as steps
-from gathered g left join products p on p.product = g.product
+from gathered g left join run_products p on p.unit = g.unit and p.run = g.run
 group by g.run, g.unit, g.signal, g.repeat order by g.run, g.unit, g.signal, g.repeat
 """
 

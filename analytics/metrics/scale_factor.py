@@ -3,10 +3,6 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import msgspec
-import pyarrow as pa
-
-from analytics.metrics.product_files import products_of
 from storage.catalog import Catalog
 
 HEADER = """\
@@ -16,6 +12,8 @@ HEADER = """\
 -- unit:      1
 -- better:    neither
 -- grain:     unit, signal, run, position, temperature, repeat
+-- parameters: procedure, repeat, temperature_command, room, position
+-- parameters: axis, phase, temperature, rates, largest_rate_deg_per_s, remark
 -- source:    GJB 2426A-2004 5.8.1 (1)-(6); JJF 2014-2022 7.2.1 (2)-(5); JJF 1536-2015 7.1 (10)-(15)
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    t
@@ -26,7 +24,23 @@ _LINES = "create or replace table scale_fits as select * from scale_lines('scale
 _USABLE = "select * from measured_scale_factors('scale_fits')"
 
 # What is subtracted at rest moves F0 and not K: the standards differ only in what they ask for.
+# A measurement that no standard is content with has a value too, under no clause's name.
 _SQL = """
+with formed as (
+  select * exclude (words), words, null::varchar as remark,
+    case standard when 'GJB2426A' then '5.8.1 (1)-(6)' when 'JJF2014' then '7.2.1 (2)-(5)' else '7.1 (10)-(15)' end
+      as clause
+  from scale_results('scale_fits')
+), lacking as (
+  select run, unit, signal, steps, string_agg(standard || ': ' || lack, '; ' order by standard) as remark
+  from formed group by all having bool_and(lack is not null)
+), every as (
+  select * from formed
+  union all by name
+  select f.*, 'informative' as standard, 'least-squares line' as clause, l.remark
+  from scale_fits f join lacking l using (run, unit, signal, steps)
+  where isfinite(f.k)
+)
 select
   unit, signal, run,
   case when lack is null then k end as value,
@@ -35,19 +49,17 @@ select
   freedom_k as freedom,
   n,
   to_json(struct_insert(words, temperature := round(temperature, 2), rates := n_points,
-    largest_rate_deg_per_s := largest_rate))::varchar as parameters,
-  [run] as runs, steps, standard,
-  case standard when 'GJB2426A' then '5.8.1 (1)-(6)' when 'JJF2014' then '7.2.1 (2)-(5)' else '7.1 (10)-(15)' end
-    as clause,
-  lack as reason
-from scale_results('scale_fits')
+    largest_rate_deg_per_s := largest_rate, remark := remark))::varchar as parameters,
+  [run] as runs, steps, standard, clause, lack as reason
+from every
 """
 
 
 def compute(catalog: Catalog) -> Iterable[Mapping[str, Any]]:
     """Rows of the metric, a row for each measurement and standard.
 
-    The unit of a value is that of the output over deg/s, and 1 where the output is a rate.
+    The unit of a value is that of the output over deg/s, and 1 where the output is a rate. Where no standard is content
+    with the measurement, a row of the standard ``informative`` has the value of the line, and its `remark` says why.
     """
     keep_scale_fits(catalog)
     rows: list[dict[str, Any]] = catalog.reader(_SQL).read_all().to_pylist()
@@ -57,18 +69,7 @@ def compute(catalog: Catalog) -> Iterable[Mapping[str, Any]]:
 def keep_scale_fits(catalog: Catalog) -> None:
     """Make the tables on which other metrics stand, from the ``step_means`` that are in the catalogue.
 
-    They are ``products``, the lines ``scale_fits``, and the ``scale_factors`` that may be used from then on.
+    They are the lines ``scale_fits``, and the ``scale_factors`` that may be used from then on.
     """
-    catalog.put("products", _products(catalog))
     catalog.define(_LINES)
     catalog.put("scale_factors", catalog.reader(_USABLE).read_all())
-
-
-def _products(catalog: Catalog) -> pa.Table:
-    """What the specifications in the store say of products."""
-    numbers = ("max_rate_deg_per_s", "nonlinearity_ppm", "expected_threshold_deg_per_h")
-    schema = pa.schema([("product", pa.string()), *((name, pa.float64()) for name in numbers)])
-    known = products_of(catalog.store).by_name
-    return pa.Table.from_pylist(
-        [{"product": name} | msgspec.structs.asdict(each) for name, each in known.items()], schema
-    )

@@ -4,6 +4,7 @@
 -- unit:      1/g
 -- better:    neither
 -- grain:     unit, signal, run, repeat
+-- parameters: procedure, repeat, up, down, ppm_per_g
 -- source:    JJF 2014-2022 7.2.6
 -- needs:     scale factors with the input reference axis up and down, at least 11 rates in each direction
 -- limits:    t

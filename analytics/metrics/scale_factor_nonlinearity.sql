@@ -4,6 +4,8 @@
 -- unit:      ppm
 -- better:    lower
 -- grain:     unit, signal, run, position, temperature, repeat
+-- parameters: procedure, repeat, temperature_command, room, position
+-- parameters: axis, phase, temperature, rate_of_maximum_deg_per_s, largest_rate_deg_per_s
 -- source:    GJB 2426A-2004 5.8.2 (7)-(9); JJF 2014-2022 7.2.2 (6)-(8)
 -- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
 -- limits:    given

@@ -1,10 +1,11 @@
 """Scale-factor repeatability: all together, from run to run, from day to day, and its components of variance."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from analytics.metrics.largest_magnitude import json_text
-from analytics.metrics.variance_components import Scatter, between, deviation, scatter
+from analytics.metrics.repeatability import KINDS, deviation_of
+from analytics.metrics.variance_components import Scatter, scatter
 from storage.catalog import Catalog
 
 HEADER = """\
@@ -14,13 +15,13 @@ HEADER = """\
 -- unit:      ppm
 -- better:    lower
 -- grain:     unit, signal, run (or all runs of the unit, then no run is named), kind
+-- parameters: kind, scale_factors, mean, days
 -- source:    GJB 2426A-2004 5.8.4 (12); JJF 2014-2022 7.2.4 (10)
 -- needs:     Q scale factors, the unit off and cooled in between; GJB: Q >= 6
 -- limits:    given
 -- equation:  K_r = sqrt(sum((K_i - mean(K))^2)/(Q - 1))/mean(K)
 """
 
-KINDS = ("all", "run_to_run", "day_to_day", "within_day_component", "between_day_component")
 _CLAUSES = {"GJB2426A": "5.8.4 (12)", "JJF2014": "7.2.4 (10)"}
 # GJB asks for 6 measurements, JJF 2014 leaves Q open
 _LEAST = {"GJB2426A": 6, "JJF2014": 2}
@@ -68,7 +69,8 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     Notes
     -----
     The kinds are those of the bias repeatability, of the relative scale factors K_i/mean(K). ``run_to_run`` is the
-    deviation within a day, pooled over days; ``day_to_day`` that of the means of days.
+    deviation within a day, pooled over days; ``day_to_day`` that of the means of days. The uncertainty of the K_i is
+    not taken off: most of it is nonlinearity, which is the same in all.
     """
     for row in catalog.reader(_SQL).read_all().to_pylist():
         scales, days = row["scales"] or [], row["days"] or []
@@ -82,6 +84,18 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
             yield told | {"parameters": json_text({"kind": kind} | parameters)} | _value(row, found, kind)
 
 
+def _lack_of_repeats(days: Sequence[str], kind: str, least: int, *, is_dated: bool) -> str | None:
+    """Why there are too few measurements of this kind: from day to day days count, from run to run those of one day."""
+    if not is_dated or least <= 2:
+        return None
+    if kind == "day_to_day" and 1 < len(set(days)) < least:
+        return f"scale factors of {len(set(days))} days, {least} or more are asked for"
+    repeated = sum(1 for day in days if days.count(day) > 1)
+    if kind == "run_to_run" and 0 < repeated < least:
+        return f"{repeated} scale factors on days with more than one, {least} or more are asked for"
+    return None
+
+
 def _value(row: Mapping[str, Any], found: Scatter, kind: str) -> dict[str, Any]:
     """Value with its limits, or the reason why there is none."""
     least = _LEAST[row["standard"]]
@@ -90,17 +104,6 @@ def _value(row: Mapping[str, Any], found: Scatter, kind: str) -> dict[str, Any]:
     if found.values < least:
         short = f"{found.values} scale factors measured, {least} or more are asked for"
         return {"reason": short if row["lack"] is None else f"{short}; {row['lack']}"}
-    if kind == "all":
-        return deviation(found.square, found.values - 1)._asdict()
-    of_days = kind in {"day_to_day", "between_day_component"} or not found.within_freedom
-    if of_days and not row["is_dated"]:
-        return {"reason": "the date is unknown, so the day is: import with the moment of the start"}
-    if kind != "day_to_day" and not found.within_freedom:
-        return {"reason": f"{found.values} scale factors on {found.groups} days, 2 on the same day are needed"}
-    if kind in {"run_to_run", "within_day_component"}:
-        return deviation(found.within, found.within_freedom)._asdict()
-    if found.groups < 2:
-        return {"reason": f"all {found.values} scale factors are of one day, 2 days are needed"}
-    if kind == "day_to_day":
-        return deviation(found.of_means, found.groups - 1)._asdict()
-    return between(found)._asdict()
+    if (lack := _lack_of_repeats(row["days"] or [], kind, least, is_dated=row["is_dated"])) is not None:
+        return {"reason": lack}
+    return deviation_of(found, kind, "scale factors", is_dated=row["is_dated"])

@@ -4,6 +4,7 @@
 -- unit:      ppm/degC
 -- better:    lower
 -- grain:     unit, signal, run
+-- parameters: procedure, position, repeat, points, temperature_of_maximum, room_temperature
 -- source:    GJB 2426A-2004 5.8.5 (13); JJF 2014-2022 7.2.5 (11)
 -- needs:     scale factors at room temperature and at other temperatures
 -- limits:    given
@@ -15,12 +16,16 @@
 with tested as (
   select *, count(distinct coalesce(temperature_command, 1e9)) over test as temperatures,
     bool_or(room) over test as says_room,
-    min(abs(coalesce(temperature_command, temperature) - 20)) over test as nearest
+    coalesce(temperature_command, temperature) as set_to,
+    min(abs(coalesce(temperature_command, temperature) - 20)) over test as nearest,
+    -- of two that are as near, the one that was measured first
+    arg_min(coalesce(temperature_command, temperature), (abs(coalesce(temperature_command, temperature) - 20), steps))
+      over test as room_set_to
   from scale_results('scale_fits') where standard <> 'JJF1536' and phase is null
   window test as (partition by run, unit, signal, "procedure", position, repeat, standard)
 ), marked as (
   select *, case when says_room then room
-    else coalesce(abs(coalesce(temperature_command, temperature) - 20) = nearest and nearest <= 10, false) end
+    else coalesce(set_to = room_set_to and nearest <= 10, false) end
       as is_room
   from tested
   where regexp_matches("procedure", '^scale_factor_temperature') or (temperatures > 1

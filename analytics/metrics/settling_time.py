@@ -8,7 +8,6 @@ import numpy as np
 import pyarrow as pa
 
 from analytics.metrics.largest_magnitude import json_text
-from analytics.metrics.product_files import products_of
 from analytics.step_records.series_statistics import series_statistics
 from storage.catalog import Catalog
 from stream.batch import FloatArray, IntArray
@@ -33,15 +32,17 @@ with zero as (
 )
 select s.unit, s.signal, s.run, s."index", s.position, s.rate_command, s.is_rate, s.on_ns, s.t_to_ns, s.n, s.product,
   s.unit_of_measure, s.time_since_power_on_s is not null as is_powered, g.kept_raw < g.samples as is_dropped,
-  coalesce(case when s.is_rate then 3600 / f.value end, s.deg_per_h) as deg_per_h,
+  coalesce(case when s.is_rate then coalesce(s.rate_factor, 3600) / f.value end, s.deg_per_h) as deg_per_h,
   case when not s.is_rate then 0 when f.value is not null then s.input_rate * 3600 end
     -- the axis of a rate table stands upright
-    + case when s.is_rate and s.position is null then earth_projection('IRA_up', s.latitude_deg)
-      else earth_projection(s.position, s.latitude_deg) end + z.bias as expected,
+    + case when s.is_rate and s.position is null then earth_projection('IRA_up', s.latitude_deg, s.signal)
+      else earth_projection(s.position, s.latitude_deg, s.signal) end + z.bias as expected,
   z.u_deg_per_h as expected_u, z.run as zero_run
 from test s
 join signals g on g.run = s.run and g.unit = s.unit and g.signal = s.signal
-asof left join scale_factors f on f.unit = s.unit and f.signal = s.signal and f.t_to_ns <= s.on_ns
+asof left join scale_factors f
+  on f.unit = s.unit and f.signal = s.signal and f.t_to_ns <= s.on_ns
+  and f.output_unit = case when s.rate_factor is null then s.unit_of_measure else 'deg/s' end
 asof left join zero z on z.unit = s.unit and z.signal = s.signal and z.t_to_ns <= s.on_ns
 order by s.run, s.unit, s.signal, s."index"
 """
@@ -82,13 +83,14 @@ def settling_times(catalog: Catalog, procedure: str) -> Iterator[dict[str, Any]]
     reference's uncertainty does: they are the times for a band that is wider and narrower by 1.96 times that.
     """
     tests = catalog.reader(_TESTS.format(procedure=procedure)).read_all().to_pylist()
-    bands = {name: each.startup_band_deg_per_h for name, each in products_of(catalog.store).by_name.items()}
+    known = catalog.rows("select unit, run, startup_band_deg_per_h from run_products")
+    bands = {(unit, of_run): band for unit, of_run, band in known}
     found = []
     for run, group in groupby(tests, key=lambda test: test["run"]):
         of_run = list(group)
         series = _series(catalog, run, of_run)
         for which, test in enumerate(of_run):
-            found.append(_row(test, bands.get(test["product"]), series.get(which)))
+            found.append(_row(test, bands.get((test["unit"], run)), series.get(which)))
     yield from found
     for _, group in groupby(found, key=lambda row: (row["run"], row["unit"], row["signal"])):
         yield _largest(list(group))

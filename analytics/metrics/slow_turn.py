@@ -10,6 +10,10 @@ from storage.catalog import Catalog
 from stream.batch import FloatArray
 
 _LEAST_DEG = 350.0
+# how well the fit is known at its least input, over that: half is what is judged
+_SHARE = 1 / 6
+_FINER = 1.1
+_EVALUATED = 200
 _QUARTERS = ("north towards crossing", "crossing towards south", "south towards crossing", "crossing towards north")
 
 _TURNS = """
@@ -66,23 +70,62 @@ def threshold_in_turn(t_s: FloatArray, output: FloatArray, turn_deg_per_s: float
     Notes
     -----
     The zero and the phase are those of the sine fitted to the turn. Each quarter of the turn ends or begins at one of
-    the four candidates about the two crossings, the largest of which is the threshold. The outputs are means of 1 s;
-    the scatter about the sine is their uncertainty.
+    the four candidates about the two crossings, the largest of which is the threshold. What departs from the sine is
+    judged by a fit over the quarter, not sample by sample: straight pieces over the input, an octave long, down to the
+    input at which the fit is known to a sixth of it; smaller ones are not judged. The uncertainty of a sample is its
+    noise from second to second.
     """
     angle = np.radians(turn_deg_per_s) * t_s
     design = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=1)
     (zero, in_phase, across), *_ = np.linalg.lstsq(design, output, rcond=None)
     phase = np.mod(angle + np.arctan2(-across, in_phase), 2 * np.pi)
     rate = level * np.cos(phase)
-    error = np.abs(rate - (output - zero))
-    u = float(np.std(output - design @ np.array([zero, in_phase, across]), ddof=3))
+    error = rate - (output - zero)
+    u = float(np.std(np.diff(error)) / np.sqrt(2))
     quarter = np.minimum((phase // (np.pi / 2)).astype(int), 3)
     is_input = np.abs(rate) > 0
     parts = {name: np.flatnonzero((quarter == i) & is_input) for i, name in enumerate(_QUARTERS)}
-    freedom = float(t_s.size - 3)
-    return smallest_within_half(
-        {
-            name: Direction(np.abs(rate[at]), error[at], np.full(at.size, u), np.full(at.size, freedom))
-            for name, at in parts.items()
-        }
-    )
+    freedom = float(t_s.size - 3) / 1.5  # of a variance from differences of neighbours
+    groups = {name: _fitted(np.abs(rate[at]), error[at], u, freedom) for name, at in parts.items()}
+    empty = [name for name, each in groups.items() if not each.size.size]
+    if empty:
+        return {"reason": f"noise of {u:.3g} deg/h in means of 1 s hides the Earth's rate {' and '.join(empty)}"}
+    return smallest_within_half(groups)
+
+
+def _fitted(size: FloatArray, error: FloatArray, u: float, freedom: float) -> Direction:
+    """Error over the input in a quarter: straight pieces between knots an octave apart, down to what noise allows."""
+    least, found = float(size.max()), None
+    while (narrower := _pieces(size, error, u, least / _FINER)) is not None:
+        least, found = least / _FINER, narrower
+    if found is None:
+        nothing = np.empty(0)
+        return Direction(nothing, nothing, nothing, nothing)
+    knots, values, covariance = found
+    inputs = np.geomspace(knots[0], knots[-1], _EVALUATED)
+    hats = _hats(inputs, knots)
+    spread = np.sqrt(np.einsum("ij,jk,ik->i", hats, covariance, hats))
+    return Direction(inputs, np.abs(hats @ values), spread, np.full(_EVALUATED, freedom), len(knots) * len(_QUARTERS))
+
+
+def _pieces(
+    size: FloatArray, error: FloatArray, u: float, least: float
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Knots from an input up, the errors there, their covariance; None where the lowest is not known well enough."""
+    top = float(size.max())
+    knots = np.geomspace(least, top, 1 + max(1, round(np.log2(top / least))))
+    inside = size >= least
+    hats = _hats(size[inside], knots)
+    gram = hats.T @ hats
+    if inside.sum() <= len(knots) or np.linalg.matrix_rank(gram) < len(knots):
+        return None
+    covariance = u * u * np.linalg.inv(gram)
+    if covariance[0, 0] > (_SHARE * least) ** 2:
+        return None
+    values = np.asarray(np.linalg.solve(gram, hats.T @ error[inside]), np.float64)
+    return knots, values, np.asarray(covariance, np.float64)
+
+
+def _hats(inputs: FloatArray, knots: FloatArray) -> FloatArray:
+    """Shares of the knots in straight pieces between them, shape (inputs, knots)."""
+    return np.stack([np.interp(inputs, knots, each) for each in np.eye(len(knots))], axis=1)

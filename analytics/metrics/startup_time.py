@@ -13,6 +13,7 @@ HEADER = """\
 -- unit:      s
 -- better:    lower
 -- grain:     unit, signal, run, test
+-- parameters: test, tests, band_deg_per_h, reference, counted_from
 -- source:    GJB 2426A-2004 5.5; JJF 2014-2022 7.2.23
 -- needs:     procedure startup_time: power-on at several rates and positions; startup_band_deg_per_h of the product
 -- limits:    given

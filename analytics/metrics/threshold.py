@@ -15,6 +15,7 @@ HEADER = """\
 -- unit:      deg/h
 -- better:    lower
 -- grain:     unit, signal, run, method, repeat
+-- parameters: method, repeat, scale_factor
 -- source:    GJB 2426A-2004 5.10 (14)-(17); JJF 2014-2022 7.2.9 (16)(17)
 -- needs:     procedure threshold (rates in both directions and at rest), threshold_indexing_head or threshold_slow_turn
 -- limits:    given

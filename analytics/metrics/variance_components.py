@@ -24,6 +24,30 @@ class Deviation(NamedTuple):
     freedom: float
 
 
+class Variance(NamedTuple):
+    """An estimate of a variance and its degrees of freedom; NaN where it is not known."""
+
+    value: float
+    freedom: float
+
+
+_NOTHING = Variance(0.0, 1e9)
+
+
+class MeansNoise(NamedTuple):
+    """What the values' own uncertainty adds to the variances of a one-way layout.
+
+    Parameters
+    ----------
+    square, within, of_means : Variance
+        To the variance of all values, to that inside the groups, to that of the groups' means.
+    """
+
+    square: Variance
+    within: Variance
+    of_means: Variance
+
+
 class Scatter(NamedTuple):
     """Sums of a one-way layout.
 
@@ -85,17 +109,96 @@ def _variance(values: Sequence[float]) -> float:
     return math.fsum((value - mean) ** 2 for value in values) / (len(values) - 1)
 
 
-def deviation(variance: float, freedom: float) -> Deviation:
-    """Root of a variance of normal values: limits by chi-square (JCGM 100:2008 E.4.3 for its uncertainty).
+def pooled(uncertainties: Sequence[float | None], freedoms: Sequence[float | None]) -> list[float | None]:
+    """Uncertainties of like records replaced by what they say together, each with its weight; None where one is None.
 
     Examples
     --------
-    >>> [round(each, 3) for each in deviation(1.0, 5)]
-    [1.0, 0.624, 2.453, 0.316, 5]
+    >>> [round(each, 3) for each in pooled([1.0, 3.0], [99, 1])]
+    [1.039, 1.039]
     """
+    known = [(u, max(freedom or 1.0, 1.0)) for u, freedom in zip(uncertainties, freedoms, strict=True) if u is not None]
+    if len(known) < len(uncertainties):
+        return list(uncertainties)
+    weight = math.fsum(freedom for _, freedom in known)
+    return [math.sqrt(math.fsum(freedom * u * u for u, freedom in known) / weight)] * len(known)
+
+
+def means_noise(
+    uncertainties: Sequence[float | None], freedoms: Sequence[float | None], groups: Sequence[Hashable]
+) -> MeansNoise:
+    """What values with these standard uncertainties add to the variances of their groups, on average.
+
+    Examples
+    --------
+    >>> found = means_noise([1.0, 1.0, 1.0, 1.0], [9, 9, 9, 9], ["a", "a", "b", "b"])
+    >>> found.square, found.of_means
+    (Variance(value=1.0, freedom=36.0), Variance(value=0.5, freedom=36.0))
+    """
+    sizes: dict[Hashable, int] = {}
+    for group in groups:
+        sizes[group] = sizes.get(group, 0) + 1
+    own = [sizes[group] for group in groups]
+    n, free = len(own), len(own) - len(sizes)
+
+    def mean_square(weights: Sequence[float]) -> Variance:
+        parts = [
+            (weight * u * u, freedom or 1.0)
+            for weight, u, freedom in zip(weights, uncertainties, freedoms, strict=True)
+            if u is not None
+        ]
+        total = math.fsum(part for part, _ in parts)
+        if len(parts) < n or not n:
+            return Variance(math.nan, math.nan)
+        fourth = math.fsum(part * part / max(freedom, 1.0) for part, freedom in parts)
+        return Variance(total, total * total / fourth if fourth else 1e9)
+
+    return MeansNoise(
+        square=mean_square([1 / n] * n) if n else Variance(math.nan, math.nan),
+        within=mean_square([(1 - 1 / size) / free for size in own]) if free else Variance(math.nan, math.nan),
+        of_means=mean_square([1 / (size * size * len(sizes)) for size in own]),
+    )
+
+
+def beyond(observed: Variance, known: Variance, least: Variance | None = None) -> Deviation:
+    """Root of what a variance holds beyond a part that was estimated elsewhere, 0 where that is all of it.
+
+    Parameters
+    ----------
+    observed : Variance
+        Sum of both parts; its estimate follows chi-square.
+    known : Variance
+        The part that is taken off; NaN takes off nothing.
+    least : Variance, optional
+        The least that this part can be, for the upper limit; the same if left out.
+
+    Notes
+    -----
+    sigma**2 = observed - known. The limits are those of Tukey and Williams; they hold at least at their level also
+    where what is left is nearly 0, and are those of chi-square where nothing is taken off. Degrees of freedom by
+    Satterthwaite.
+
+    Examples
+    --------
+    >>> [round(each, 3) for each in beyond(Variance(1.0, 5), Variance(0.0, 1e9))]
+    [1.0, 0.624, 2.453, 0.316, 5.0]
+    >>> beyond(Variance(8.4, 6), Variance(9.1, 40)).lo
+    0.0
+    """
+    part, part_freedom = known if known.value > 0 else _NOTHING
+    variance = max(observed.value - part, 0.0)
+    freedom = observed.freedom
+    bounds = []
+    for tail, off in ((_TAIL, known), (1 - _TAIL, known if least is None else least)):
+        taken, taken_freedom = off if off.value > 0 else _NOTHING
+        left = observed.value - taken * special.fdtri(freedom, taken_freedom, 1 - tail)
+        bounds.append(math.sqrt(max(freedom * left / special.chdtri(freedom, tail), 0.0)))
+    spread = 2 * (observed.value**2 / freedom + part**2 / part_freedom)
     value = math.sqrt(variance)
-    lo, hi = (value * math.sqrt(freedom / special.chdtri(freedom, tail)) for tail in (_TAIL, 1 - _TAIL))
-    return Deviation(value, lo, hi, value / math.sqrt(2 * freedom), freedom)
+    # where it is nearly 0 its root has no slope: a quarter of the interval says as much
+    quarter = (bounds[1] - bounds[0]) / 4
+    u = min(math.sqrt(spread) / (2 * value), quarter) if value else quarter
+    return Deviation(value, bounds[0], bounds[1], u, max(2 * variance**2 / spread, 1.0) if spread else float(freedom))
 
 
 def between(found: Scatter) -> Deviation:
@@ -110,9 +213,7 @@ def between(found: Scatter) -> Deviation:
     -----
     With h the harmonic mean of the sizes, the variance of the groups' means is sigma_b**2 + sigma_w**2/h on average, so
     sigma_b**2 = var(means) - within/h, 0 where that is negative; with equal sizes it is what the analysis of variance
-    gives. The limits are those of Tukey and Williams with h times the variance of the means for the mean square between
-    groups (Thomas and Hultquist 1978); they hold at least at their level also where the component is nearly 0. Degrees
-    of freedom are by Satterthwaite.
+    gives (`beyond`; Thomas and Hultquist 1978).
 
     Examples
     --------
@@ -120,14 +221,5 @@ def between(found: Scatter) -> Deviation:
     >>> round(found.value, 3), round(found.lo, 3), round(found.hi, 1)
     (2.646, 0.0, 90.2)
     """
-    h, freedom, within_freedom = found.size, found.groups - 1, found.within_freedom
-    variance = max(found.of_means - found.within / h, 0.0)
-    bounds = []
-    for tail in (_TAIL, 1 - _TAIL):
-        least = h * found.of_means - found.within * special.fdtri(freedom, within_freedom, 1 - tail)
-        bounds.append(math.sqrt(max(freedom * least / (h * special.chdtri(freedom, tail)), 0.0)))
-    spread = 2 * (found.of_means**2 / freedom + (found.within / h) ** 2 / within_freedom)
-    value = math.sqrt(variance)
-    # where it is nearly 0 its root has no slope: a quarter of the interval says as much
-    u = min(math.sqrt(spread) / (2 * value), (bounds[1] - bounds[0]) / 4) if value else (bounds[1] - bounds[0]) / 4
-    return Deviation(value, bounds[0], bounds[1], u, max(2 * variance**2 / spread, 1.0) if spread else float(freedom))
+    of_means = Variance(found.of_means, found.groups - 1)
+    return beyond(of_means, Variance(found.within / found.size, found.within_freedom))

@@ -4,6 +4,7 @@
 -- unit:      1
 -- better:    higher
 -- grain:     unit, entered record
+-- parameters: item, verdict, entered, by, note, at
 -- source:    GJB 2426A-2004 5.2
 -- needs:     an entered check (`gyrofleet check`) whose item begins with visual
 -- limits:    given

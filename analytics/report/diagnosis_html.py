@@ -22,6 +22,7 @@ from analytics.report.report_tables import (
     coefficient_rows,
     driver_rows,
     error_rows,
+    gain_rows,
     noise_rows,
 )
 from analytics.report.residual_allan import residual_allan
@@ -118,6 +119,7 @@ def _unit(found: UnitDiagnosis, words: Wording, *, with_pictures: bool) -> str:
     heading = f"{found.unit} \N{MIDDLE DOT} {diagnosis.signal}"
     parts = [
         _heading(1, heading),
+        *(f'<p class="verdict">{escape(words.remark(text))}</p>' for text in diagnosis.losses),
         f'<p class="verdict">{escape(verdict_sentence(diagnosis, words))}</p>',
         _declared(found, words),
     ]
@@ -161,7 +163,7 @@ def _effect(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: Wo
     ]
     if found.confounded:
         parts.append(_heading(3, words.of("What these data cannot tell from it", "现有数据无法与之区分的效应")))
-        parts.append(_listed(alternative(each, found, diagnosis, words) for each in found.confounded))
+        parts.append(_listed(alternative(each, words) for each in found.confounded))
         parts.append(_heading(3, words.of("What would tell", "可区分的测试")))
         tests = [separating_test(found, words), *(separating_test(each, words) for each in found.confounded)]
         parts.append(_listed(dict.fromkeys(tests)))
@@ -174,6 +176,8 @@ def _error(found: UnitDiagnosis, words: Wording) -> str:
     if diagnosis.error is None or residuals is None:
         return ""
     parts = [_heading(2, words.of("Error before and after", "前后误差")), _table(error_rows(diagnosis.error, words))]
+    if (within := gain_rows(diagnosis.error, words)).rows:
+        parts.append(_table(within))
     if (won := achieved(diagnosis.error, words)) is not None:
         parts.append(f"<p>{escape(won)}</p>")
     over_temperature, over_rate = bias_over_temperature(residuals), scale_factor_over_rate(residuals)
@@ -194,7 +198,9 @@ def _limits(found: UnitDiagnosis, words: Wording) -> str:
     diagnosis = found.diagnosis
     parts = [_heading(2, words.of("Limits of this verdict", "本判定的局限"))]
     of_data = [note.text for note in found.data.notes if note.is_limit]
-    limits = _listed(map(words.remark, [*diagnosis.limits, *of_data]))
+    limits = _listed(
+        map(words.remark, [*(each for each in diagnosis.limits if each not in diagnosis.losses), *of_data])
+    )
     parts.append(limits or f"<p>{words.of('None is known.', '无已知局限。')}</p>")
     if remarks := [note.text for note in found.data.notes if not note.is_limit]:
         parts += [_heading(3, words.of("Reduction", "数据归约")), _listed(map(words.remark, remarks))]

@@ -7,6 +7,7 @@ import numpy as np
 
 from analytics.effects.base import Kind
 from analytics.effects.registry import effect
+from analytics.effects.turn_on import TURN_ON
 from analytics.report.residuals import Residuals
 from analytics.report.wording import Wording, told_unit
 from analytics.tracing.result import FoundEffect
@@ -54,9 +55,9 @@ class Drawn:
 
 
 def drawn(residuals: Residuals, found: FoundEffect, words: Wording) -> Drawn | None:
-    """Return an effect over its driver, a jump over the time of its run; None for a line, which follows no channel."""
+    """Return an effect over its driver, a jump over the time of its run; None for what follows no channel."""
     known = effect(found.name)
-    if known.kind is Kind.LINE:
+    if known.kind is Kind.LINE or known.name == TURN_ON:
         return None
     stack = residuals.record.stack
     columns = stack.column(lambda run: known.regressors(run, found.parameters))

@@ -1,17 +1,17 @@
 """What speaks for a finding and what could be meant instead, as sentences."""
 
 from analytics.effects.registry import effect
-from analytics.error_model import ErrorModel
+from analytics.effects.turn_on import TURN_ON
 from analytics.report.wording import Wording, number
 from analytics.tracing.fleet import FleetDiagnosis
-from analytics.tracing.result import ConfoundedEffect, Diagnosis, FoundEffect
+from analytics.tracing.result import Answer, ConfoundedEffect, Diagnosis, FoundEffect
 
 WRONG_FORM = 1e-4
-_CLOCKS = {
-    "temperature_time_offset": ("temperature_rate", "temperature"),
-    "rate_time_offset": ("angular_acceleration", "scale_factor"),
+_ANSWERS = {
+    Answer.CONFIRMED: ("confirmed", "予以证实"),
+    Answer.REFUSED: ("refused", "予以否定"),
+    Answer.NO_POWER: ("these runs do not excite it and cannot tell", "这些试验未激励该效应，无法判别"),
 }
-"""Errors of a clock, the effect with the same regressor, and the declared term whose coefficient tells the offset."""
 
 
 def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: Wording) -> list[str]:
@@ -24,12 +24,12 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: W
             f"{number(found.evidence)}。",
         )
     ]
-    if found.by_run:
+    if found.by_run and found.name != TURN_ON:
         told.append(_by_run(found, diagnosis, words))
     slopes = () if diagnosis.holdout is None else diagnosis.holdout.effects
     for each in slopes:
         if each.effect == found.name:
-            said = words.of("confirmed", "予以证实") if each.accepted else words.of("not confirmed", "未予证实")
+            said = words.of(*_ANSWERS[each.answer])
             slope = f"{each.slope:.3f} ± {each.slope_se:.3f}"
             told.append(
                 words.of(
@@ -68,32 +68,30 @@ def _by_run(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: Wo
     )
 
 
-def alternative(
-    other: ConfoundedEffect, beside: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: Wording
-) -> str:
+def alternative(other: ConfoundedEffect, words: Wording) -> str:
     """Say what else could be meant, how far behind it is, and what it would take."""
-    behind = words.of(f"{other.evidence_behind:.1f} of chi-square behind", f"证据少卡方{other.evidence_behind:.1f}")
-    if abs(other.evidence_behind) < 0.05:
+    if not other.recorded:
+        return f"{words.effect(other)}: {words.of('not recorded', '未记录')}"
+    if other.evidence_behind is None:
+        behind = words.of(
+            "it is followed by the proxy that was found, which explains more than its channel does",
+            "所发现的代理量随其变化，但代理量的解释力强于该通道",
+        )
+    elif abs(other.evidence_behind) < 0.05:
         behind = words.of("exactly as likely", "可能性相同")
-    offset_s = implied_offset_s(other.name, beside, diagnosis.declared if isinstance(diagnosis, Diagnosis) else None)
-    took = (
-        ""
-        if offset_s is None
-        else words.of(f"; it would take an offset of {number(offset_s)} s", f"；须有{number(offset_s)} s的时间偏移")
+    else:
+        behind = words.of(f"{other.evidence_behind:.1f} of chi-square behind", f"证据少卡方{other.evidence_behind:.1f}")
+    if other.implied is None or other.most is None:
+        return f"{words.effect(other)}: {behind}"
+    needed, most = f"{number(other.implied)} {other.implied_unit}", f"{number(other.most)} {other.implied_unit}"
+    if other.is_plausible:
+        took = words.of(f"it would take {needed} at least", f"至少须有{needed}")
+        return f"{words.effect(other)}: {behind}{words.of('; ', '；')}{took}"
+    took = words.of(
+        f"it would take {needed} at least, and clocks are off by {most} at most: hardly",
+        f"至少须有{needed}，而时钟偏差至多{most}：不大可能",
     )
-    return f"{words.effect(other)}: {behind}{took}"
-
-
-def implied_offset_s(alias: str, beside: FoundEffect, declared: ErrorModel | None) -> float | None:
-    """Size of the clock offset that would look like an effect, seconds; None for what is no clock's error."""
-    if alias not in _CLOCKS or declared is None:
-        return None
-    twin, term = _CLOCKS[alias]
-    labels = declared.labels()
-    if beside.name != twin or term not in labels:
-        return None
-    sensitivity = declared.coefficients[labels.index(term)]
-    return abs(beside.coefficients[0].value / sensitivity) if sensitivity else None
+    return f"{words.effect(other)}: {took}"
 
 
 def separating_test(found: FoundEffect | ConfoundedEffect, words: Wording) -> str:

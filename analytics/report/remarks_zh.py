@@ -27,11 +27,53 @@ _SENTENCES: Final[Mapping[str, str]] = {
     "the phase of a line is that of each run: no model predicts it, so that it is in the errors after as in those "
     "before, and in what is told as noise alone":
         "谱线的相位随试验而异：没有模型能预测，因此前后误差以及“仅噪声”中都含有它",
+    "the runs differ by {scatter} (one standard deviation), {ratio} times the noise within them: {causes} differ "
+    "between them, and {runs} runs cannot tell which it is":
+        "各次试验相差{scatter}（一倍标准差），为试验内噪声的{ratio}倍：其间{causes}均不同，{runs}次试验无法区分",
+    "the runs differ by {scatter} (one standard deviation), {ratio} times the noise within them: it was taken for "
+    "turn-on scatter, which was not declared, so that what differs between runs alone can hide in it":
+        "各次试验相差{scatter}（一倍标准差），为试验内噪声的{ratio}倍：已视为逐次启动散布（未声明），"
+        "仅在试验之间变化的效应可能隐藏其中",
+    "white noise N was declared as {declared} and is {measured} in these runs: declared and measured noise disagree":
+        "白噪声N声明为{declared}，而这些试验中为{measured}：声明值与实测值不符",
+    "less noise than declared at averages of 300 to 3600 s: its variance is {ratio} times the declared one, so that "
+    "small effects may have been taken for noise":
+        "在300至3600 s的平均时间上噪声小于声明值：其方差为声明值的{ratio}倍，较小的效应可能被当作噪声",
+    "turn-on scatter was declared as {declared} and the runs scatter by {measured}: declared and measured noise "
+    "disagree":
+        "逐次启动散布声明为{declared}，而各次试验的散布为{measured}：声明值与实测值不符",
     "channel {name} is constant: its effects cannot be looked for": "通道{name}为常值：无法查找其效应",
     "channels {first} and {second} are copies of each other: their effects cannot be told apart":
         "通道{first}与{second}互为副本：其效应无法区分",
-    "term {label} of the declared model cannot be told from the terms before it in these runs":
-        "在这些试验中，声明模型的{label}项无法与其前面的项区分",
+    "term {label} of the declared model cannot be told from the runs that were fitted ({runs}): hold out other runs "
+    "with --holdout runs=A,B, or leave the term out of the model":
+        "由所拟合的试验（{runs}）无法确定声明模型的{label}项：用--holdout runs=A,B留出其他试验，或从模型中去掉该项",
+    "term {label} of the declared model cannot be told from the runs that were fitted ({runs}): measure runs that "
+    "excite it, or leave the term out of the model":
+        "由所拟合的试验（{runs}）无法确定声明模型的{label}项：请测量激励该项的试验，或从模型中去掉该项",
+    "the held-out runs leave about the mean of each run {error} RMS over {seconds} s, where noise allows {noise}: the "
+    "model does not hold there":
+        "留出试验在{seconds} s平均时间上去除各次试验均值后均方根误差为{error}，而噪声仅允许{noise}：模型在该处不成立",
+    "the held-out runs leave {error} RMS over {seconds} s, where noise allows {noise}: the model does not hold there":
+        "留出试验在{seconds} s平均时间上均方根误差为{error}，而噪声仅允许{noise}：模型在该处不成立",
+    "{effect}: the held-out runs do not excite it and can neither confirm nor refuse it (slope {slope}); hold out runs "
+    "that do, as --holdout runs={runs}":
+        "{effect}：留出试验未激励该效应，既不能证实也不能否定（斜率{slope}）；"
+        "请留出能激励它的试验，如--holdout runs={runs}",
+    "{effect}: the held-out runs do not excite it and can neither confirm nor refuse it (slope {slope}); measure more "
+    "runs that excite it":
+        "{effect}：留出试验未激励该效应，既不能证实也不能否定（斜率{slope}）；请测量更多激励它的试验",
+    "{effect}: the held-out runs show {slope} times what was predicted: its form is likely not exact, or it changes "
+    "from run to run":
+        "{effect}：留出试验所示为预测值的{slope}倍：其形式可能不精确，或随试验而变",
+    "the RMS error over {seconds} s in {runs} runs rises: {before} before and {after} after, about the mean of each "
+    "run {mean_before} and {mean_after}":
+        "{runs}次试验在{seconds} s平均时间上的均方根误差上升：之前{before}，之后{after}；去除各次试验均值后为"
+        "{mean_before}和{mean_after}",
+    "the RMS error over {seconds} s in {runs} runs does not change significantly: {before} before and {after} "
+    "after, about the mean of each run {mean_before} and {mean_after}":
+        "{runs}次试验在{seconds} s平均时间上的均方根误差无显著变化：之前{before}，之后{after}；去除各次试验均值后为"
+        "{mean_before}和{mean_after}",
     "{gone} of {blocks} blocks left out: a channel of the declared model has no value there":
         "略去{blocks}个数据块中的{gone}个：声明模型所需的某通道在该处无值",
     "{gone} of {blocks} blocks left out: a channel has no value there":
@@ -52,6 +94,10 @@ _SENTENCES: Final[Mapping[str, str]] = {
     "no value in {bad} of {blocks} blocks of unit {unit}": "产品{unit}的{blocks}个数据块中有{bad}个无值",
     "no value in {bad} of {blocks} blocks": "{blocks}个数据块中有{bad}个无值",
     "{channels} does not vary in these runs": "{channels}在这些试验中不变化",
+    "it moves by {spread} in these runs, too little to look for it": "在这些试验中其变化仅为{spread}，过小而无法查找",
+    "channel {name} is not recorded there": "该处未记录通道{name}",
+    "{lacking} lack channel {channels}: this diagnosis is of the other {runs} runs":
+        "{lacking}缺少通道{channels}：本诊断只针对其余{runs}次试验",
     "it has no shape to try here": "此处没有可试的形状",
     "these runs cannot tell it from the terms of the model": "这些试验无法将其与模型的项区分",
     "channel {name} is missing in {missing} of {runs} runs": "{runs}次试验中有{missing}次缺少通道{name}",
@@ -59,6 +105,7 @@ _SENTENCES: Final[Mapping[str, str]] = {
     "channel {name} stays at {value} in these runs": "通道{name}在这些试验中保持为{value}",
     "channel {name} is nowhere frozen while it should move in these runs": "通道{name}在应当变化时从未停滞",
     "as given": "用户给定",
+    "as given; turn-on scatter estimated from these runs": "用户给定；逐次启动散布由这些试验估计",
     "the unit's own Allan fits": "产品自身的Allan拟合",
     # notes on the reduction
     "signal {name} never changes {where}, as of an output that is dead or stuck: leave such runs out with --run":
@@ -113,19 +160,43 @@ _SENTENCES: Final[Mapping[str, str]] = {
         "{unit}的{names}与{signal}同为产品输出：不作为通道；参考量请以标准名导入，如gravity_i",
     "channel {name} is that of {of}; {others} give one of that name as well":
         "通道{name}取自{of}；{others}也给出同名通道",
+    "no input_rate is recorded, and the axes {words} do not say how the input axis lies: there is no input rate; "
+    "record or import it as channel input_rate":
+        "未记录input_rate，转动轴{words}也未说明输入轴方向：没有输入角速率；请记录或以通道input_rate导入",
     "no input_rate is recorded, and the positions {words} do not say how the input axis lies: there is no input rate; "
     "record or import it as channel input_rate":
         "未记录input_rate，位置{words}也未说明输入轴方向：没有输入角速率；请记录或以通道input_rate导入",
     "input_rate is taken from {source} {where}: the table's axis is supposed to lie along the input axis, as far as "
-    "the position of a step does not say otherwise":
-        "{where}input_rate取自{source}：除非步骤的位置另有说明，假定转台轴沿输入轴",
+    "the axis or position of a step does not say otherwise":
+        "{where}input_rate取自{source}：除非步骤的转动轴或位置另有说明，假定转台轴沿输入轴",
     "{where} {names} is missing, which the model needs: left out": "{where}缺少模型所需的{names}：已略去",
     "signal {signal} is in {unit}: the noise terms are those of an angular rate":
         "信号{signal}的单位为{unit}：噪声各项是针对角速率的",
     "{count} units with enough data, {needed} are needed to pool": "数据足够的产品有{count}个，合并分析需要{needed}个",
     "the model was fitted to one run alone: what is tied to that run is in its terms, and no other run bears it out":
         "模型只由一次试验拟合：与该次试验相关的变化包含在各项中，没有其他试验予以证实",
+    "{count} blocks are left out {where}: the reference rate changes within them faster than its readings show; "
+    "record it more often than once in {interval}, or as means over the same times as the signal":
+        "{where}有{count}个数据块因基准角速率变化快于其读数而略去；请以高于每{interval}一次的频度记录基准，或记录与信号同时段的均值",
+    "{count} samples of {signal} are isolated outliers {where}, up to {times} times the noise: they raise N by up to "
+    "{share}":
+        "{where}，{signal}有{count}个孤立离群采样，最大为噪声的{times}倍：使N最多偏大{share}",
+    "{signal} is {size} {name} {where}, both in the units they are labelled with, {how}: mend the label and import "
+    "anew, else every coefficient of {same} is off by that":
+        "{where}，按所标单位，{signal}与{name}之比为{size}，疑为单位标注有误：请改正标注后重新导入，否则{name}的系数均差此倍数",
+    # what was left out, and why
+    "they hold but a few samples": "采样过少",
+    "it has no value there; effects that read it are looked for where it has":
+        "该处无值；在有值处查找读取该通道的效应",
+    "channel {channels} has gaps: this diagnosis is of the blocks in which it has a value":
+        "通道{channels}有缺段：本诊断只针对其有值的数据块",
+    "where channel {channels} has a value, {effects} stands out as well": "在通道{channels}有值处，{effects}亦显著",
+    "a reading of the signal lies far outside of those before and after it": "信号有读数远离其前后读数",
+    "the reference rate changes within them faster than its readings show": "基准角速率在块内的变化快于其读数所能反映",
+    "a channel of the declared model has no value there": "声明模型所需的某通道在该处无值",
+    "a channel has no value there": "某通道在该处无值",
     # what is more general comes last
+    "{share} of {what} left out: {reason}": "略去{what}的{share}：{reason}",
     "channel {name}: {reason}": "通道{name}：{reason}",
 }  # fmt: skip
 
@@ -133,6 +204,17 @@ _WHERE: Final[Mapping[str, str]] = {
     "in run {run}": "在试验{run}中",
     "in {some} of {all} runs ({runs})": "在{all}次试验中的{some}次（{runs}）中",
     "in all {all} runs": "在全部{all}次试验中",
+}
+
+_WHAT: Final[Mapping[str, str]] = {
+    "{count} blocks": "{count}个数据块",
+    "all runs": "全部试验",
+    "runs '{kind}'": "“{kind}”类试验",
+    "runs {run} and the like": "{run}一类试验",
+    "the excitation of {name}": "{name}的激励",
+    "step {step} of run {run}": "试验{run}的步骤{step}",
+    "the blocks of channel {channels}": "通道{channels}的数据块",
+    "run {run}": "试验{run}",
 }
 
 _ANY_WHERE = r"in run \S+|in \d+ of \d+ runs \(.+?\)|in all \d+ runs"
@@ -159,6 +241,8 @@ def _translated(text: str, known: Mapping[str, str]) -> str | None:
             parts = match.groupdict()
             if "where" in parts:
                 parts["where"] = _translated(parts["where"], _WHERE)
+            if "what" in parts:
+                parts["what"] = _translated(parts["what"], _WHAT) or parts["what"]
             if "reason" in parts:
                 parts["reason"] = in_chinese(parts["reason"])
             return chinese.format(**parts)

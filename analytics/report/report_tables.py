@@ -7,7 +7,8 @@ from analytics.error_model import ErrorModel
 from analytics.report.error_by_driver import ErrorOverDriver
 from analytics.report.residual_allan import DeviationAt
 from analytics.report.wording import Wording, measured, number, told_unit
-from analytics.tracing.result import Diagnosis, ErrorTable, NoiseCoefficients
+from analytics.tracing.error_result import ErrorGain, ErrorTable
+from analytics.tracing.result import Diagnosis, NoiseCoefficients
 from stream.quantities import ANGULAR_RATE_UNIT
 
 _NUMBER_STARTS = "0123456789-\N{EN DASH}"
@@ -58,6 +59,28 @@ def error_rows(table: ErrorTable, words: Wording) -> TextTable:
         *_before_after(words),
         words.of("where the effect is excited", "效应被激励处"),
         words.of("averages", "平均值个数"),
+    )
+    return TextTable(title, head, tuple(rows))
+
+
+def gain_rows(table: ErrorTable, words: Wording) -> TextTable:
+    """RMS of averages about the mean of their run, and the share of the squared error that is won, raw and within."""
+    rows = [
+        (f"{row.averaging_s:g} s", number(row.before_within), number(row.after_within), number(row.floor_within),
+         _gain(row.gain_within), _gain(row.gain))
+        for row in table.rows
+        if row.before_within > 0
+    ]  # fmt: skip
+    unit = table.unit_of_measure
+    title = words.of(
+        f"The same about the mean of each run ({unit}), and squared error won with its limits over runs",
+        f"去除各次试验均值后（{unit}），以及平方误差减少量及其试验间置信限",
+    )
+    head = (
+        words.of("averages of", "平均时间"),
+        *_before_after(words),
+        words.of("won", "减少"),
+        words.of("won with turn-on bias", "含启动零偏的减少"),
     )
     return TextTable(title, head, tuple(rows))
 
@@ -157,6 +180,14 @@ def _excited(*values: float | None) -> str:
     return (
         "" if values[0] is None else " \N{RIGHTWARDS ARROW} ".join(map(number, values[:2])) + f" ({number(values[2])})"
     )
+
+
+def _gain(gain: ErrorGain | None) -> str:
+    """Share of the squared error that is won, with its limits over runs."""
+    if gain is None:
+        return ""
+    limits = "" if gain.lo is None or gain.hi is None else f" ({gain.lo:.0%} .. {gain.hi:.0%})"
+    return f"{gain.fraction:.0%}{limits}"
 
 
 def _four(noise: NoiseCoefficients | None) -> tuple[float | None, ...]:

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from analytics.run_blocks import RunBlocks
 from analytics.tracing.diagnosis import case_of
+from analytics.tracing.noise_floor import correlated_variance
 from analytics.tracing.record import Record
 from analytics.tracing.result import Diagnosis, NoiseCoefficients
 from analytics.tracing.white_variance import record_of
@@ -62,23 +62,8 @@ class Residuals:
         total = float(space.white * np.sum(record.white * weights**2))
         number = record.stack.run_number
         for run in np.unique(number[weights != 0]):
-            total += _correlated_variance(record, self.noise, number == run, weights)
+            total += correlated_variance(record, self.noise, number == run, weights)
         return total
-
-
-def _correlated_variance(record: Record, noise: NoiseCoefficients, of_run: BoolArray, weights: FloatArray) -> float:
-    """Part of flicker, random walk and turn-on in one run, on its grid with the gaps filled by zeros."""
-    space = record.noise_model.space(noise)
-    slot = record.stack.slot[of_run]
-    on_grid = np.zeros(slot[-1] + 1 - slot[0])
-    on_grid[slot - slot[0]] = weights[of_run]
-    total = space.start * on_grid.sum() ** 2
-    later = np.cumsum(on_grid[::-1])[::-1]
-    total += space.walk * np.sum(later[1:] ** 2)
-    for decay, variance in zip(space.decay, space.variance, strict=True):
-        faded = lfilter([0.0, decay], [1.0, -decay], on_grid)  # of earlier blocks
-        total += variance * (np.sum(on_grid**2) + 2 * np.sum(on_grid * faded))
-    return float(total)
 
 
 def residuals_of(runs: Sequence[RunBlocks], diagnosis: Diagnosis) -> Residuals | None:
@@ -86,7 +71,8 @@ def residuals_of(runs: Sequence[RunBlocks], diagnosis: Diagnosis) -> Residuals |
     if diagnosis.judged is None or diagnosis.model is None or diagnosis.noise is None:
         return None
     held_out = [run for run in diagnosis.runs if run not in diagnosis.training_runs]
-    stack = case_of(runs, diagnosis.judged, diagnosis.noise, held_out).stack
+    used = [run for run in runs if run.run in diagnosis.runs]
+    stack = case_of(used or runs, diagnosis.judged, diagnosis.noise, held_out).stack
     return Residuals(
         record=record_of(stack, diagnosis.noise),
         noise=diagnosis.noise,

@@ -2,9 +2,12 @@
 
 from collections.abc import Sequence
 
+from analytics.effects.turn_on import TURN_ON
 from analytics.report.wording import Wording, number
 from analytics.tracing.contenders import JUMP
-from analytics.tracing.result import Diagnosis, ErrorAt, ErrorTable, FoundEffect, HoldoutSlope, Verdict
+from analytics.tracing.error_result import ErrorGain
+from analytics.tracing.result import Answer, ConfoundedEffect, Diagnosis, FoundEffect, HoldoutSlope, Verdict
+from analytics.tracing.verdict_checks import reference_row
 
 _OR, _AND = ("or", "或"), ("and", "和")
 
@@ -59,9 +62,14 @@ def _data(diagnosis: Diagnosis, words: Wording) -> str:
 
 
 def _found(diagnosis: Diagnosis, words: Wording) -> str:
-    told = _joined([_told(each, words) for each in diagnosis.effects], _AND, words)
-    count = len(diagnosis.effects)
+    confirmed = [each for each in diagnosis.effects if each.confirmed]
+    others = [each for each in diagnosis.effects if not each.confirmed]
+    told = _joined([_told(each, words) for each in confirmed], _AND, words)
+    count = len(confirmed)
     rest = f"{_confirmation(diagnosis, words)}{_gain(diagnosis, words)}"
+    if others:
+        seen = _joined([_seen_once(each, diagnosis, words) for each in others], _AND, words)
+        rest += words.of(f"; beside it, {seen}", f"；另{seen}")
     return words.of(
         f"The declared model lacks {'one effect' if count == 1 else f'{count} effects'}: {told}{rest}.",
         f"已声明模型缺少{count}种效应：{told}{rest}。",
@@ -82,14 +90,18 @@ def _joined(parts: Sequence[str], last: tuple[str, str], words: Wording) -> str:
 def _confounded(diagnosis: Diagnosis, words: Wording) -> str:
     choices, clear, once = [], [], []
     for each in diagnosis.effects:
-        others = [words.effect(other) for other in each.confounded]
-        if not each.replicates:
+        others = [_alternative(other, words) for other in each.confounded]
+        if each.name == TURN_ON:
+            choices.append(_runs_differ(each, others, diagnosis, words))
+        elif not each.replicates:
             once.append(_seen_once(each, diagnosis, words))
         elif others:
             choices.append(_joined([_told(each, words), *others], _OR, words))
         else:
             clear.append(_told(each, words))
     which = words.of("; and also ", "；另有").join(choices)
+    if all(each.name == TURN_ON for each in diagnosis.effects):
+        return words.of(f"{which[0].upper()}{which[1:]}.", f"{which}。")
     if clear:
         which += words.of("; beside it, clearly, ", "；另可确定") + _joined(clear, _AND, words)
     if once:
@@ -103,6 +115,25 @@ def _confounded(diagnosis: Diagnosis, words: Wording) -> str:
         f"{where}已声明模型缺少一种效应，但现有数据无法区分是哪一种：{which}{rest}。",
     )
     return text[0].upper() + text[1:]
+
+
+def _alternative(other: ConfoundedEffect, words: Wording) -> str:
+    if not other.is_plausible and other.implied is not None:
+        needed = f"{number(other.implied)} {other.implied_unit}"
+        return words.of(
+            f"hardly {words.effect(other)} (of {needed})", f"{words.effect(other)}（须达{needed}，不大可能）"
+        )
+    return words.effect(other) + ("" if other.recorded else words.of(" (not recorded)", "（未记录）"))
+
+
+def _runs_differ(found: FoundEffect, others: Sequence[str], diagnosis: Diagnosis, words: Wording) -> str:
+    size = words.coefficient(found)
+    what = words.listed([*others, words.effect(found)])
+    runs = len(diagnosis.runs)
+    return words.of(
+        f"the runs differ by {size}; {what} differ between them, and {runs} runs cannot tell",
+        f"各次试验相差{size}；其间{what}均不同，{runs}次试验无法区分",
+    )
 
 
 def _unknown_function(diagnosis: Diagnosis, words: Wording) -> str:
@@ -129,6 +160,8 @@ def _unreplicated(diagnosis: Diagnosis, words: Wording) -> str:
         )
     seen = (*diagnosis.effects, *diagnosis.unreplicated)
     parts = [_seen_once(each, diagnosis, words) for each in seen]
+    if lasting:
+        return words.of(f"Seen and not confirmed: {'; '.join(parts)}.", f"见到但未证实：{'；'.join(parts)}。")
     return words.of(
         f"Nothing that repeats: {'; '.join(parts)}.",
         f"未发现可重现的效应：{'；'.join(parts)}。",
@@ -148,6 +181,14 @@ def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
             f"{name} was seen in the training runs, and the held-out runs do not confirm it{how}",
             f"训练试验中见到{name}，但留出试验未予证实{how}",
         )
+    if found.replicates:
+        told = f"{name}{words.of(': ', '：')}{words.coefficient(found)}"
+        if diagnosis.holdout is None:
+            return words.of(f"{told}; no runs were held out to confirm it", f"{told}；无留出试验可供证实")
+        return words.of(
+            f"{told}; the held-out runs do not excite it, so that they neither confirm nor refuse it",
+            f"{told}；留出试验未激励该效应，既不能证实也不能否定",
+        )
     return words.of(
         f"{name} was seen, but {found.largest_share:.0%} of its evidence comes from one run",
         f"见到{name}，但其证据的{found.largest_share:.0%}来自同一次试验",
@@ -155,6 +196,12 @@ def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
 
 
 def _unexplained(diagnosis: Diagnosis, words: Wording) -> str:
+    if diagnosis.unexplained is not None:
+        why = words.remark(diagnosis.unexplained)
+        return words.of(
+            f"Something is missing, and nothing in the channels explains it: {why}.",
+            f"存在缺项，但通道中无可解释者：{why}。",
+        )
     if diagnosis.effects:
         told = _joined([words.effect(each) for each in diagnosis.effects], _AND, words)
         return words.of(
@@ -174,6 +221,11 @@ def _confirmation(diagnosis: Diagnosis, words: Wording) -> str:
         return words.of("; no runs were held out to confirm it", "；无留出试验可供证实")
     count = len(diagnosis.holdout.runs)
     slope = _slope(diagnosis.holdout.total)
+    if diagnosis.holdout.overall is Answer.NO_POWER:
+        return words.of(
+            f"; the held-out runs do not excite it and cannot confirm it (slope {slope})",
+            f"；留出试验未激励该效应，不能证实（斜率{slope}）",
+        )
     if diagnosis.replication == "within_run":
         return words.of(
             f"; the {count} segments that were held out confirm it (slope {slope})",
@@ -184,23 +236,37 @@ def _confirmation(diagnosis: Diagnosis, words: Wording) -> str:
 
 
 def _gain(diagnosis: Diagnosis, words: Wording) -> str:
-    row = best_row(diagnosis.error)
-    if diagnosis.error is None or row is None:
+    row = reference_row(diagnosis.error)
+    if diagnosis.error is None or row is None or row.gain is None:
         return ""
     unit = diagnosis.error.unit_of_measure
-    before, after, floor = (number(each) for each in (row.before, row.after, row.floor))
     seconds = f"{row.averaging_s:g} s"
     where = ("there", "其") if diagnosis.error.is_held_out else ("in the training runs", "训练试验的")
-    return words.of(
-        f", and the RMS error over {seconds} {where[0]} falls from {before} to {after} {unit} (noise alone {floor})",
-        f"，{where[1]}{seconds}均方根误差由{before}降至{after} {unit}（仅噪声{floor}）",
+    raw = words.of(
+        f"{number(row.before)} to {number(row.after)} {unit}{_significance(row.gain, words)}",
+        f"{number(row.before)}变为{number(row.after)} {unit}{_significance(row.gain, words)}",
+    )
+    falls = "falls" if row.gain.is_significant else "goes"
+    told = words.of(
+        f", and the RMS error over {seconds} {where[0]} {falls} from {raw}",
+        f"，{where[1]}{seconds}均方根误差由{raw}",
+    )
+    if row.gain.runs < 2 or row.gain_within is None:
+        return told
+    within, noise = (number(row.before_within), number(row.after_within)), number(row.floor_within)
+    return told + words.of(
+        f"; about the mean of each run from {within[0]} to {within[1]}{_significance(row.gain_within, words)} (noise "
+        f"alone {noise})",
+        f"；去除各次试验均值后由{within[0]}变为{within[1]}{_significance(row.gain_within, words)}（仅噪声{noise}）",
     )
 
 
-def best_row(table: ErrorTable | None) -> ErrorAt | None:
-    """Averaging time at which the model found wins most; None where it wins nowhere."""
-    rows = [] if table is None else [row for row in table.rows if row.after < row.before]
-    return max(rows, key=lambda row: 1 - (row.after / row.before) ** 2, default=None)
+def _significance(gain: ErrorGain, words: Wording) -> str:
+    if gain.lo is None:
+        return words.of(" (one run: no limits)", "（仅一次试验：无置信限）")
+    if gain.is_significant or gain.is_loss:
+        return ""
+    return words.of(" (not significant here)", "（此处不显著）")
 
 
 def _slope_of(diagnosis: Diagnosis, name: str) -> HoldoutSlope | None:

@@ -13,6 +13,11 @@ LEAST_SHARE = 0.9
 _LEAST_BLOCKS = 8
 _TERMS = 3  # white, flicker, random walk
 _SUBSETS = tuple(np.array(each) for each in ((0,), (1,), (2,), (0, 1), (0, 2), (1, 2), (0, 1, 2)))
+# Three octaves cannot tell three parts apart: the uncertainty of 20 samples was larger than that of 10.
+_FEW_OCTAVES = {
+    3: tuple(np.array(each) for each in ((0,), (0, 1))),
+    4: tuple(np.array(e) for e in ((0,), (0, 1), (0, 2))),
+}
 # What a further part costs in chi-square. A small price makes white noise doubtful, a large one flicker sure. In 95 %
 # of records the uncertainty of white noise is at most 4.6 times the true one at 0.5, 3.3 at 4, 2.5 at 6; means of an
 # hour of clear flicker lie within their limits in 94, 91 and 89 %, and in 85 % where the best subset alone counts.
@@ -97,7 +102,8 @@ def series_statistics(
     The uncertainty of the mean over T seconds is sqrt(AVAR(T)), AVAR = white/tau + flicker + walk*tau fitted to the
     overlapping Allan variance of the record (IEEE 952 annex C) with weights by degrees of freedom: 1/sqrt(n) of white
     noise where there is nothing else. Every subset of the three parts without a negative one counts by its likelihood,
-    exp(-chi-square/2) at a price a part. It says how far the mean of another such record would lie. Its degrees of
+    exp(-chi-square/2) at a price a part; below 48 blocks only white noise with at most one other part, below 24 with
+    flicker. It says how far the mean of another such record would lie. Its degrees of
     freedom are those of its parts by Welch and Satterthwaite (JCGM 100:2008 G.4.1), less for subsets that differ. With
     fewer than 8 blocks it is sd/sqrt(n).
 
@@ -303,17 +309,18 @@ def _fit(taus_s: FloatArray, variances: FloatArray, freedoms: FloatArray) -> _Fi
     model = variances
     for _ in range(3):
         root = np.sqrt(freedoms / 2) / model
-        fit = _least_squares(columns * root[:, None], variances * root)
+        subsets = _FEW_OCTAVES.get(len(taus_s), _SUBSETS)
+        fit = _least_squares(columns * root[:, None], variances * root, subsets)
         model = np.maximum(columns @ fit.mean, 1e-3 * variances)
     return fit
 
 
-def _least_squares(design: FloatArray, target: FloatArray) -> _Fit:
+def _least_squares(design: FloatArray, target: FloatArray, subsets: tuple[IntArray, ...]) -> _Fit:
     scale = np.sqrt((design * design).sum(axis=0))
     gram = (design / scale).T @ (design / scale)
     moment = (design / scale).T @ target
     found, costs = [], []
-    for subset in _SUBSETS:
+    for subset in subsets:
         try:
             part = np.linalg.solve(gram[np.ix_(subset, subset)], moment[subset])
         except np.linalg.LinAlgError:

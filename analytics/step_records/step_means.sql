@@ -11,10 +11,16 @@ with step as (
 ), power as (                           -- the power-on in force, and when it was
   select run, unit, t_ns, document->>'$.epoch' as epoch
   from events where kind = 'PowerOn' and run in (select run from reduced_runs)
+), stated as (                          -- of the station: how the run began, and what was said of it later
+  select run, document->'$.details' as details, case kind when 'RunStarted' then -arrival_ns else arrival_ns end as place
+  from lake_documents
+  where kind in ('RunStarted', 'StationStated') and run in (select run from reduced_runs)
 ), about as (
-  select run, document->'$.details' as details
-  from events where kind = 'RunStarted' and run in (select run from reduced_runs)
-  qualify row_number() over (partition by run order by t_ns, uid) = 1
+  select run,
+    arg_max(details->>'$.time_zone', place) as time_zone,
+    try_cast(arg_max(details->>'$.latitude_deg', place) as double) as latitude_deg,
+    try_cast(arg_max(details->>'$.gravity_m_per_s2', place) as double) as gravity
+  from stated group by run
 ), beside as (                          -- signals of instruments, which have no steps of their own
   select r.* from reduced r anti join stepped using (run, unit)
 ), around as (
@@ -36,9 +42,9 @@ select
   coalesce(m.operator, u.operator) as operator,
   u.date_known, u.simulated,
   -- one that nobody knows leaves the day unknown
-  case when a.details->>'$.time_zone' is null then 'UTC' else z.name end as time_zone,
-  case when abs(try_cast(a.details->>'$.latitude_deg' as double)) <= 90
-    then (a.details->>'$.latitude_deg')::double end as latitude_deg,
+  case when a.time_zone is null then 'UTC' else z.name end as time_zone,
+  case when abs(a.latitude_deg) <= 90 then a.latitude_deg end as latitude_deg,
+  case when a.gravity > 0 then a.gravity end as gravity_m_per_s2,
   coalesce(s."procedure", u."procedure") as "procedure",
   s.step, s.repeat, s.position, s.axis, s.phase,
   s.rate_command, s.temperature_command, s.frequency, s.amplitude, s.settle, coalesce(s.room, false) as room,
@@ -66,6 +72,6 @@ left join around x on x.run = s.run and x.unit = s.unit and x."index" = s."index
 left join runs u on u.run = s.run
 left join units m on m.run = s.run and m.unit = s.unit
 left join about a on a.run = s.run
-left join pg_timezone_names() z on lower(z.name) = lower(a.details->>'$.time_zone')
+left join pg_timezone_names() z on lower(z.name) = lower(a.time_zone)
 asof left join power p on p.run = s.run and p.unit = s.unit and p.t_ns <= s.t_from_ns
 order by s.run, s.unit, r.signal, s."index"

@@ -1,21 +1,20 @@
 """The table `step_means`: reduced once for each run, kept in the store, brought up to date where a run has changed."""
 
 import hashlib
-import os
 from collections.abc import Callable
-from contextlib import suppress
 from importlib.resources import files
+from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from analytics.step_records import FOLDER
+from analytics.step_records.kept_file import read_kept, write_kept
 from analytics.step_records.reduction import COLUMNS, reduce_run
-from storage.catalog import Catalog
+from storage.catalog import Catalog, NotKept
 
-_FILE = "steps.parquet"
+FILE = "steps.parquet"
 # Rises when a record would come out otherwise than it did.
-_VERSION = "5"
+_VERSION = "7"
 _PRINT = "fingerprint"
 _MARK = b"gyrofleet.written"
 
@@ -38,11 +37,13 @@ def step_means(catalog: Catalog, told: Told | None = None) -> pa.Table:
         The columns of ``step_means.sql`` and `fingerprint`, which says what a run's records were made from.
     """
     prints = run_fingerprints(catalog)
-    kept = _kept(catalog)
+    kept = kept_steps(catalog.kept)
     fresh = {run for run, mark in (kept_prints(kept) if kept is not None else {}).items() if prints.get(run) == mark}
     stale = [run for run in prints if run not in fresh]
     if kept is not None and not stale and len(fresh) == len(kept_prints(kept)):
         return kept
+    if catalog.frozen and (prints or kept is not None):
+        raise NotKept
     tables = []
     if kept is not None and fresh:
         of_fresh = pa.compute.is_in(kept["run"], value_set=pa.array(sorted(fresh), pa.string()))
@@ -107,13 +108,11 @@ def _sql() -> str:
     return files("analytics.step_records").joinpath("step_means.sql").read_text()
 
 
-def _kept(catalog: Catalog) -> pa.Table | None:
-    path = catalog.store.folder / FOLDER / _FILE
-    # it is derived: what is missing, damaged or of another version is made anew
-    with suppress(OSError, pa.ArrowException):
-        table = pq.read_table(path)
-        if (table.schema.metadata or {}).get(_MARK) == _mark(table.schema):
-            return table.replace_schema_metadata(None)
+def kept_steps(folder: Path) -> pa.Table | None:
+    """Records as they were kept below a folder; None where there are none of this version."""
+    table = read_kept(folder / FOLDER / FILE)
+    if table is not None and (table.schema.metadata or {}).get(_MARK) == _mark(table.schema):
+        return table.replace_schema_metadata(None)
     return None
 
 
@@ -124,13 +123,5 @@ def _mark(schema: pa.Schema) -> bytes:
 
 
 def _keep(catalog: Catalog, table: pa.Table) -> None:
-    folder = catalog.store.folder / FOLDER
-    # what cannot be kept is reduced anew the next time; it is right all the same
-    with suppress(OSError):
-        folder.mkdir(exist_ok=True)
-        fresh = folder / f"{_FILE}.{os.getpid()}.part"
-        try:
-            pq.write_table(table.replace_schema_metadata({_MARK: _mark(table.schema)}), fresh, compression="zstd")
-            fresh.replace(folder / _FILE)
-        finally:
-            fresh.unlink(missing_ok=True)
+    if not catalog.frozen:
+        write_kept(catalog.kept / FOLDER / FILE, table.replace_schema_metadata({_MARK: _mark(table.schema)}))

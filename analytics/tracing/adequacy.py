@@ -84,14 +84,15 @@ class NoiseExcess:
 
     Parameters
     ----------
-    ratio : float
-        Largest ratio of their variances at averages of 300 and 3600 s.
+    ratio, least_ratio : float
+        Largest and least ratio of their variances at averages of 300 and 3600 s.
     p_value : float
         Of the test that the noise is as declared.
     """
 
     ratio: float
     p_value: float
+    least_ratio: float
 
     @property
     def is_excess(self) -> bool:
@@ -109,4 +110,4 @@ def noise_excess(record: Record, joint: JointFit, number: int = 0) -> NoiseExces
         for seconds in NOISE_AVERAGES_S
     ]
     degrees = int(np.count_nonzero(as_array(declared)))
-    return NoiseExcess(max(ratios), float(stats.chi2.sf(max(0.0, 2 * gain), degrees)))
+    return NoiseExcess(max(ratios), float(stats.chi2.sf(max(0.0, 2 * gain), degrees)), min(ratios))

@@ -15,6 +15,8 @@ from stream.batch import FloatArray
 
 _CACHE_BYTES = 100_000_000
 FLAT = 1e-9  # a column that varies by less than this part of its size is constant
+LEAST_MOVED = 1e-9
+"""Spread of a column in its natural units below which nothing but rounding moves it, or it died away long before."""
 
 
 @dataclass(frozen=True)
@@ -151,6 +153,8 @@ def _spread(records: Sequence[Record], effect: Effect, shape: Shape) -> FloatArr
     varies = spread > FLAT * np.sqrt(mean_square)
     if not varies.any():
         return f"{' and '.join(effect.needs) or 'it'} does not vary in these runs"
+    if float(spread.max()) < LEAST_MOVED:
+        return f"it moves by {float(spread.max()):.2g} in these runs, too little to look for it"
     return np.asarray(np.where(varies, spread, np.maximum(np.sqrt(mean_square), 1e-300)))
 
 

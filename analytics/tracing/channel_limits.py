@@ -36,16 +36,16 @@ def channel_limits(record: Record) -> tuple[str, ...]:
 
 def blind_terms(record: Record, labels: Sequence[str]) -> tuple[str, ...]:
     """Terms of the declared model that these runs do not tell from the terms before them."""
-    limits = []
+    blind = []
     basis = np.empty((len(record), 0))
     for label, column in zip(labels, record.design.T, strict=True):
         length = float(np.linalg.norm(column))
         rest = column - basis @ (basis.T @ column)
         if length == 0 or np.linalg.norm(rest) < 1e-6 * length:
-            limits.append(f"term {label} of the declared model cannot be told from the terms before it in these runs")
+            blind.append(label)
         else:
             basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
-    return tuple(limits)
+    return tuple(blind)
 
 
 def _copies(values: dict[str, FloatArray]) -> list[tuple[str, str]]:

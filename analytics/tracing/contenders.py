@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy import stats
@@ -91,6 +91,30 @@ class Contender:
     replicates: bool = True
     at_most: float | None = None
 
+    @classmethod
+    def of(
+        cls,
+        candidate: Candidate,
+        columns: Sequence[FloatArray],
+        joint: JointFit,
+        likelihood_ratio: float,
+        degrees: int,
+        evidence: float,
+    ) -> Self:
+        """A fitted candidate, with the names of its effect."""
+        return cls(
+            name=candidate.effect.name,
+            kind=candidate.effect.kind,
+            role=candidate.effect.role,
+            parameters=dict(candidate.shape),
+            candidate=candidate,
+            columns=columns,
+            joint=joint,
+            likelihood_ratio=likelihood_ratio,
+            degrees=degrees,
+            evidence=evidence,
+        )
+
     def is_near(self, best: "Contender") -> bool:
         """Whether it may explain as much as the best one.
 
@@ -175,14 +199,21 @@ def _worth_fitting(
     worth = max(SCREENED, SCREENED_FROM_FEW * ALPHA / first.tests)
     chosen = [group for group in first.by_effect() if group[0].p_value < worth]
     del chosen[MOST_FITTED if len(records) == 1 else MOST_FITTED_IN_FLEET :]
-    least = [_least(noise, record) for noise, record in zip(base.noises, records, strict=True)]
-    if all(each is None for each in least):
+    noises = least_noises(records, base.noises)
+    if noises is None:
         return chosen
-    noises = [noise if each is None else each for noise, each in zip(base.noises, least, strict=True)]
     second = screen(candidates, base.hypothesis.designs, noises, rng, taken)
     names = {group[0].candidate.effect.name for group in chosen}
     others = [group for group in second.by_effect() if group[0].candidate.effect.name not in names]
     return chosen + [group for group in others if group[0].p_value < UNMASKED][:MOST_UNMASKED]
+
+
+def least_noises(records: Sequence[Record], noises: Sequence[NoiseCoefficients]) -> Sequence[NoiseCoefficients] | None:
+    """The lesser of fitted and declared noise of each record; None where no fitted one may have swallowed an effect."""
+    least = [_least(noise, record) for noise, record in zip(noises, records, strict=True)]
+    if all(each is None for each in least):
+        return None
+    return [noise if each is None else each for noise, each in zip(noises, least, strict=True)]
 
 
 def _least(noise: NoiseCoefficients, record: Record) -> NoiseCoefficients | None:
@@ -208,18 +239,8 @@ def _fitted(
         if family_p_value(p_value, screened.tests) >= ALPHA or (best and ratio <= best.likelihood_ratio):
             continue
         degrees = result.degrees + (len(group) > 1)
-        best = Contender(
-            name=item.effect.name,
-            kind=item.effect.kind,
-            role=item.effect.role,
-            parameters=dict(item.shape),
-            candidate=item,
-            columns=columns,
-            joint=joint,
-            likelihood_ratio=ratio,
-            degrees=degrees,
-            evidence=_evidence(records, joint, ratio, degrees, item.effect.kind),
-        )
+        evidence = _evidence(records, joint, ratio, degrees, item.effect.kind)
+        best = Contender.of(item, columns, joint, ratio, degrees, evidence)
     return best
 
 

@@ -9,22 +9,38 @@ import numpy as np
 
 from analytics.effects.base import Effect, Kind
 from analytics.effects.registry import effects_for, unavailable_effects
+from analytics.effects.turn_on import TURN_ON
 from analytics.error_model import ErrorModel
+from analytics.left_out import LeftOut
 from analytics.run_blocks import RunBlocks, stands_still
 from analytics.tracing.adequacy import noise_excess
 from analytics.tracing.candidates import Candidates, candidates_for
 from analytics.tracing.channel_limits import blind_terms, channel_limits
+from analytics.tracing.clock_bounds import with_bounds
 from analytics.tracing.contenders import JUMP, LINE
 from analytics.tracing.detection_limits import detection_limits
 from analytics.tracing.error_report import error_table
+from analytics.tracing.error_result import ErrorTable
 from analytics.tracing.findings import findings, fitted_model, unreplicated
+from analytics.tracing.followed_causes import with_causes
+from analytics.tracing.gapped_channels import gapped_channels
 from analytics.tracing.joint_fit import fit_jointly
-from analytics.tracing.lockbox import differs, judge, open_lockbox
+from analytics.tracing.lockbox import judge, open_lockbox
+from analytics.tracing.noise_agreement import disagreements, measured_noise
+from analytics.tracing.partial_channels import denied, partial_channels, with_gapped, with_rest
 from analytics.tracing.record import Record
 from analytics.tracing.result import Diagnosis, FoundEffect, Holdout, NoiseCoefficients, Verdict
+from analytics.tracing.run_scatter import (
+    FAR,
+    run_scatter,
+    scatter_finding,
+    scatter_limit,
+    undeclared_scatter_limit,
+)
 from analytics.tracing.screening import screen
 from analytics.tracing.selection import Search, Selected, hypothesis_of, search
 from analytics.tracing.stack import Stack, StackReport, in_segments, stacked
+from analytics.tracing.verdict_checks import gain_limit, holdout_limits, unexplained_error, untold_terms
 from analytics.tracing.white_variance import has_outliers, record_of
 from stream.errors import BadInput
 
@@ -71,7 +87,9 @@ def diagnose(
     effects: Mapping[str, Effect] | None = None,
     declared_noise: NoiseCoefficients | None = None,
     holdout: Sequence[str] | None = None,
+    left_out: Sequence[LeftOut] = (),
     seed: int = 0,
+    turn_on_is_declared: bool | None = None,
 ) -> Diagnosis:
     """Find what a declared error model lacks, or say that nothing is missing, or that the data cannot tell.
 
@@ -87,8 +105,13 @@ def diagnose(
         What the unit's noise is known to be; else it is guessed from the runs, and an excess of noise cannot be told.
     holdout : sequence of str, optional
         Runs that are held out; by default the last third. None are held out where it is empty.
+    left_out : sequence of LeftOut
+        What the reduction left out of the record.
     seed : int
         Of the draws that give the number of independent tests.
+    turn_on_is_declared : bool, optional
+        Whether the turn-on scatter of `declared_noise` is known from elsewhere, and not estimated from these runs; by
+        default it is known where noise is declared.
 
     Raises
     ------
@@ -96,18 +119,47 @@ def diagnose(
         If the runs are not of one signal of one unit on one grid, or a run of `holdout` is not among them.
     """
     _check(runs, holdout)
-    model = model.shaped(runs)
-    stack, report = stacked(runs, model)
+    known = declared_noise is not None if turn_on_is_declared is None else turn_on_is_declared
+    ask = _Ask(model, effects, declared_noise, tuple(left_out), seed, turn_on_is_declared=known)
+    if effects is not None:
+        return _diagnosed(runs, holdout, ask)
+    whole, gapped = gapped_channels(runs, model.shaped(runs))
+    found = _diagnosed(whole, holdout, ask)
+    if gapped:
+        found = with_gapped(found, runs, whole, gapped, lambda part, needed: _diagnosed(part, holdout, ask, needed))
+    some = partial_channels(whole, holdout)
+    return found if some is None else with_rest(found, _diagnosed(some.runs, holdout, ask), some)
+
+
+@dataclass(frozen=True)
+class _Ask:
+    """What is asked of runs: see `diagnose`."""
+
+    model: ErrorModel
+    effects: Mapping[str, Effect] | None
+    declared_noise: NoiseCoefficients | None
+    left_out: tuple[LeftOut, ...]
+    seed: int
+    turn_on_is_declared: bool
+
+
+def _diagnosed(
+    runs: Sequence[RunBlocks], holdout: Sequence[str] | None, ask: _Ask, insisted: Sequence[str] = ()
+) -> Diagnosis:
+    model, declared_noise = ask.model.shaped(runs), ask.declared_noise
+    stack, report = stacked(runs, model, insisted)
+    report = report.with_left_out(ask.left_out)
     if missing := _missing(stack, model) or _missing_to_fit(stack, model, holdout or ()):
         return _not_enough(runs, missing, report)
     case = _split(stack, report, declared_noise, holdout)
-    available = effects_for(stack.runs) if effects is None else effects
-    rng = np.random.default_rng(seed)
+    available = effects_for(stack.runs) if ask.effects is None else ask.effects
+    rng = np.random.default_rng(ask.seed)
     candidates, found = _searched(case, available, model, rng)
     if better := _without_false_outliers(case, found, declared_noise):
         case = better
         candidates, found = _searched(case, available, model, rng)
-    return _concluded(case, candidates, found, model, declared_noise, rng)
+    known = ask.turn_on_is_declared
+    return _concluded(case, candidates, found, model, declared_noise, rng, turn_on_is_declared=known)
 
 
 def case_of(
@@ -162,8 +214,14 @@ def _not_enough(runs: Sequence[RunBlocks], missing: tuple[str, ...], report: Sta
         signal=runs[0].signal if runs else "",
         runs=tuple(run.run for run in runs),
         missing=missing,
-        limits=report.limits,
+        limits=(*_of_left_out(report.left_out), *report.limits),
+        left_out=report.left_out,
     )
+
+
+def _of_left_out(left_out: Sequence[LeftOut]) -> tuple[str, ...]:
+    """Return the limits that losses set, without which a reader takes the rest for more than it is."""
+    return tuple(each.sentence for each in left_out if each.is_grave)
 
 
 def _split(
@@ -226,9 +284,11 @@ def _concluded(
     model: ErrorModel,
     declared: NoiseCoefficients | None,
     rng: np.random.Generator,
+    *,
+    turn_on_is_declared: bool,
 ) -> Diagnosis:
     records = [case.training]
-    every = findings(records, candidates, found)
+    every = [with_causes(each, case.stack.runs, model.effects) for each in findings(records, candidates, found)]
     held_out = case.stack.of_replicates(case.held_out) if case.held_out else np.ones(len(case.stack), dtype=bool)
     holdout = None
     if case.held_out and found.selected:
@@ -241,26 +301,55 @@ def _concluded(
     seen_once = tuple(refused) + tuple(unreplicated(records, found.unreplicated) if not found.selected else ())
     excess = noise_excess(case.training, kept.joint)
     is_excess = declared is not None and excess.is_excess
-    noise = kept.joint.noises[0]
+    noise = measured_noise(case.training, kept.joint.noises[0])
     tests = screen(candidates, kept.joint.hypothesis.designs, kept.joint.noises, rng).tests
     limits, blind = detection_limits(candidates, kept.joint, [each.name for each in effects], tests)
     box = open_lockbox(case.stack, held_out, case.training, kept)
     names = case.held_out or case.stack.replicates
+    error = error_table(box, kept, names, is_held_out=bool(case.held_out))
+    untold = blind_terms(case.training, model.labels())
+    scatter = run_scatter(box.record, kept.joint.noises[0])
+    remarks: list[str] = []
+    if declared is not None:
+        known_scatter = scatter if turn_on_is_declared else None
+        remarks += disagreements(declared, noise, excess, known_scatter)
+    if not turn_on_is_declared and not any(each.replicates for each in effects) and scatter.ratio >= FAR:
+        differing = scatter_finding(box.record, scatter, model.effects, effects_for(case.stack.runs))
+        unit_of_measure = case.stack.runs[0].unit_of_measure
+        if differing is not None:
+            effects = (differing, *effects)
+            remarks.append(scatter_limit(differing, scatter, len(case.stack.runs)))
+        else:
+            remarks.append(undeclared_scatter_limit(scatter, unit_of_measure))
     declared_model = fitted_model(model, case.training, kept, kept.null.noises[0], with_effects=False)
+    effects = with_bounds(effects, declared_model)
+    verdict = verdict_of(effects, seen_once, is_excess=is_excess, within_run=case.replication == "within_run")
+    unexplained = unexplained_error(error) if case.held_out else None
+    # that runs differ explains no error within them, and no term that none of them tells
+    has_no_cause = verdict is Verdict.NOTHING_MISSING or (effects and all(each.name == TURN_ON for each in effects))
+    if has_no_cause and (untold or unexplained):
+        verdict = Verdict.NOT_ENOUGH_DATA if untold else Verdict.UNEXPLAINED
+    limits = {name: each for name, each in limits.items() if name not in _meant(effects)}
+    verdict = denied(verdict, case.report.left_out)
     return Diagnosis(
-        verdict=verdict_of(effects, seen_once, is_excess=is_excess, within_run=case.replication == "within_run"),
+        verdict=verdict,
+        left_out=case.report.left_out,
         units=(case.training.unit,),
         signal=case.stack.runs[0].signal,
         effects=effects,
         unreplicated=seen_once,
         holdout=holdout,
-        error=error_table(box, kept, names, is_held_out=bool(case.held_out)),
+        error=error,
         noise=noise,
         declared_noise=declared,
         noise_excess=excess.ratio if declared is not None else None,
         detection_limits=limits,
         not_tested=_not_tested(case, candidates, blind),
-        limits=_limits(case, model, effects, holdout, declared, is_excess=is_excess),
+        limits=(*_limits(case, untold, effects, holdout, declared, error, is_excess=is_excess), *remarks),
+        missing=(*_untold(case, untold), *_of_left_out(case.report.left_out))
+        if verdict is Verdict.NOT_ENOUGH_DATA
+        else (),
+        unexplained=unexplained,
         replication=case.replication,
         training_runs=case.training.stack.replicates,
         runs=case.stack.replicates,
@@ -277,8 +366,7 @@ def _concluded(
 
 def _asked(effect: FoundEffect, holdout: Holdout | None) -> FoundEffect:
     """Return the effect with what the held-out runs say of it."""
-    answers = [each.accepted for each in holdout.effects if each.effect == effect.name] if holdout else []
-    return msgspec.structs.replace(effect, confirmed=answers[0]) if answers else effect
+    return effect if holdout is None else msgspec.structs.replace(effect, confirmed=holdout.confirms(effect.name))
 
 
 def _of_open_form(found: FoundEffect, refused: Sequence[FoundEffect]) -> FoundEffect:
@@ -309,7 +397,8 @@ def verdict_of(
     if any(each.confounded for each in lasting):
         return Verdict.CONFOUNDED
     if lasting:
-        return Verdict.UNREPLICATED if within_run else Verdict.EFFECT_FOUND
+        is_confirmed = not within_run and any(each.confirmed for each in lasting)
+        return Verdict.EFFECT_FOUND if is_confirmed else Verdict.UNREPLICATED
     if len(effects) > 1:
         return Verdict.UNEXPLAINED
     if effects or seen_once:
@@ -334,16 +423,32 @@ def _no_lockbox(case: Case) -> str:
     return "no lockbox: none of the runs was held out"
 
 
+def _meant(effects: Sequence[FoundEffect]) -> set[str]:
+    """Names that a finding may mean: none of them is absent."""
+    return {name for each in effects for name in (*each.companions, *(other.name for other in each.confounded))}
+
+
+def _untold(case: Case, labels: Sequence[str]) -> tuple[str, ...]:
+    return untold_terms(labels, case.training.stack.replicates, case.held_out)
+
+
 def _limits(
     case: Case,
-    model: ErrorModel,
+    untold: Sequence[str],
     effects: Sequence[FoundEffect],
     holdout: Holdout | None,
     declared: NoiseCoefficients | None,
+    error: ErrorTable,
     *,
     is_excess: bool,
 ) -> tuple[str, ...]:
-    limits = [*case.report.limits, *channel_limits(case.training), *blind_terms(case.training, model.labels())]
+    limits = [
+        *_of_left_out(case.report.left_out),
+        *case.report.limits,
+        *channel_limits(case.training),
+        *_untold(case, untold),
+    ]
+    limits += [text for text in (unexplained_error(error) if case.held_out else None, gain_limit(error)) if text]
     if case.replication == "within_run":
         limits.append(
             "one run only: its segments stand for replicates, so that what is tied to this run shows as an effect"
@@ -362,12 +467,7 @@ def _limits(
     if is_excess:
         limits.append("more noise than declared at averages of 300 to 3600 s, and nothing in the channels explains it")
     names = [each.name for each in effects]
-    limits += [
-        f"{each.effect}: the held-out runs show {each.slope:.3g} ± {each.slope_se:.2g} times what was predicted, more "
-        "than chance: its form is not exact, or it changes from run to run"
-        for each in (holdout.effects if holdout else ())
-        if each.effect in names and each.effect != LINE and differs(each.slope, each.slope_se, each.training_se)
-    ]
+    limits += holdout_limits(holdout, effects)
     if JUMP in names:
         limits.append("a jump happens once: runs that were held out cannot confirm it")
     if LINE in names:

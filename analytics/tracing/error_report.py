@@ -3,14 +3,16 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 from scipy import stats
 
+from analytics.tracing.error_gain import error_gain, less_run_means
+from analytics.tracing.error_result import ErrorAt, ErrorTable
 from analytics.tracing.least_squares import solve
 from analytics.tracing.lockbox import Lockbox
-from analytics.tracing.noise_floor import Averages, averages_of, expected_variance
+from analytics.tracing.noise_floor import Averages, averages_of, expected_variance, within_run_variance
 from analytics.tracing.record import Record
-from analytics.tracing.result import ErrorAt, ErrorTable
 from analytics.tracing.selection import Search
 from stream.batch import BoolArray, FloatArray, IntArray
 
@@ -63,7 +65,8 @@ def error_table(box: Lockbox, found: Search, names: Sequence[str], *, is_held_ou
         )
         driven = np.abs(averages.of(box.predictions.sum(axis=1)))
         excited = driven > EXCITED * driven.max(initial=0.0)
-        table.append(_row(seconds, squares, excited))
+        row = _row(seconds, squares, excited)
+        table.append(_within_runs(row, box, averages, within_run_variance(record, noise, averages)))
         fractions[seconds] = _fraction(squares), _fraction(_Squares(*(each[excited] for each in squares)))
     whole, on_excited = fractions.get(REFERENCE_S, (None, None)) if box.predictions.any() else (None, None)
     return ErrorTable(tuple(names), is_held_out, record.stack.runs[0].unit_of_measure, tuple(table), whole, on_excited)
@@ -110,6 +113,22 @@ def _row(seconds: float, squares: _Squares, excited: FloatArray) -> ErrorAt:
         excited_before=on[0],
         excited_after=on[1],
         excited_floor=on[2],
+    )
+
+
+def _within_runs(row: ErrorAt, box: Lockbox, averages: Averages, variance: float) -> ErrorAt:
+    """Return the row with the errors about the mean of each run, and how much the errors fall."""
+    run = np.array([box.record.stack.run_number[rows[0]] for rows in averages.rows])
+    raw = averages.of(box.before_alone), averages.of(box.after)
+    within = less_run_means(raw[0], run), less_run_means(raw[1], run)
+    has_effect = bool(box.predictions.any())
+    return msgspec.structs.replace(
+        row,
+        before_within=float(np.sqrt(np.mean(within[0] ** 2))),
+        after_within=float(np.sqrt(np.mean(within[1] ** 2))),
+        floor_within=float(np.sqrt(variance)),
+        gain=error_gain(*raw, run) if has_effect else None,
+        gain_within=error_gain(*within, run) if has_effect else None,
     )
 
 

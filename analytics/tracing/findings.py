@@ -99,6 +99,8 @@ def _finding(records: Sequence[Record], candidates: Candidates, found: Search, w
 
 def _confounded(other: Contender, beside: Contender) -> ConfoundedEffect:
     own = _effect_of(other)
+    width = other.columns[0].shape[1]
+    fitted = other.candidate is not None and width > 0
     return ConfoundedEffect(
         name=other.name,
         parameters=other.parameters,
@@ -106,6 +108,7 @@ def _confounded(other: Contender, beside: Contender) -> ConfoundedEffect:
         role=other.role.value,
         separating_test=own.separating_test,
         separating_test_zh=own.separating_test_zh,
+        coefficient=float(other.joint.common.coefficients[-width]) if fitted else None,
     )
 
 

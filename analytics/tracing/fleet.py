@@ -1,6 +1,6 @@
 """The same trace over several units: a common effect too small for one of them, and which units differ."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -10,6 +10,7 @@ from scipy import stats
 from analytics.effects.base import Effect, Kind
 from analytics.effects.registry import effects_for
 from analytics.error_model import ErrorModel
+from analytics.left_out import LeftOut
 from analytics.run_blocks import RunBlocks
 from analytics.tracing.candidates import candidates_for
 from analytics.tracing.diagnosis import FIRST_TIER, Case, case_of, diagnose, verdict_of
@@ -17,6 +18,7 @@ from analytics.tracing.evidence import by_replicate
 from analytics.tracing.findings import findings
 from analytics.tracing.line_scan import amplitude_of
 from analytics.tracing.lockbox import judge, open_lockbox
+from analytics.tracing.partial_channels import denied
 from analytics.tracing.record import Record
 from analytics.tracing.result import Diagnosis, FoundEffect, Holdout, NoiseCoefficients, Verdict
 from analytics.tracing.selection import Search, Selected, own_fit, search
@@ -107,7 +109,9 @@ def diagnose_fleet(
     effects: Mapping[str, Effect] | None = None,
     declared_noise: Mapping[str, NoiseCoefficients] | None = None,
     holdout: Mapping[str, Sequence[str]] | None = None,
+    left_out: Mapping[str, Sequence[LeftOut]] | None = None,
     seed: int = 0,
+    told: Callable[[str], None] = lambda _: None,
 ) -> FleetDiagnosis:
     """Find what a declared error model lacks in all units together, and in each.
 
@@ -123,19 +127,29 @@ def diagnose_fleet(
         Noise of the units.
     holdout : mapping of str to sequence of str, optional
         Runs of each unit that are held out; by default, and of a unit that is not named, the last third.
+    left_out : mapping of str to sequence of LeftOut, optional
+        What the reduction left out of each unit's record.
     seed : int
         Of the draws that give the number of independent tests.
+    told : callable, optional
+        Is told what is being done.
     """
-    noises, held_out = declared_noise or {}, holdout or {}
-    alone = {
-        unit: diagnose(
-            runs, model, effects=effects, declared_noise=noises.get(unit), holdout=held_out.get(unit), seed=seed
+    noises, held_out, losses = declared_noise or {}, holdout or {}, left_out or {}
+    alone: dict[str, Diagnosis] = {}
+    for number, (unit, runs) in enumerate(units.items(), start=1):
+        told(f"tracing {unit} ({number} of {len(units)})")
+        alone[unit] = diagnose(
+            runs,
+            model,
+            effects=effects,
+            declared_noise=noises.get(unit),
+            holdout=held_out.get(unit),
+            left_out=losses.get(unit, ()),
+            seed=seed,
         )
-        for unit, runs in units.items()
-    }
-    enough = [unit for unit in units if alone[unit].verdict is not Verdict.NOT_ENOUGH_DATA]
+    enough = [unit for unit in units if alone[unit].model is not None]
     cases = [case_of(units[unit], model, noises.get(unit), held_out.get(unit)) for unit in enough]
-    limits = [f"unit {unit}: {alone[unit].missing[0]}" for unit in units if unit not in enough]
+    limits = [f"unit {unit}: {each}" for unit in units for each in alone[unit].missing[:1]]
     if len(cases) < 2:
         return FleetDiagnosis(
             verdict=Verdict.NOT_ENOUGH_DATA,
@@ -147,23 +161,25 @@ def diagnose_fleet(
             own_findings=standing(alone),
             limits=(*limits, f"{len(cases)} units with enough data, 2 are needed to pool"),
         )
+    told(f"searching for what {len(cases)} units have in common")
     records = [case.training for case in cases]
     available = effects_for([run for case in cases for run in case.stack.runs]) if effects is None else effects
     lost = {name: why for case in cases for name, why in case.report.lost_channels.items()}
     candidates = candidates_for(records, available, model, FIRST_TIER, lost)
     found = search(records, candidates, np.random.default_rng(seed))
-    told = _asked(cases, records, found)
-    answers = {each.effect: each.accepted for each in told.effects} if told else {}
+    held = _asked(cases, records, found)
     every = [
-        msgspec.structs.replace(each, confirmed=answers.get(each.name)) for each in findings(records, candidates, found)
+        msgspec.structs.replace(each, confirmed=None if held is None else held.confirms(each.name))
+        for each in findings(records, candidates, found)
     ]
     kept = tuple(each for each in every if each.replicates and each.confirmed is not False)
     gone = tuple(each for each in every if not each.replicates or each.confirmed is False)
+    verdict = verdict_of(kept, gone, is_excess=False, within_run=False)
     return FleetDiagnosis(
-        verdict=verdict_of(kept, gone, is_excess=False, within_run=False),
+        verdict=denied(verdict, [each for unit in enough for each in alone[unit].left_out]),
         effects=kept,
         unreplicated=gone,
-        holdout=told,
+        holdout=held,
         by_unit={
             each.contender.name: _by_unit(records, found, each)
             for each in found.selected

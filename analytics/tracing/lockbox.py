@@ -14,7 +14,7 @@ from analytics.tracing.least_squares import Solution, fit_of_clusters, solve
 from analytics.tracing.line_scan import amplitude_of, line_columns, powers_at
 from analytics.tracing.misfit import redness
 from analytics.tracing.record import Record
-from analytics.tracing.result import Holdout, HoldoutSlope
+from analytics.tracing.result import Answer, Holdout, HoldoutSlope
 from analytics.tracing.selection import Search, Selected, own_fit
 from analytics.tracing.stack import Stack
 from analytics.tracing.white_variance import record_of
@@ -24,6 +24,10 @@ IS_THERE = 1.64
 """Standard errors by which the slope has to exceed zero: 5 % one-sided."""
 SAME_SIZE = 3.29
 """Standard errors by which the slope may differ from one: of true effects 1 in 1000 is refused for its size."""
+AGREES = 1.96
+"""Standard errors within which a slope that does not differ from zero agrees with one as well."""
+FOUR_OF_FIVE = 0.84
+"""Standard errors more by which 4 of 5 true effects exceed `IS_THERE`: with fewer, not to be seen is no refusal."""
 WON = 0.9
 """Share of the error that a prediction wins, as it is, of what it would win at its right size: then it will do."""
 LINE_P_VALUE = 0.005
@@ -190,8 +194,29 @@ def _slope(name: str, slope: float, slope_se: float, training_se: float) -> Hold
     is_there = slope - IS_THERE * slope_se > 0
     # of a large effect chance is a small part: its form is never exact, and it does not repeat to a thousandth
     will_do = (slope - 1) ** 2 <= (1 - WON) * slope**2
-    accepted = is_there and (will_do or not differs(slope, slope_se, training_se))
-    return HoldoutSlope(name, slope, slope_se, float(training_se), accepted)
+    is_told = is_there and (will_do or not differs(slope, slope_se, training_se))
+    answer = answer_of(is_told=is_told, slope=slope, slope_se=slope_se, training_se=training_se)
+    return HoldoutSlope(name, slope, slope_se, float(training_se), answer is Answer.CONFIRMED, answer)
+
+
+def answer_of(*, is_told: bool, slope: float, slope_se: float, training_se: float) -> Answer:
+    """What a slope says; one that is too wide to tell 1 from 0 says nothing, whatever it is by luck.
+
+    Examples
+    --------
+    >>> answer_of(is_told=True, slope=2.0, slope_se=0.9, training_se=0.1)
+    <Answer.NO_POWER: 'no_power'>
+    >>> answer_of(is_told=False, slope=0.43, slope_se=0.47, training_se=0.1)
+    <Answer.NO_POWER: 'no_power'>
+    >>> answer_of(is_told=False, slope=-6.0, slope_se=0.9, training_se=0.1)
+    <Answer.REFUSED: 'refused'>
+    """
+    if slope_se * IS_THERE > 1:
+        return Answer.REFUSED if differs(slope, slope_se, training_se) else Answer.NO_POWER
+    if is_told:
+        return Answer.CONFIRMED
+    agrees = slope > 0 and abs(slope - 1) < AGREES * math.hypot(slope_se, training_se)
+    return Answer.NO_POWER if agrees and slope_se * (IS_THERE + FOUR_OF_FIVE) > 1 else Answer.REFUSED
 
 
 def differs(slope: float, slope_se: float, training_se: float) -> bool:
@@ -215,7 +240,11 @@ def _line_slope(boxes: Sequence[Lockbox], trainings: Sequence[Record], found: Se
     trained, trained_error = amplitude_of(*own_fit(found, which, range(len(trainings))))
     trained = max(trained, trained_error, 1e-300)
     accepted = float(stats.chi2.sf(there.sum(), 2 * there.size)) < LINE_P_VALUE
-    return HoldoutSlope(which.contender.name, amplitude / trained, error / trained, trained_error / trained, accepted)
+    slope, slope_se, training_se = amplitude / trained, error / trained, trained_error / trained
+    # a line has a phase of its own in each run: it is there or it is not
+    is_wide = answer_of(is_told=accepted, slope=slope, slope_se=slope_se, training_se=training_se) is Answer.NO_POWER
+    answer = Answer.CONFIRMED if accepted else Answer.NO_POWER if is_wide else Answer.REFUSED
+    return HoldoutSlope(which.contender.name, slope, slope_se, training_se, accepted, answer)
 
 
 def _line_on(boxes: Sequence[Lockbox], found: Search, frequency_hz: float) -> tuple[FloatArray, FloatArray]:

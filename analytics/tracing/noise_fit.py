@@ -13,6 +13,7 @@ _DIFFERENCE = 1e-3  # of a logarithm
 _LONGEST_STEP = 1.5
 _ENOUGH = 0.02  # nats that a further step would win
 _MOST_STEPS = 8
+_FAR = 1.5  # logarithm of a ratio of noise coefficients
 
 
 @dataclass(frozen=True)
@@ -78,8 +79,11 @@ def fit_noise(
     """
     data = _Data(record, np.column_stack([record.value, columns]), restricted)
     active = np.flatnonzero(record.prior.values > 0).astype(np.int64)
-    begin = record.prior.center if start is None else start
-    current = _evaluate(data, begin)
+    current = _evaluate(data, record.prior.center if start is None else start)
+    if start is not None and _is_far(start, record.prior.center, active):
+        # noise that took a large effect for its own is no place to start from once the effect is in the model
+        declared = _evaluate(data, record.prior.center)
+        current = max((current, declared), key=lambda each: each.fit.log_likelihood)
     for _ in range(_MOST_STEPS):
         score, information = _derivatives(data, current, active)
         step = np.asarray(np.linalg.solve(information, score), dtype=np.float64)
@@ -91,6 +95,10 @@ def fit_noise(
             break
         current = better
     return current.fit
+
+
+def _is_far(start: NoiseCoefficients, center: NoiseCoefficients, active: IntArray) -> bool:
+    return bool(np.any(np.abs(np.log(as_array(start)[active] / as_array(center)[active])) > _FAR))
 
 
 def evaluate(record: Record, columns: FloatArray, noise: NoiseCoefficients) -> NoiseFit:

@@ -6,6 +6,8 @@ from typing import Any, Literal
 import msgspec
 
 from analytics.error_model import ErrorModel
+from analytics.left_out import LeftOut
+from analytics.tracing.error_result import ErrorTable
 
 
 class Verdict(StrEnum):
@@ -16,12 +18,21 @@ class Verdict(StrEnum):
     CONFOUNDED = "confounded"
     """An effect is there; the data cannot tell which of several."""
     UNREPLICATED = "unreplicated"
-    """Seen once, or not confirmed by the runs that were held out."""
+    """Seen once, refused by the held-out runs, or not put to the test: none were held out, or they do not excite it."""
     UNKNOWN_FUNCTION = "unknown_function"
     """It depends on a channel, but not as any effect of the library does."""
     UNEXPLAINED = "unexplained"
-    """More noise than declared at long averaging times, and nothing that explains it."""
+    """More noise than declared, or a larger error in the held-out runs than the noise, and nothing that explains it."""
     NOT_ENOUGH_DATA = "not_enough_data"
+
+
+class Answer(StrEnum):
+    """What the held-out runs say of an effect."""
+
+    CONFIRMED = "confirmed"
+    REFUSED = "refused"
+    NO_POWER = "no_power"
+    """They hardly excite it: in such runs a true effect of this size shows too seldom for its absence to mean much."""
 
 
 class NoiseCoefficients(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -69,20 +80,39 @@ class ConfoundedEffect(msgspec.Struct, frozen=True):
         Of the effect.
     parameters : mapping
         Values of its shape parameters.
-    evidence_behind : float
-        By how much its evidence is less than that of the named effect, in units of chi-square.
+    evidence_behind : float, optional
+        By how much its evidence is less than that of the named effect, in units of chi-square; None where it was not
+        compared, as of a cause that is not recorded.
     role : str
         cause, proxy or alias.
     separating_test, separating_test_zh : str
         The measurement that would tell them apart.
+    recorded : bool
+        Whether its channels are in the record; what is not recorded cannot be excluded.
+    coefficient : float, optional
+        Its first coefficient, where it was fitted.
+    implied, most : float, optional
+        Of a clock's error: how large it would have to be, at least, and the most that clocks are off.
+    implied_unit : str
+        Unit of measure of both.
     """
 
     name: str
     parameters: dict[str, Any]
-    evidence_behind: float
+    evidence_behind: float | None
     role: str
     separating_test: str
     separating_test_zh: str
+    recorded: bool = True
+    coefficient: float | None = None
+    implied: float | None = None
+    most: float | None = None
+    implied_unit: str = ""
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether it can be as large as it would have to be."""
+        return self.implied is None or self.most is None or self.implied <= self.most
 
 
 class HoldoutSlope(msgspec.Struct, frozen=True):
@@ -97,8 +127,12 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
     training_se : float
         Relative standard error of the coefficient that was frozen.
     accepted : bool
-        slope - 1.64*SE > 0, and either abs(slope - 1) < 3.29*sqrt(SE^2 + training_se^2) or, of a large effect, the
-        prediction as it is wins at least 0.9 of what it would win at its right size: (slope - 1)^2 < 0.1*slope^2.
+        1.64*SE < 1 and slope - 1.64*SE > 0, and either abs(slope - 1) < 3.29*sqrt(SE^2 + training_se^2) or, of a large
+        effect, the prediction as it is wins at least 0.9 of what it would win at its right size:
+        (slope - 1)^2 < 0.1*slope^2.
+    answer : Answer
+        Confirmed if accepted; no power if 1.64*SE > 1 and the slope agrees with one, even if it is far from zero by
+        luck, or if 2.48*SE > 1 and it agrees with zero and with one; else refused.
     """
 
     effect: str
@@ -106,6 +140,7 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
     slope_se: float
     training_se: float
     accepted: bool
+    answer: Answer = Answer.REFUSED
 
 
 class Holdout(msgspec.Struct, frozen=True):
@@ -129,6 +164,22 @@ class Holdout(msgspec.Struct, frozen=True):
     def accepted(self) -> bool:
         """Whether all of it is confirmed."""
         return self.total.accepted and all(each.accepted for each in self.effects)
+
+    @property
+    def overall(self) -> Answer:
+        """Confirmed if all of it is, refused if any of it is, else no power."""
+        answers = [self.total.answer, *(each.answer for each in self.effects)]
+        if self.accepted:
+            return Answer.CONFIRMED
+        return Answer.REFUSED if Answer.REFUSED in answers else Answer.NO_POWER
+
+    def answer(self, name: str) -> Answer | None:
+        """What the held-out runs say of an effect; None where they were not asked, as of a jump."""
+        return next((each.answer for each in self.effects if each.effect == name), None)
+
+    def confirms(self, name: str) -> bool | None:
+        """Whether they confirm an effect; None where they cannot tell or were not asked."""
+        return {Answer.CONFIRMED: True, Answer.REFUSED: False}.get(self.answer(name) or Answer.NO_POWER)
 
 
 class FoundEffect(msgspec.Struct, frozen=True):
@@ -208,76 +259,6 @@ class FoundEffect(msgspec.Struct, frozen=True):
         }
 
 
-class ErrorAt(msgspec.Struct, frozen=True):
-    """RMS of the residual averaged over a time, in the signal's unit.
-
-    Parameters
-    ----------
-    averaging_s : float
-        Seconds.
-    before, after : float
-        With the declared model and with the model found, coefficients from the training runs.
-    floor : float
-        What the fitted noise alone would leave, the error of the estimated declared coefficients included.
-    excited_before, excited_after : float, optional
-        The same over the averages in which the effect is excited; None without an effect.
-    averages : int
-        How many averages there are.
-    """
-
-    averaging_s: float
-    before: float
-    after: float
-    floor: float
-    averages: int
-    excited_before: float | None = None
-    excited_after: float | None = None
-    excited_floor: float | None = None
-
-
-class ErrorTable(msgspec.Struct, frozen=True):
-    """The error before and after, beside the floor that noise sets.
-
-    Parameters
-    ----------
-    runs : tuple of str
-        Where it was measured.
-    is_held_out : bool
-        Whether those runs took no part in the fit.
-    unit_of_measure : str
-        Of the RMS values.
-    rows : tuple of ErrorAt
-        For the block and for 300, 1800 and 3600 s, as far as runs are long enough.
-    achievable_fraction : float, optional
-        (MSE before - MSE after) / (MSE before - MSE floor) at 1800 s; None where nothing was found or nothing is above
-        the floor.
-    achievable_fraction_excited : float, optional
-        The same over averages in which the effect is excited.
-    """
-
-    runs: tuple[str, ...]
-    is_held_out: bool
-    unit_of_measure: str
-    rows: tuple[ErrorAt, ...]
-    achievable_fraction: float | None = None
-    achievable_fraction_excited: float | None = None
-
-    def document(self) -> dict[str, Any]:
-        """Return it as it stands in JSON."""
-        parts = {
-            part: {f"rms_{row.averaging_s:g}s": getattr(row, part) for row in self.rows}
-            for part in ("before", "after", "floor")
-        }
-        return {
-            **parts,
-            "achievable_fraction": self.achievable_fraction,
-            "achievable_fraction_excited": self.achievable_fraction_excited,
-            "unit_of_measure": self.unit_of_measure,
-            "runs": list(self.runs),
-            "held_out": self.is_held_out,
-        }
-
-
 class DetectionLimit(msgspec.Struct, frozen=True):
     """How small an effect that was not found can have been.
 
@@ -336,6 +317,10 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
         whichever predicts the held-out runs better.
     missing : tuple of str
         What is missing where the verdict is not_enough_data.
+    left_out : tuple of LeftOut
+        What was left out of the record, with its share and why; the worst first.
+    unexplained : str, optional
+        By how much the error of the model found exceeds the noise in the held-out runs, where that is far.
     """
 
     verdict: Verdict
@@ -358,11 +343,18 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     model: ErrorModel | None = None
     judged: ErrorModel | None = None
     missing: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    unexplained: str | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the effects found."""
         return tuple(effect.name for effect in self.effects)
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """What was left out and is a limit before anything else is said."""
+        return tuple(each.sentence for each in self.left_out if each.is_grave)
 
     @property
     def confounded(self) -> tuple[ConfoundedEffect, ...]:
@@ -385,6 +377,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
             "not_tested": dict(self.not_tested),
             "limits": list(self.limits),
             "missing": list(self.missing),
+            "left_out": [each.document() for each in self.left_out],
             "replication": self.replication,
             "training_runs": list(self.training_runs),
             "model": None if self.model is None else {"text": str(self.model), **msgspec.to_builtins(self.model)},
@@ -407,7 +400,20 @@ def _confounded(beside: str, other: ConfoundedEffect) -> dict[str, Any]:
         "beside": beside,
         "parameters": other.parameters,
         "role": other.role,
+        "recorded": other.recorded,
         "separating_test": other.separating_test,
+        "implied": _implied(other),
+    }
+
+
+def _implied(other: ConfoundedEffect) -> dict[str, Any] | None:
+    if other.implied is None:
+        return None
+    return {
+        "value": other.implied,
+        "most": other.most,
+        "unit_of_measure": other.implied_unit,
+        "plausible": other.is_plausible,
     }
 
 
@@ -419,5 +425,6 @@ def _holdout(holdout: Holdout | None) -> dict[str, Any] | None:
         "slope": holdout.total.slope,
         "slope_se": holdout.total.slope_se,
         "accepted": holdout.accepted,
+        "answer": holdout.overall.value,
         "effects": [msgspec.to_builtins(each) for each in holdout.effects],
     }

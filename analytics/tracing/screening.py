@@ -153,7 +153,7 @@ def _test(item: Candidate, total: Projected, left: BoolArray) -> _Test | None:
     own = np.flatnonzero(left[item.columns]) + item.start
     if not own.size:
         return None
-    whiten = _own_whitening(total.normal[np.ix_(own, own)])
+    whiten = own_whitening(total.normal[np.ix_(own, own)])
     degrees = whiten.shape[0]
     statistic = float(np.sum((whiten @ total.right[own]) ** 2))
     p_value = float(special.gammaincc(degrees / 2, statistic / 2))
@@ -184,7 +184,7 @@ def _draws(normal: FloatArray, left: BoolArray, rng: np.random.Generator) -> Flo
     return drawn
 
 
-def _own_whitening(normal: FloatArray) -> FloatArray:
+def own_whitening(normal: FloatArray) -> FloatArray:
     """Matrix that turns products of a candidate's columns with white noise into independent ones of unit variance."""
     scale = np.sqrt(np.diag(normal))
     eigenvalues, vectors = np.linalg.eigh(normal / np.outer(scale, scale))

@@ -10,7 +10,9 @@ from analytics.tracing.candidates import Candidates
 from analytics.tracing.contenders import Contender, contenders
 from analytics.tracing.evidence import PRICE
 from analytics.tracing.joint_fit import Hypothesis, JointFit, fit_jointly, nothing_more
+from analytics.tracing.pair_round import best_pair
 from analytics.tracing.record import Record
+from analytics.tracing.screening import screen
 from stream.batch import FloatArray
 
 MOST_EFFECTS = 4
@@ -120,10 +122,38 @@ def search(records: Sequence[Record], candidates: Candidates, rng: np.random.Gen
             break
         selected.append(best)
         joint = best.contender.joint
-    if sum(each.is_common for each in selected) >= 2:
+    common = [each for each in selected if each.is_common]
+    if len(common) < 2 and len(selected) - len(common) + 2 <= MOST_EFFECTS:
+        selected, joint = _with_pair(records, candidates, selected, joint, rng)
+    elif len(common) >= 2:
         selected, joint = _refined(records, candidates, selected, joint, rng)
     joint = fit_jointly(records, hypothesis_of(records, selected), joint.noises, restricted=True)
     return Search(tuple(selected), null, joint, unreplicated)
+
+
+def _with_pair(
+    records: Sequence[Record],
+    candidates: Candidates,
+    selected: list[Selected],
+    joint: JointFit,
+    rng: np.random.Generator,
+) -> tuple[list[Selected], JointFit]:
+    """Take two effects that mask each other in the place of none or of one; each must be chosen beside the other.
+
+    What is left of two that mask each other may look like a third, which then is the only one that is found.
+    """
+    events = [each for each in selected if not each.is_common]
+    least = sum(each.contender.evidence + each.contender.lead for each in selected if each.is_common)
+    base = fit_jointly(records, hypothesis_of(records, events), joint.noises) if least else joint
+    pair = best_pair(
+        records, candidates, base, lambda: screen(candidates, base.hypothesis.designs, base.noises, rng).tests
+    )
+    if not pair or pair[0].evidence <= least:
+        return selected, joint
+    both = [*events, *(Selected(each, (), ()) for each in pair)]
+    refined, after = _refined(records, candidates, both, pair[0].joint, rng)
+    is_kept = sum(each.is_common for each in refined) == len(pair)
+    return (refined, after) if is_kept else (selected, joint)
 
 
 def _chosen(found: Sequence[Contender]) -> Selected | None:

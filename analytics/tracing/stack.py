@@ -1,12 +1,13 @@
 """All blocks of one unit, its runs one after the other, as a regression sees them."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from analytics.error_model import ErrorModel
-from analytics.run_blocks import RunBlocks
+from analytics.left_out import LeftOut, Loss, left_out
+from analytics.run_blocks import Channel, RunBlocks
 from analytics.tracing.noise_model import NoiseModel
 from stream.batch import BoolArray, FloatArray, IntArray
 
@@ -105,26 +106,37 @@ class StackReport:
     limits: tuple[str, ...]
     lost_channels: dict[str, str]
     """Channels that cannot take part, and why."""
+    left_out: tuple[LeftOut, ...] = ()
+    """What was left out of the record."""
+
+    def with_left_out(self, more: Sequence[LeftOut]) -> "StackReport":
+        """Return it with what was left out before."""
+        both = (*more, *self.left_out)
+        return replace(self, left_out=tuple(sorted(both, key=lambda each: not each.is_grave)))
 
 
-def stacked(runs: Sequence[RunBlocks], model: ErrorModel) -> tuple[Stack, StackReport]:
+def stacked(runs: Sequence[RunBlocks], model: ErrorModel, insisted: Collection[str] = ()) -> tuple[Stack, StackReport]:
     """Blocks of one unit in which the declared model and all channels are known.
 
     Blocks without a value of the declared model are left out. Of channels with stretches of NaN, those are kept for
-    which at most 20 % of the blocks have to be left out.
+    which at most 20 % of the blocks have to be left out, and those that are `insisted` on.
     """
     ordered = sorted(runs, key=lambda run: (run.t0_ns, run.run))
     designs = [model.columns(run) for run in ordered]
     kept = [
         np.isfinite(design).all(axis=1) & np.isfinite(run.value) for run, design in zip(ordered, designs, strict=True)
     ]
-    limits = []
+    limits, losses = [], []
     blocks = sum(map(len, ordered))
+    without_model = {run.run: ~mask for run, mask in zip(ordered, kept, strict=True)}
     if without := blocks - sum(map(np.count_nonzero, kept)):
         limits.append(f"{without} of {blocks} blocks left out: a channel of the declared model has no value there")
-    kept, lost, dropped = _without_gaps(ordered, kept)
+        losses.append(Loss("a channel of the declared model has no value there", without_model))
+    kept, lost, dropped = _without_gaps(ordered, kept, insisted)
     if dropped:
         limits.append(f"{dropped} of {blocks} blocks left out: a channel has no value there")
+        without_channel = {run.run: ~mask for run, mask in zip(ordered, kept, strict=True)}
+        losses.append(Loss("a channel has no value there", without_channel))
     limits += [f"channel {name} not used: {reason}" for name, reason in lost.items()]
     triples = [(run, np.flatnonzero(mask), design) for run, mask, design in zip(ordered, kept, designs, strict=True)]
     triples = [(run, rows, design[rows]) for run, rows, design in triples if rows.size]
@@ -135,7 +147,7 @@ def stacked(runs: Sequence[RunBlocks], model: ErrorModel) -> tuple[Stack, StackR
         replicates=tuple(run.run for run, _, _ in triples),
         design=np.concatenate([design for _, _, design in triples]) if triples else np.empty((0, 0)),
     )
-    return stack, StackReport(tuple(limits), lost)
+    return stack, StackReport(tuple(limits), lost, left_out(ordered, losses))
 
 
 def in_segments(stack: Stack) -> Stack:
@@ -151,10 +163,12 @@ def in_segments(stack: Stack) -> Stack:
     )
 
 
-def _without_gaps(runs: Sequence[RunBlocks], kept: Sequence[BoolArray]) -> tuple[list[BoolArray], dict[str, str], int]:
+def _without_gaps(
+    runs: Sequence[RunBlocks], kept: Sequence[BoolArray], insisted: Collection[str]
+) -> tuple[list[BoolArray], dict[str, str], int]:
     """Blocks in which every channel that stays has a value, the channels that do not stay, and how many blocks go."""
     before = sum(map(np.count_nonzero, kept))
-    present = {name: [np.isfinite(run.mean(name)) for run in runs] for name in _common_channels(runs)}
+    present = {name: [known_blocks(run.channels[name]) for run in runs] for name in common_channels(runs)}
     gaps = {
         name: sum(int(np.count_nonzero(k & ~p)) for k, p in zip(kept, masks, strict=True))
         for name, masks in present.items()
@@ -162,12 +176,19 @@ def _without_gaps(runs: Sequence[RunBlocks], kept: Sequence[BoolArray]) -> tuple
     current, lost = list(kept), {}
     for name in sorted(present, key=gaps.__getitem__):
         trial = [k & p for k, p in zip(current, present[name], strict=True)]
-        if before - sum(map(np.count_nonzero, trial)) > MOST_LOST * before:
+        if name not in insisted and before - sum(map(np.count_nonzero, trial)) > MOST_LOST * before:
             lost[name] = f"no value in {gaps[name]} of {before} blocks"
         else:
             current = trial
     return current, lost, before - sum(map(np.count_nonzero, current))
 
 
-def _common_channels(runs: Sequence[RunBlocks]) -> list[str]:
+def known_blocks(channel: Channel) -> BoolArray:
+    """Mark the blocks in which a channel has a value; an angle by its phasors, which know of whole turns."""
+    value = channel.mean[None] if channel.phasors is None else channel.phasors
+    return np.asarray(np.isfinite(value).all(axis=0))
+
+
+def common_channels(runs: Sequence[RunBlocks]) -> list[str]:
+    """Return the channels that all runs have."""
     return sorted(set.intersection(*(set(run.channels) for run in runs))) if runs else []

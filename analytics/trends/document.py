@@ -8,9 +8,11 @@ from analytics.trends.capability import Capability
 from analytics.trends.change_points import Changes
 from analytics.trends.control_chart import IndividualsChart
 from analytics.trends.drift import Drift
+from analytics.trends.level_shifts import LevelShift, LevelShifts
 from analytics.trends.nelson_rules import RULES
-from analytics.trends.report import moment, sentences, stands_out
-from analytics.trends.series import Variant
+from analytics.trends.report import sentences, stands_out
+from analytics.trends.series import Series, Variant
+from analytics.trends.shift_sentences import moment
 from analytics.trends.trend import Chart, Trend
 from analytics.trends.words import Refused, Words
 
@@ -39,6 +41,7 @@ def document(trend: Trend) -> dict[str, Any]:
             "upper": trend.specification.upper,
             "source": trend.specification.source or None,
         },
+        **_shifts(trend.shifts, series),
         **_comparison(trend.comparison),
         "components": {name: each._asdict() for name, each in trend.components.items()},
         "stands_out": stands_out(trend),
@@ -73,6 +76,7 @@ def _chart(chart: Chart) -> dict[str, Any]:
         if isinstance(chart.drift, Drift)
         else _reason(chart.drift),
         "drifts": chart.drifts,
+        "is_adjusted": chart.is_adjusted,
     }
 
 
@@ -92,6 +96,7 @@ def _points(chart: Chart) -> list[dict[str, Any]]:
             "run": series.run[at],
             **{name: levels[at] for name, levels in series.groups.items()},
             "value": float(series.value[at]),
+            "charted": float(chart.charted[at]),
             "standard_uncertainty": float(series.uncertainty[at]),
             "rules": rules[at],
             "ewma": None if averages is None else float(averages.averages[at]),
@@ -127,6 +132,23 @@ def _changes(chart: Chart) -> dict[str, Any]:
         "levels": list(chart.changes.levels),
         "false_alarm": chart.changes.false_alarm,
     }
+
+
+def _shifts(found: LevelShifts | Refused, series: Series) -> dict[str, Any]:
+    """Changes of stations; their numbers are those of all values in order of time."""
+    if isinstance(found, Refused):
+        return {"shifts": [], "unsteady": None, "shifts_not_searched": _words(found.why)}
+    unsteady = found.unsteady
+    told = None
+    if unsteady is not None:
+        largest = unsteady.largest
+        told = unsteady._asdict() | {"largest": None if largest is None else _shift(largest, series)}
+    return {"shifts": [_shift(each, series) for each in found.shifts], "unsteady": told, "shifts_not_searched": None}
+
+
+def _shift(shift: LevelShift, series: Series) -> dict[str, Any]:
+    times = {name: moment(series, at) for name, at in (("time", shift.at), ("from", shift.first), ("to", shift.last))}
+    return shift._asdict() | times | {"station": shift.station or None, "is_plain": shift.is_plain}
 
 
 def _capability(found: Capability | Refused) -> dict[str, Any]:

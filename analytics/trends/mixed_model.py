@@ -95,6 +95,11 @@ class MixedModel:
         """Whether any unit has more than one value: else unit and residual are one."""
         return bool((self._sums[2] > 1).any())
 
+    @property
+    def variance_ratio(self) -> float:
+        """Variance from unit to unit over that of the residual; 0 where no unit has two values."""
+        return float(np.exp(self._optimum[1] - self._optimum[0])) if self.has_repeats else 0.0
+
     def effects(self, contrasts: FloatArray) -> list[Effect]:
         """Values of combinations of the fixed effects.
 

@@ -1,7 +1,6 @@
 """A trend in words: what is out of control, since when, which group differs and by how much."""
 
 from collections.abc import Iterator
-from datetime import UTC, datetime
 
 from analytics.metrics.registry import metrics
 from analytics.trends.between_stations import Comparison, Difference, Pairs
@@ -11,20 +10,20 @@ from analytics.trends.control_chart import IndividualsChart
 from analytics.trends.drift import Drift
 from analytics.trends.nelson_rules import RULES
 from analytics.trends.series import Series
-from analytics.trends.trend import FALSE_ALARM, NS_PER_DAY, Chart, Trend
+from analytics.trends.shift_sentences import moment, of_shifts
+from analytics.trends.trend import FALSE_ALARM, Chart, Trend
 from analytics.trends.words import Refused, Words, figures, interval, listed
 
-_BRIEF_DAYS = 10
 _GROUP_NAMES = {"station": "测试站", "fixture": "夹具", "lot": "批次", "unit": "样品", "product": "产品"}
 
 
 def sentences(trend: Trend) -> list[Words]:
     """What is to be said of a trend: first what it is of, then what stands out, then capability.
 
-    Where nothing stands out it says so: of trends of noise alone at most 5 % say more (1 % each for wild points,
-    changes, drifts, signals of rules, and groups; adjusted for all charts and groups of the report).
+    Where nothing stands out it says so: of trends of noise alone at most 6 % say more (1 % each for changes of
+    stations, wild points, changes of charts, drifts, signals of rules, and groups; adjusted for all charts and groups).
     """
-    found = [*_of_charts(trend), *_of_groups(trend)]
+    found = [*of_shifts(trend), *_of_charts(trend), *_of_groups(trend)]
     if not found:
         found = [_nothing(trend)]
     return [_head(trend), *found, *_of_components(trend), *_of_capability(trend), *_left_out(trend)]
@@ -32,26 +31,7 @@ def sentences(trend: Trend) -> list[Words]:
 
 def stands_out(trend: Trend) -> bool:
     """Whether there is anything to say but that nothing stands out."""
-    return any(True for _ in _of_charts(trend)) or any(True for _ in _of_groups(trend))
-
-
-def moment(series: Series, index: int) -> str:
-    """When a point was measured, as people write it (UTC); its number where dates are not known.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from analytics.trends.series import Variant
-    >>> one = Series("bias", "deg/h", np.zeros(1), np.zeros(1), np.array([1_763_683_200 * 10**9]), ["U"], ["r"], {},
-    ...              Variant("", ()), (), 0, True)
-    >>> moment(one, 0)
-    '2025-11-21 00:00'
-    """
-    if not series.dated:
-        return f"#{index + 1}"
-    at = datetime.fromtimestamp(int(series.t_ns[index]) // 10**9, UTC)
-    is_brief = int(series.t_ns[-1] - series.t_ns[0]) < _BRIEF_DAYS * NS_PER_DAY
-    return at.strftime("%Y-%m-%d %H:%M" if is_brief else "%Y-%m-%d")
+    return any(True for told in (of_shifts, _of_charts, _of_groups) for _ in told(trend))
 
 
 def _head(trend: Trend) -> Words:
@@ -60,17 +40,28 @@ def _head(trend: Trend) -> Words:
     en, zh = (header.en, header.zh) if header is not None else (series.metric, series.metric)
     units = len(set(series.unit))
     first, last = moment(series, 0), moment(series, series.value.size - 1)
-    charts = len(trend.charts)
-    if trend.by is None:
-        of_en, of_zh = "one chart, of the first value of each unit", "控制图取每个样品的首个值"
-    else:
-        each = "" if trend.by == "unit" else ", of the first value of each unit there"
-        of_en = f"{charts} chart{'s' * (charts > 1)}, by {trend.by}{each}"
-        of_zh = f"按{_GROUP_NAMES[trend.by]}共 {charts} 张控制图"
+    of_en, of_zh = _charted(trend)
     return Words(
         f"{en} ({series.variant}): {series.value.size} values of {units} unit{'s' * (units > 1)}, {first} to {last}; "
         f"{of_en}.",
         f"{zh}（{series.variant}）：{units} 个样品共 {series.value.size} 个值，{first} 至 {last}；{of_zh}。",
+    )
+
+
+def _charted(trend: Trend) -> Words:
+    """What stands on the charts."""
+    charts = len(trend.charts)
+    if trend.by is None:
+        return Words("one chart, of the first value of each unit", "控制图取每个样品的首个值")
+    if any(chart.is_adjusted for chart in trend.charts):
+        each = ", of every value, its unit's own level taken off"
+        each_zh = "，取全部数值并扣除样品自身水平"
+    else:
+        each = "" if trend.by == "unit" else ", of the first value of each unit there"
+        each_zh = ""
+    return Words(
+        f"{charts} chart{'s' * (charts > 1)}, by {trend.by}{each}",
+        f"按{_GROUP_NAMES[trend.by]}共 {charts} 张控制图{each_zh}",
     )
 
 
@@ -88,7 +79,7 @@ def _begun(sentence: str) -> str:
 
 def _of_chart(chart: Chart) -> Iterator[Words]:
     unit = chart.series.unit_of_measure
-    if isinstance(chart.changes, Changes):
+    if isinstance(chart.changes, Changes) and not (chart.is_adjusted and chart.shifts):
         for change in chart.changes.points:
             yield _change(chart.series, change)
     if chart.drifts and isinstance(chart.drift, Drift):
@@ -100,7 +91,7 @@ def _of_chart(chart: Chart) -> Iterator[Words]:
     if chart.wild_point is not None:
         yield _wild(chart, chart.limits, chart.wild_point)
     # where the level moves, rules are met because of it
-    if chart.too_many is not None and not chart.has_changed and not chart.drifts:
+    if chart.too_many is not None and not (chart.has_changed or chart.drifts or chart.shifts or chart.is_unsteady):
         yield _signals(chart, chart.too_many)
 
 
@@ -116,7 +107,7 @@ def _change(series: Series, change: ChangePoint) -> Words:
 
 def _wild(chart: Chart, limits: IndividualsChart, point: int) -> Words:
     series = chart.series
-    value = figures(float(series.value[point]), limits.sigma)
+    value = figures(float(chart.charted[point]), limits.sigma)
     z = chart.z[point]
     where = f"{series.unit[point]}, {moment(series, point)}"
     centre = figures(limits.centre, limits.sigma)
@@ -180,6 +171,12 @@ def _attribution(found: Difference, comparison: Comparison, unit: str) -> Words:
     if found.group == "lot":
         return Words("", "")
     pair = next((each for each in comparison.pairs if _is_of(each, found)), None)
+    elsewhere = [each.units for each in comparison.pairs if _takes_part(each, found)]
+    if pair is None and elsewhere:
+        return Words(
+            f"; up to {max(elsewhere)} units were measured there and on another",
+            f"；最多有 {max(elsewhere)} 个样品在该处和另一处都测量过",
+        )
     if pair is None:
         return Words(
             "; no units were measured on both, so it rests on their units being alike",
@@ -203,6 +200,10 @@ def _is_of(pair: Pairs, found: Difference) -> bool:
     return (
         bool(found.against) and pair.group == found.group and {pair.level, pair.against} == {found.level, found.against}
     )
+
+
+def _takes_part(pair: Pairs, found: Difference) -> bool:
+    return not found.against and pair.group == found.group and found.level in {pair.level, pair.against}
 
 
 def _nothing(trend: Trend) -> Words:

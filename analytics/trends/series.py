@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from analytics.metrics_selection import check_metrics
+from analytics.metrics.names import check_metrics
 from storage.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 from stream.errors import NotFound
@@ -30,6 +30,7 @@ _FOUND = frozenset(
         "days",
         "power_ons",
         "n",
+        "remark",
     }
 )
 _TEMPERATURE = "temperature"
@@ -141,11 +142,15 @@ class Series:
 
     def split(self, by: str) -> dict[str, "Series"]:
         """The values of each unit, or level of a group, by name."""
+        return {level: self.where(at) for level, at in self.places(by).items()}
+
+    def places(self, by: str) -> dict[str, IntArray]:
+        """Numbers of the values of each unit, or level of a group, by name."""
         levels = self.unit if by == "unit" else self.groups[by]
-        places: defaultdict[str, list[int]] = defaultdict(list)
+        found: defaultdict[str, list[int]] = defaultdict(list)
         for index, level in enumerate(levels):
-            places[level].append(index)
-        return {level: self.where(places[level]) for level in sorted(places)}
+            found[level].append(index)
+        return {level: np.array(found[level], np.int64) for level in sorted(found)}
 
 
 class Choice(NamedTuple):

@@ -1,7 +1,8 @@
 """The limits of the products' specifications that hold for a series."""
 
 from analytics.specification import SpecificationLimit
-from analytics.specification_store import periods_of, stored_specifications
+from analytics.specification_periods import ordered_periods
+from analytics.specification_store import stored_specifications
 from analytics.trends.series import Series, parameter_text
 from analytics.trends.trend import Limits
 from analytics.trends.words import Words
@@ -13,17 +14,12 @@ def specified_limits(store: Store, series: Series) -> Limits:
     """Limits that are valid when the last value was measured, in the unit of the series.
 
     Values of products, or signals, with different limits have none in common: that is said in place of them.
-
-    Raises
-    ------
-    BadInput
-        If a specification of the store is not right.
     """
     moment = int(series.t_ns[-1])
     found: dict[tuple[float | None, float | None], str] = {}
     kinds = set(zip(series.groups["product"], series.groups["signal"], strict=True))
     without = 0
-    periods = [each for each in periods_of(stored_specifications(store)) if each.from_ns <= moment < each.until_ns]
+    periods = [each for each in ordered_periods(stored_specifications(store)) if each.from_ns <= moment < each.until_ns]
     for product, signal in sorted(kinds):
         meant = [
             (limit, period.specification.label)

@@ -2,23 +2,25 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from analytics.trends.between_stations import Comparison, compare_groups
 from analytics.trends.capability import Capability, capability
-from analytics.trends.change_points import Changes, change_points
+from analytics.trends.change_points import ChangePoint, Changes, change_points
 from analytics.trends.chart_chance import ChartChance, chart_chance, wild_point_chance
 from analytics.trends.control_chart import IndividualsChart, Spread, individuals_chart
 from analytics.trends.drift import Drift, drift
 from analytics.trends.ewma import EwmaChart, ewma_chart
+from analytics.trends.level_shifts import LevelShift, LevelShifts, level_shifts
 from analytics.trends.mixed_model import Deviation
 from analytics.trends.nelson_rules import points_of, rule_flags
 from analytics.trends.series import GROUPS, Series
 from analytics.trends.variance_components import components
 from analytics.trends.words import Refused, Words
-from stream.batch import FloatArray
+from stream.batch import FloatArray, IntArray
 
 FALSE_ALARM = 0.01
 """Probability with which noise alone shows a wild point, a change, a drift, or too many signals: of each of these."""
@@ -43,7 +45,12 @@ class Chart(NamedTuple):
     name : str
         Unit, or level of the group; empty where all units stand on one chart.
     series : Series
-        Its points.
+        The values, in order of time.
+    charted : array of shape (points,)
+        Where its points stand: the values; of a station or fixture that measured units more than once, the level there
+        and how far each value is from what its unit lets expect (`LevelShifts.points`).
+    is_adjusted : bool
+        Whether these differ.
     limits : IndividualsChart or Refused
         Centre and control limits.
     z : array of shape (points,)
@@ -61,15 +68,21 @@ class Chart(NamedTuple):
     too_many : int or None
         The rule that is met more often than by chance.
     changes : Changes or Refused
-        Changes of level.
+        Changes of level; of a chart that is adjusted, those of `shifts`.
     drift : Drift or Refused
         Per day; per point where dates are not known.
     drifts : bool
         Whether the drift is no chance.
+    shifts : tuple of LevelShift
+        Changes of level of the stations that the values are of, from all their measurements.
+    is_unsteady : bool
+        Whether these wander from session to session.
     """
 
     name: str
     series: Series
+    charted: FloatArray
+    is_adjusted: bool
     limits: IndividualsChart | Refused
     z: FloatArray
     signals: dict[int, list[int]]
@@ -81,10 +94,12 @@ class Chart(NamedTuple):
     changes: Changes | Refused
     drift: Drift | Refused
     drifts: bool
+    shifts: tuple[LevelShift, ...] = ()
+    is_unsteady: bool = False
 
     @property
     def has_changed(self) -> bool:
-        """Whether its level has changed."""
+        """Whether the level of the chart has changed."""
         return isinstance(self.changes, Changes) and bool(self.changes.points)
 
     @property
@@ -92,8 +107,16 @@ class Chart(NamedTuple):
         """Whether nothing stands out; None where there are too few points to say."""
         if isinstance(self.limits, Refused):
             return None
-        stands_out = self.wild_point is not None or self.too_many is not None or self.has_changed or self.drifts
-        return not stands_out
+        return not any(
+            (
+                self.wild_point is not None,
+                self.too_many is not None,
+                self.has_changed,
+                self.drifts,
+                self.shifts,
+                self.is_unsteady,
+            )
+        )
 
 
 @dataclass(frozen=True)
@@ -108,6 +131,8 @@ class Trend:
         What each chart is of: ``unit``, ``lot``, ``station``, ``fixture``; None where all units stand on one.
     charts : tuple of Chart
         In order of their names.
+    shifts : LevelShifts or Refused
+        Changes of level of single stations, from all values.
     comparison : Comparison or Refused
         Between stations, fixtures and lots.
     specification : Limits
@@ -119,6 +144,7 @@ class Trend:
     series: Series
     by: str | None
     charts: tuple[Chart, ...]
+    shifts: LevelShifts | Refused
     comparison: Comparison | Refused
     specification: Limits
     capabilities: tuple[Capability | Refused, ...]
@@ -144,8 +170,10 @@ def trend_of(
     series : Series
         All values in order of time.
     by : str, optional
-        One chart for each unit, lot, station or fixture. A chart of a unit has all its values; other charts have the
-        first value of each unit, since values of one unit resemble each other more than those of different units.
+        One chart for each unit, lot, station or fixture. A chart of a unit has all its values. A chart of a station or
+        fixture has all values measured there; where units were measured more than once, each is charted by how far it
+        is from what its unit lets expect. Other charts have the first value of each unit, since values of one unit
+        resemble each other more than those of different units.
     baseline : int, optional
         From how many first points the limits are computed; from all if left out.
     spread : Spread
@@ -155,20 +183,77 @@ def trend_of(
     """
     if by is None and len(set(series.unit)) == 1:
         by = "unit"
-    if by is None:
-        parts = {"": series.first_of_units()}
-    else:
-        parts = series.split(by)
-        if by != "unit":
-            parts = {name: part.first_of_units() for name, part in parts.items()}
-    charts = tuple(_chart(name, part, len(parts), baseline, spread) for name, part in parts.items())
+    shifts = level_shifts(series, false_alarm=FALSE_ALARM)
+    parts = _parts(series, by, shifts)
+    charts = tuple(_chart(part, len(parts), baseline, spread) for part in parts)
     return Trend(
         series=series,
         by=by,
         charts=charts,
+        shifts=shifts,
         comparison=compare_groups(series, GROUPS),
         specification=specification,
         capabilities=tuple(_capability(chart, by, specification) for chart in charts),
+    )
+
+
+class _Part(NamedTuple):
+    """What stands on one chart: its values, where they stand, and the shifts of their stations."""
+
+    name: str
+    series: Series
+    charted: FloatArray
+    is_adjusted: bool
+    shifts: tuple[LevelShift, ...] = ()
+    changes: Changes | None = None
+    is_unsteady: bool = False
+
+
+def _parts(series: Series, by: str | None, shifts: LevelShifts | Refused) -> list[_Part]:
+    found = []
+    places = {"": np.arange(series.value.size)} if by is None else series.places(by)
+    for name, at in places.items():
+        part = series.where(at)
+        if isinstance(shifts, Refused):
+            part = part if by == "unit" else part.first_of_units()
+            found.append(_Part(name, part, part.value, is_adjusted=False))
+            continue
+        if by == "unit":
+            found.append(_Part(name, part, part.value, is_adjusted=False))
+            continue
+        stations = set(part.groups["station"])
+        own = tuple(each for each in shifts.shifts if each.station in {"", *stations})
+        is_unsteady = shifts.unsteady is not None
+        if by in {"station", "fixture"}:
+            changes = _changes_of(own, at, shifts.points[at]) if by == "station" else None
+            found.append(_Part(name, part, shifts.points[at], True, own, changes, is_unsteady))
+        else:
+            first = part.first_of_units()
+            found.append(_Part(name, first, first.value, False, own, None, is_unsteady))
+    return found
+
+
+def _changes_of(shifts: tuple[LevelShift, ...], at: IntArray, points: FloatArray) -> Changes:
+    """Shifts as changes of the chart with these values of the series."""
+    changes = tuple(
+        ChangePoint(
+            at=int(np.searchsorted(at, each.at)),
+            first=int(np.searchsorted(at, each.first, side="right")),
+            last=min(int(np.searchsorted(at, each.last)), at.size - 1),
+            size=each.size,
+            lo=each.lo,
+            hi=each.hi,
+        )
+        for each in shifts
+    )
+    edges = sorted({0, *(each.at for each in changes), at.size})
+    stretches = [points[first:last] for first, last in pairwise(edges)]
+    squares = sum(float(((each - each.mean()) ** 2).sum()) for each in stretches)
+    return Changes(
+        changes,
+        tuple(float(each.mean()) for each in stretches),
+        float(np.sqrt(squares / max(at.size - len(stretches), 1))),
+        FALSE_ALARM,
     )
 
 
@@ -179,14 +264,17 @@ def time_axis(series: Series) -> FloatArray:
     return np.asarray((series.t_ns - series.t_ns[:1]) / NS_PER_DAY, np.float64)
 
 
-def _chart(name: str, series: Series, charts: int, baseline: int | None, spread: Spread) -> Chart:
+def _chart(part: _Part, charts: int, baseline: int | None, spread: Spread) -> Chart:
     share = FALSE_ALARM / charts
-    limits = individuals_chart(series.value, baseline=baseline, spread=spread)
-    changes = change_points(series.value, false_alarm=share)
-    slope = drift(time_axis(series), series.value)
+    values = part.charted
+    limits = individuals_chart(values, baseline=baseline, spread=spread)
+    changes = change_points(values, false_alarm=share) if part.changes is None else part.changes
+    slope = drift(time_axis(part.series), values)
     empty = Chart(
-        name=name,
-        series=series,
+        name=part.name,
+        series=part.series,
+        charted=values,
+        is_adjusted=part.is_adjusted,
         limits=limits,
         z=np.empty(0),
         signals={},
@@ -200,24 +288,27 @@ def _chart(name: str, series: Series, charts: int, baseline: int | None, spread:
         # a step is a slope too; where there are steps, they are what is told
         drifts=isinstance(slope, Drift)
         and slope.chance <= share
-        and not (isinstance(changes, Changes) and changes.points),
+        and not (isinstance(changes, Changes) and changes.points)
+        and not part.shifts,
+        shifts=part.shifts,
+        is_unsteady=part.is_unsteady,
     )
     if isinstance(limits, Refused):
         return empty
-    z = (series.value - limits.centre) / limits.sigma
+    z = (values - limits.centre) / limits.sigma
     flags = rule_flags(z)
     counts = flags.sum(axis=-1)
     chance = None
     if charts <= _MOST_SIMULATED:
-        chance = chart_chance(series.value, counts, baseline=limits.baseline, spread=spread)
-    is_wild = wild_point_chance(series.value) <= share
+        chance = chart_chance(values, counts, baseline=limits.baseline, spread=spread)
+    is_wild = wild_point_chance(values) <= share
     return empty._replace(
         z=z,
         signals=points_of(flags, z),
         counts=tuple(int(each) for each in counts),
-        averages=ewma_chart(series.value, limits.centre, limits.sigma),
+        averages=ewma_chart(values, limits.centre, limits.sigma),
         chance=chance,
-        wild_point=int(np.abs(series.value - series.value.mean()).argmax()) if is_wild else None,
+        wild_point=int(np.abs(values - values.mean()).argmax()) if is_wild else None,
         too_many=chance.rule if chance is not None and chance.signals <= share else None,
     )
 
@@ -229,19 +320,22 @@ def _capability(chart: Chart, by: str | None, limits: Limits) -> Capability | Re
         )
     if limits.why_not is not None:
         return Refused(limits.why_not)
+    # of units: one that was measured again is no other unit
+    units = chart.series.first_of_units()
     return capability(
-        chart.series.value,
+        units.value,
         limits.lower,
         limits.upper,
         out_of_control=None if chart.in_control is not False else _what_stands_out(chart),
-        uncertainty=chart.series.uncertainty,
+        uncertainty=units.uncertainty,
     )
 
 
 def _what_stands_out(chart: Chart) -> Words:
     seen = [
         (chart.wild_point is not None, Words("a wild point", "有异常点")),
-        (chart.has_changed, Words("its level changes", "水平发生变化")),
+        (chart.has_changed or bool(chart.shifts), Words("its level changes", "水平发生变化")),
+        (chart.is_unsteady, Words("levels wander from session to session", "各次测试间水平不稳定")),
         (chart.drifts, Words("it drifts", "存在漂移")),
         (
             chart.too_many is not None,

@@ -1,5 +1,5 @@
--- Verdicts: each value against the limits of the specification that was valid when its last run began; what a
--- specification asks for and nobody has measured; and the checks that were entered by hand.
+-- Verdicts: each value against the limits of the specification that was valid when its last run began, as that was known
+-- when the run was recorded; what a specification asks for and nobody has measured; and checks that were entered by hand.
 create or replace macro verdict_rank(verdict) as
   case verdict when 'FAIL' then 1 when 'MARGINAL' then 2 when 'NO_DATA' then 3 when 'PASS' then 4 end;
 create or replace macro verdict_of_rank(rank) as
@@ -13,11 +13,53 @@ left join (select unit, arg_max(product, t_start_ns) as product from unit_runs w
   on p.unit = u.unit
 qualify row_number() over (partition by u.unit order by u.date_known desc, u.t_start_ns desc, u.run) = 1;
 
+-- Every unit that was tested or checked, with the moment and place that decide what is asked of it: those of its last
+-- run; without a run, those of the last check that was entered.
+create or replace view judged_units as
+with entered as (
+  select unit, max(t_ns) as t_ns, min(arrival_ns) as recorded_ns
+  from lake_documents where kind = 'CheckEntered' group by unit
+), mounted as (
+  select unit, arg_max(product, t_ns) as product, arg_max(lot, t_ns) as lot from units group by unit
+)
+select unit, run, product, lot, station, fixture, day, date_known, t_start_ns as t_ns, null::bigint as recorded_ns
+from unit_last_run
+union all
+select e.unit, '', m.product, m.lot, null, null, cast(make_timestamp_ns(e.t_ns) as date), true, e.t_ns, e.recorded_ns
+from entered e left join mounted m using (unit) anti join unit_last_run l on l.unit = e.unit;
+
+-- At which moment it is looked up what was known of the specifications: when the run was recorded, so that what is
+-- entered later changes no verdict; where no limit applied by what was known then, the first moment after it when one
+-- did. Where none ever did, or nothing tells when a run was recorded, everything is known.
+create or replace table run_known as
+with placed as (
+  select u.unit, u.run, coalesce(u.product, l.product) as product, u.date_known, u.t_start_ns as t_ns,
+    null::bigint as recorded_ns
+  from unit_runs u join unit_last_run l on l.unit = u.unit
+  union all
+  select unit, run, product, date_known, t_ns, recorded_ns from judged_units where run = ''
+), recorded as (
+  select unit, run, min(arrival_first_ns) as recorded_ns from lake_channels group by unit, run
+), moment as (
+  select p.* replace (coalesce(p.recorded_ns, r.recorded_ns, 9223372036854775806) as recorded_ns)
+  from placed p left join recorded r using (unit, run)
+), edition as (
+  select distinct product, from_ns, until_ns, known_from_ns, known_until_ns, revisions from limit_editions
+), applied as (
+  select m.unit, m.run, min(greatest(e.known_from_ns, m.recorded_ns)) as known_ns
+  from moment m join edition e on e.known_until_ns > m.recorded_ns
+    and (e.product is null or e.product = m.product)
+    and case when m.date_known then m.t_ns >= e.from_ns and m.t_ns < e.until_ns else e.revisions = 1 end
+  group by m.unit, m.run
+)
+select m.unit, m.run, coalesce(a.known_ns, 9223372036854775806) as known_ns
+from moment m left join applied a using (unit, run);
+
 -- The values of metrics that have limits, with the run that each is of: the last of those that it rests on; the unit's
 -- last run where it rests on none.
 create or replace view metric_runs as
 with limited as (
-  select rowid as row, * from unit_metrics where metric in (select metric from specification_limits)
+  select rowid as row, * from unit_metrics where metric in (select metric from limit_editions)
 ), over_several as (
   select r.row, arg_max(u.run, (u.date_known, u.t_start_ns, u.run)) as run
   from (select row, unit, unnest(runs) as run from limited where run is null) r
@@ -29,11 +71,13 @@ select m.*,
   coalesce(u.fixture, l.fixture) as fixture,
   case when u.run is null then l.day else u.day end as day,
   coalesce(u.date_known, l.date_known, false) as date_known,
-  coalesce(u.t_start_ns, l.t_start_ns) as t_ns
+  coalesce(u.t_start_ns, l.t_ns) as t_ns,
+  k.known_ns
 from limited m
 left join over_several o on o.row = m.row
 left join unit_runs u on u.unit = m.unit and u.run = coalesce(m.run, o.run)
-left join unit_last_run l on l.unit = m.unit;
+left join judged_units l on l.unit = m.unit
+left join run_known k on k.unit = m.unit and k.run = coalesce(u.run, l.run);
 
 -- Which values have the parameters that a limit names. Numbers are alike to nine digits.
 create or replace view parameters_met as
@@ -53,9 +97,10 @@ group by k.row, p.limit_id;
 -- Every value with every limit that could be meant, whether or not it was valid then.
 create or replace view limit_candidates as
 with meant as (
-  select m.row, s.limit_id from metric_runs m join specification_limits s using (metric) where s.parameter_count = 0
+  select m.row, s.limit_id from metric_runs m join limit_editions s using (metric)
+  where s.parameter_count = 0 and m.known_ns >= s.known_from_ns and m.known_ns < s.known_until_ns
   union all
-  select p.row, p.limit_id from parameters_met p join specification_limits s using (limit_id)
+  select p.row, p.limit_id from parameters_met p join limit_editions s using (limit_id)
   where p.met = s.parameter_count
 )
 select m.*, s.* exclude (limit_id, metric, product, signal, standard, parameters, unit_of_measure),
@@ -64,8 +109,9 @@ select m.*, s.* exclude (limit_id, metric, product, signal, standard, parameters
   case when m.date_known then m.t_ns >= s.from_ns and m.t_ns < s.until_ns else s.revisions = 1 end as is_valid
 from meant
 join metric_runs m using (row)
-join specification_limits s using (limit_id)
-where (s.product is null or s.product = m.product)
+join limit_editions s using (limit_id)
+where m.known_ns >= s.known_from_ns and m.known_ns < s.known_until_ns
+  and (s.product is null or s.product = m.product)
   and (s.signal is null or s.signal = m.signal)
   and (s.standard is null or list_contains(string_split(m.standard, ', '), s.standard));
 
@@ -112,12 +158,25 @@ with candidate as materialized (
   from candidate
   group by row, unit, signal, run, metric, specification
   having not bool_or(is_valid)
-), asked as (                           -- what is asked of a unit since the specification of its last run
-  select u.unit, u.product, u.lot, u.station, u.fixture, u.day, u.t_start_ns as t_ns,
-    s.* exclude (product), s.signal as limit_signal
-  from unit_last_run u join specification_limits s
-    on (s.product is null or s.product = u.product)
-    and case when u.date_known then u.t_start_ns >= s.from_ns and u.t_start_ns < s.until_ns else s.revisions = 1 end
+), in_force as (                        -- the limits that held when a unit was last tested or checked, of any product
+  select u.unit, u.product, u.lot, u.station, u.fixture, u.day, u.t_ns,
+    s.* exclude (product), s.signal as limit_signal, s.product as limit_product
+  from judged_units u join run_known k on k.unit = u.unit and k.run = u.run
+  join limit_editions s on k.known_ns >= s.known_from_ns and k.known_ns < s.known_until_ns
+    and case when u.date_known then u.t_ns >= s.from_ns and u.t_ns < s.until_ns else s.revisions = 1 end
+), asked as (                           -- limits for every product apply to each unit
+  select * exclude (limit_product) from in_force where limit_product is null or limit_product = product
+), unknown_product as (                 -- limits of its product may be among those that nobody can apply
+  select unit, null::varchar as signal, null::varchar as run, 'product' as metric, 'product' as subject,
+    'NO_DATA' as verdict, null::double as value, null::double as lo, null::double as hi, null::double as lower,
+    null::double as upper, '' as unit_of_measure, '{}' as parameters, []::varchar[] as runs,
+    null::varchar as standard, null::varchar as clause, null::varchar as specification, null::varchar as revision,
+    'its product is not known, so that no limit of ' || string_agg(distinct limit_product, ', ' order by limit_product)
+      || ' is applied: name its product with `gyrofleet import --units`, or where it is mounted' as reason,
+    product, any_value(lot) as lot, any_value(station) as station, any_value(fixture) as fixture,
+    any_value(day) as day, any_value(t_ns) as t_ns
+  from in_force where product is null and limit_product is not null
+  group by unit, product
 ), lacking as (
   select a.unit, a.limit_signal as signal, null::varchar as run, a.metric, a.subject, 'NO_DATA' as verdict,
     null::double as value, null::double as lo, null::double as hi, a.lower, a.upper, a.unit_of_measure, a.parameters,
@@ -143,11 +202,12 @@ with candidate as materialized (
     case e.document->>'$.item' when 'visual' then '5.2' when 'electrical' then '5.3' end as clause,
     null::varchar as specification, null::varchar as revision, e.document->>'$.note' as reason,
     u.product, u.lot, u.station, u.fixture, e."time"::date as day, e.t_ns
-  from events e left join unit_last_run u on u.unit = e.unit
+  from events e left join judged_units u on u.unit = e.unit
   where e.kind = 'CheckEntered'
 )
 select * from of_values
 union all select * from outside
 union all select * from lacking
+union all select * from unknown_product
 union all select * from entered;
 comment on view verdicts is 'each value against its limit: PASS, FAIL, MARGINAL or NO_DATA with the reason, by the revision valid at the time';

@@ -1,19 +1,26 @@
 -- One verdict for each unit: the worst of its limits. A limit's own verdict is the worst of its values; an attempt that
--- gave no value counts only where no other did. `latest_verdict` takes the last value of each limit instead: after a
+-- gave no value counts only where no other did. A unit passes only where limits of a specification were judged: checks
+-- that were entered by hand can fail a unit, and do not pass it by themselves. `latest_verdict` takes the last value of each limit instead: after a
 -- repair and a second test the two differ.
 create or replace view limit_verdicts as
 select unit, signal, metric, subject, of_standard, specification,
   verdict_of_rank(coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3)) as verdict,
   coalesce(arg_max(verdict, (t_ns, -verdict_rank(verdict))) filter (verdict <> 'NO_DATA'), 'NO_DATA') as latest_verdict,
-  count(*) as attempts
+  count(*) as attempts,
+  any_value(reason) filter (subject = 'product') as of_product  -- why no limit of its product is applied
 from (select *, case when subject = 'entered' then '' else coalesce(standard, '') end as of_standard from verdicts)
 group by unit, signal, metric, subject, of_standard, specification;
+
+create or replace macro unit_verdict(worst_rank, limits) as
+  case when worst_rank = 4 and limits = 0 then 'NO_DATA' else verdict_of_rank(worst_rank) end;
 
 create or replace view unit_verdicts as
 with judged as (
   select unit,
-    verdict_of_rank(min(verdict_rank(verdict))) as verdict,
-    verdict_of_rank(min(verdict_rank(latest_verdict))) as latest_verdict,
+    count(specification) as limits,
+    any_value(of_product) as of_product,
+    unit_verdict(min(verdict_rank(verdict)), count(specification)) as verdict,
+    unit_verdict(min(verdict_rank(latest_verdict)), count(specification)) as latest_verdict,
     count(*) filter (verdict = 'PASS') as passed,
     count(*) filter (verdict = 'FAIL') as failed,
     count(*) filter (verdict = 'MARGINAL') as marginal,
@@ -23,7 +30,7 @@ with judged as (
     coalesce(list(distinct metric order by metric) filter (verdict = 'NO_DATA'), []) as lacking
   from limit_verdicts group by unit
 ), known as (
-  select unit from unit_last_run union select unit from unit_metrics union select unit from lake_documents where kind = 'CheckEntered'
+  select unit from judged_units union select unit from unit_metrics
 )
 select k.unit, u.product, u.lot, coalesce(j.verdict, 'NO_DATA') as verdict,
   coalesce(j.latest_verdict, 'NO_DATA') as latest_verdict,
@@ -31,11 +38,14 @@ select k.unit, u.product, u.lot, coalesce(j.verdict, 'NO_DATA') as verdict,
   coalesce(j.no_data, 0) as no_data, coalesce(j.failures, []) as failures,
   coalesce(j.undecided, []) as undecided, coalesce(j.lacking, []) as lacking,
   case
-    when j.unit is not null then null
-    when not exists (from specification_limits) then 'the store has no limits: add a specification with `gyrofleet limits add`'
+    when j.failed + j.marginal > 0 then null
+    when j.limits > 0 then j.of_product
+    when exists (from specification_problems) then
+      (select min(problem) from specification_problems) || '; `gyrofleet verify` has the details'
+    when not exists (from limit_editions) then 'the store has no limits: add a specification with `gyrofleet limits add`'
     when u.product is null then 'no limit applies to it: its product is not known'
     else 'no limit applies to it: no specification is for product ' || u.product
   end as reason
-from known k left join judged j using (unit) left join unit_last_run u using (unit)
+from known k left join judged j using (unit) left join judged_units u using (unit)
 order by k.unit;
 comment on view unit_verdicts is 'one row for each unit: the worst of its verdicts, and the verdict of its latest values';

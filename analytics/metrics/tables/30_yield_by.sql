@@ -9,11 +9,12 @@ with judged as materialized (
   union all select 'fixture', fixture, * from judged
   union all select 'day', day::varchar, * from judged
 ), each_limit as (                      -- as in unit_verdicts
-  select kind, name, unit,
+  select kind, name, unit, specification,
     coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3) as rank
   from placed group by kind, name, unit, signal, metric, subject, standard, specification
 ), each_unit as (
-  select kind, name, unit, verdict_of_rank(min(rank)) as verdict from each_limit group by kind, name, unit
+  select kind, name, unit, unit_verdict(min(rank), count(specification)) as verdict
+  from each_limit group by kind, name, unit
 ), counted as (
   select kind, name, count(*) as units,
     count(*) filter (verdict = 'PASS') as passed,

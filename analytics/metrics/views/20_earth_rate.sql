@@ -2,11 +2,31 @@
 -- Null where the position word does not say so or the latitude is unknown: then no corrected value is reported.
 create or replace macro earth_rate_deg_per_h() as 15.041067;
 
-create or replace macro earth_projection(position, latitude_deg) as
+create or replace macro no_latitude() as
+  'no latitude of the station, so the Earth''s rate cannot be removed: give it in the station''s file, or import the '
+  || 'file again with --latitude';
+
+--
+-- A position may name the body axis that is up: the IRA of a signal rate_x is X; that of a gyro with one axis is Z (JJF
+-- 2014-2022 figure 2: IRA is o'z'). Of the other axes up, the IRA is level, and no word tells its heading.
+create or replace macro body_axis_of(signal) as
+  case when regexp_matches(lower(signal), '(_|rate)[xyz]$') then upper(signal[-1])
+    when not regexp_matches(lower(signal), '[xyz]$') then 'Z' end;
+
+create or replace macro axis_in(position) as
+  nullif(regexp_extract(position, '^[+-]?([XYZ])(_|[+-]|$)', 1), '');
+
+create or replace macro side_in(position) as
+  case
+    when regexp_matches(position, '_up$|[+]$|^[+]') then 1
+    when regexp_matches(position, '_down$|-$|^-') then -1
+  end;
+
+create or replace macro earth_projection(position, latitude_deg, signal) as
   case
     when regexp_matches(position, '^IRA_(east|west|east_west)$') then 0.0
-    when position in ('IRA_up', 'vertical_up') then sin(radians(latitude_deg))
-    when position in ('IRA_down', 'vertical_down') then -sin(radians(latitude_deg))
+    when regexp_matches(position, '^(IRA|vertical)_(up|down)$') or axis_in(position) = body_axis_of(signal)
+      then side_in(position) * sin(radians(latitude_deg))
     when position = 'IRA_north' then cos(radians(latitude_deg))
     when position = 'IRA_south' then -cos(radians(latitude_deg))
   end * earth_rate_deg_per_h();

@@ -14,7 +14,9 @@ with moving as (
 select * exclude (moves),
   mean * deg_per_h as mean_deg_per_h,
   standard_uncertainty * abs(deg_per_h) as u_deg_per_h,
-  earth_projection(position, latitude_deg) as earth_deg_per_h,
+  earth_projection(position, latitude_deg, signal) as earth_deg_per_h,
+  -- the position tells how the Earth's rate enters, the latitude how much
+  earth_projection(position, 45, signal) is not null as is_attitude_known,
   case when date_known then cast(timezone(time_zone, make_timestamptz(t_from_ns // 1000)) as date) end as day
 from told
 where not moves;

@@ -1,11 +1,13 @@
 -- Bias against temperature as a difference from room temperature: a row for each step of a test at several
 -- temperatures, grouped by where the unit pointed (`lack` says why a group gives none). A curve that was measured
 -- again (`again`) is a group of its own. Room temperature is the step that says so, else the one set nearest to 20
--- degC, at most 10 degC from it; points nearer to it than 1 degC are no points, their quotient would be noise.
+-- degC (of two that are as near, the one measured first), at most 10 degC from it; points nearer to it than 1 degC are
+-- no points, their quotient would be noise.
 create or replace view bias_temperature_points as
 with told as (
   select *,
     -- what was set tells the room: a unit warms itself above it
+    coalesce(temperature_command, temperature) as set_to,
     abs(coalesce(temperature_command, temperature) - 20) as from_20,
     count(distinct coalesce(temperature_command, 1e9)) over test as temperatures,
     case when bool_and(repeat is not null) over test then repeat end as again
@@ -16,7 +18,8 @@ with told as (
     bool_or(room) over curve as says_room,
     min(from_20) filter (n > 0) over curve as nearest,
     case when bool_or(room) over curve then room
-      else coalesce(from_20 = min(from_20) filter (n > 0) over curve and from_20 <= 10, false) end as is_room
+      else coalesce(set_to = arg_min(set_to, (from_20, "index")) filter (n > 0) over curve and from_20 <= 10, false)
+      end as is_room
   from told
   where regexp_matches("procedure", '^bias_temperature|零偏温度') or temperatures > 1
     and not regexp_matches(coalesce("procedure", ''),

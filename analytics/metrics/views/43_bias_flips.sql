@@ -4,12 +4,9 @@
 create or replace view bias_flips as
 with flip as (
   select *,
-    coalesce(upper(axis), nullif(regexp_extract(position, '^[+-]?([XYZ])(_|[+-]|$)', 1), ''),
+    coalesce(upper(axis), axis_in(position),
       case when regexp_matches(position, '^(IRA|vertical)_(up|down)$') then 'IRA' end, 'unnamed') as flipped,
-    case
-      when regexp_matches(position, '_up$|[+]$|^[+]') then 1
-      when regexp_matches(position, '_down$|-$|^-') then -1
-    end as g
+    side_in(position) as g
   from still_steps
   where phase is null and not turns
     and (regexp_matches("procedure", '^bias_acceleration|零偏加速度')
@@ -33,7 +30,7 @@ with flip as (
     sum(u ** 2 order by g) ** 2 / nullif(sum(u ** 4 / greatest(freedom, 1) order by g), 0) as freedom,
     sum(n)::bigint as n, list_sort(flatten(list(steps order by g))) as steps,
     any_value(scale_source) as scale_source,
-    case when flipped = 'IRA' or lower(signal) = 'rate_' || lower(flipped)
+    case when flipped = 'IRA' or flipped = body_axis_of(signal)
       then sin(radians(any_value(latitude_deg))) * earth_rate_deg_per_h() end as earth,
     case
       when not bool_and(is_scaled) then 'no scale factor for an output in ' || any_value(unit_of_measure)

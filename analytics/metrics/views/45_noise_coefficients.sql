@@ -17,12 +17,13 @@ with still as (
   left join fitted f on f.run = s.run and f.unit = s.unit and f.signal = s.signal
   where f.document is not null or regexp_matches(s."procedure", '^allan|Allan')
 ), parsed as (
-  select *, document->'$.coefficients'->coefficient as found from told
+  -- the fit is of the output in deg/h by its unit, the coefficients are of the input
+  select *, document->'$.coefficients'->coefficient as found, abs(deg_per_h / rate_factor) as scale from told
 )
 select unit, signal, run, "index", coefficient, n, duration_s,
-  case when (found->>'$.observable')::boolean then (found->>'$.value')::double end as value,
-  (found->>'$.lo')::double as lo, (found->>'$.hi')::double as hi,
-  ((found->>'$.hi')::double - (found->>'$.lo')::double) / (2 * 1.959963984540054) as standard_uncertainty,
+  case when (found->>'$.observable')::boolean then (found->>'$.value')::double * scale end as value,
+  (found->>'$.lo')::double * scale as lo, (found->>'$.hi')::double * scale as hi,
+  ((found->>'$.hi')::double - (found->>'$.lo')::double) * scale / (2 * 1.959963984540054) as standard_uncertainty,
   (document->>'$.coefficients.misfit')::double as misfit,
   (document->>'$.coefficients.markov.correlation_s')::double as markov_correlation_s,
   case

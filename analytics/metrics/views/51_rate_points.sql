@@ -1,14 +1,6 @@
 -- Steps of which a scale factor is made: the table turning about the input axis, or at rest before and after. `output`
 -- is in deg/s where the source gives a rate, else in its own unit. Threshold and resolution tests hold a scale factor
 -- too, whose steps are told by their names.
-create or replace macro is_scale_factor_procedure("procedure") as
-  regexp_matches(coalesce("procedure", ''), '^(scale_factor|rates_|attitude_unit_scale_factor)');
-
-create or replace macro is_other_procedure("procedure") as
-  regexp_matches(coalesce("procedure", ''), '^(threshold|resolution|misalignment|polarity|startup|warmup|gyro_sep'
-    '|accelerometer_sep|attitude_unit_|bandwidth|output_delay|system_level|static_|bias|random_walk|allan|power'
-    '|visual)|阈值|分辨率|失准角|极性|零偏');
-
 create or replace view rate_points as
 select
   run, unit, signal, "procedure", repeat, temperature_command, room, position, axis, phase, product, "index", n,
@@ -16,7 +8,7 @@ select
   mean * coalesce(rate_factor / 3600, 1) as output,
   standard_uncertainty * coalesce(rate_factor / 3600, 1) as u,
   freedom,
-  case when rate_factor is null then unit_of_measure else 'deg/s' end as output_unit,
+  output_unit,
   temperature, station, time_zone, date_known, t_from_ns, t_to_ns
 from gyro_steps
 where n > 0 and rate_command is not null and frequency is null

@@ -2,10 +2,6 @@
 -- them by each standard, and the least-squares lines through all points, the forward ones and the backward ones.
 -- Planning the lines takes longer than computing them: the metric scale_factor, which comes first, keeps them as the
 -- table scale_fits. (They are macros of a table that is named later, since a view would be planned when it is defined.)
--- It also fills the table products.
-create table if not exists products (
-  product varchar, max_rate_deg_per_s double, nonlinearity_ppm double, expected_threshold_deg_per_h double
-);
 
 create or replace view scale_sets as
 with measured as (
@@ -37,7 +33,7 @@ select c.*,
     [{"index": p."index"} for p in points], [{"index": r."index"} for r in [rest_before, rest_after] if r is not null]
   )]) as steps,
   p.max_rate_deg_per_s, p.nonlinearity_ppm
-from counted c left join products p on p.product = c.product
+from counted c left join run_products p on p.unit = c.unit and p.run = c.run
 -- with fewer rates, in a procedure of another name, it is some other test
 where is_scale_factor_procedure("procedure") or len(forwards) + len(backwards) > 2;
 

@@ -1,0 +1,93 @@
+"""Fitted zero: where the least-squares line of a scale factor crosses the rate 0, while the zero drifts."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from analytics.metrics.largest_magnitude import json_text
+from analytics.metrics.zero_drift import Sequence, Uncertainty, zero_uncertainty
+from storage.catalog import Catalog
+
+HEADER = """\
+-- id:        fitted_zero
+-- en:        Fitted zero
+-- zh:        拟合零位
+-- unit:      deg/h
+-- better:    neither
+-- grain:     unit, signal, run, position, temperature, repeat
+-- parameters: procedure, repeat, temperature_command, room, position, axis, phase, temperature, output, output_unit
+-- source:    GJB 2426A-2004 5.8.1 (6); JJF 2014-2022 7.2.1 (5); JJF 1536-2015 7.1 (15)
+-- needs:     at least 11 rates in each direction, the largest input rate among them; GJB: rests before and after
+-- limits:    t
+-- equation:  F0 = mean(F_j) - K mean(Omega_j), reported as F0/K
+"""
+
+_CLAUSES = {"GJB2426A": "5.8.1 (6)", "JJF2014": "7.2.1 (5)", "JJF1536": "7.1 (15)"}
+_SQL = """
+select unit, signal, run, steps, standard, n, words, lack, k, zero, rest_zero, points, rests, rest_before, rest_after,
+  zero_weights, slope_weights, temperature, output_unit
+from scale_results('scale_fits')
+"""
+
+
+def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
+    """Rows of the metric.
+
+    Notes
+    -----
+    JJF 2014 subtracts no rest, so its F0 is the bias; of GJB and JJF 1536, which subtract F_r = (F_s + F_e)/2, it is
+    what is left. F0/K is a weighted sum of the outputs but for its own small change with K: weights
+    (d_j - c_j F0/K)/K. Its uncertainty allows for a zero that drifts through the test (`zero_uncertainty`).
+    """
+    for row in catalog.reader(_SQL).read_all().to_pylist():
+        subtracts = row["standard"] != "JJF2014"
+        zero = _zero(row, subtracts=subtracts)
+        found = None if zero is None or not math.isfinite(zero) else _uncertainty(row, zero, subtracts=subtracts)
+        told = {name: row[name] for name in ("unit", "signal", "run", "n", "steps", "standard")}
+        yield told | {
+            "value": None if zero is None else zero * 3600,
+            "standard_uncertainty": None if found is None else found.value * 3600,
+            "freedom": None if found is None else found.freedom,
+            "parameters": json_text(_parameters(row, zero)),
+            "runs": [row["run"]],
+            "clause": _CLAUSES[row["standard"]],
+            "reason": row["lack"],
+        }
+
+
+def _zero(row: Mapping[str, Any], *, subtracts: bool) -> float | None:
+    """The input rate at which the output is 0, in deg/s; NaN where the output does not answer to the rate."""
+    k, output = row["k"], row["zero"]
+    if row["lack"] is not None or k is None or output is None:
+        return None
+    if subtracts:
+        output -= row["rest_zero"]
+    return float(output / k) if k else math.nan
+
+
+def _parameters(row: Mapping[str, Any], zero: float | None) -> dict[str, Any]:
+    temperature = row["temperature"]
+    words: dict[str, Any] = row["words"]
+    return words | {
+        "temperature": None if temperature is None else round(temperature, 2),
+        "output": None if zero is None else zero * row["k"],
+        "output_unit": row["output_unit"],
+    }
+
+
+def _uncertainty(row: Mapping[str, Any], zero: float, *, subtracts: bool) -> Uncertainty | None:
+    k = row["k"]
+    of_points = [(d - c * zero) / k for d, c in zip(row["zero_weights"], row["slope_weights"], strict=True)]
+    steps = [point | {"weight": weight} for point, weight in zip(row["points"], of_points, strict=True)]
+    taken_off = [each["index"] for each in (row["rest_before"], row["rest_after"]) if subtracts and each is not None]
+    for rest in row["rests"] or []:
+        own = -taken_off.count(rest["index"]) / (2 * k)
+        steps.append(rest | {"rate": 0.0, "weight": own})
+    steps.sort(key=lambda each: each["index"])
+    columns = {
+        name: np.array([np.nan if each[name] is None else each[name] for each in steps], np.float64)
+        for name in ("output", "rate", "u", "freedom", "weight")
+    }
+    return zero_uncertainty(Sequence(*columns.values()))

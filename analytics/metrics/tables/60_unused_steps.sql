@@ -1,0 +1,26 @@
+-- Steps that no characteristic rests on, not even one without a value: what was recorded, and why nothing is made of it.
+create or replace view unused_steps as
+with rested as (
+  select distinct unit, run, unnest(steps) as "index" from (select unit, unnest(runs) as run, steps from unit_metrics)
+), output as (
+  select s.*, is_output_name(signal) or r.deg_per_h is not null as is_output
+  from step_means s left join rate_units r using (unit_of_measure)
+  where not is_instrument_name(s.signal)
+    and (is_output_name(signal) or r.deg_per_h is not null or (
+      -- might be a gyro's output under another name
+      s.unit_of_measure in ('V', 'mV', 'uV', 'A', 'mA', 'uA', 'count', 'LSB', 'Hz', 'kHz', 'MHz')
+      and not regexp_matches(lower(s.signal),
+        'suppl|power|volt|curr|temp|acc|mag|baro|press|humid|count|status|flag|seq|time|crc|clock|angle|reference')
+    ))
+)
+select o.unit, o.signal, o.run, o."index", o."procedure", o.step, o.position, o.unit_of_measure, o.n,
+  case when not o.is_output then
+      'signal ' || o.signal || ' in ' || o.unit_of_measure || ' is not taken for the output of a gyro: call it rate, or '
+      || 'rate_x, rate_y, rate_z'
+    else 'no characteristic is made of a step of procedure ' || coalesce(o."procedure", '(not given)')
+      || coalesce(', position ' || o.position, '')
+      || case when o.rate_command <> 0 then ', at a rate' else '' end
+  end as reason
+from output o
+anti join rested r on o.is_output and r.unit = o.unit and r.run = o.run and r."index" = o."index";
+comment on view unused_steps is 'steps that no characteristic rests on, with the reason: what was recorded and is not judged';

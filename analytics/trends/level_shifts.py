@@ -1,0 +1,197 @@
+"""Changes of level of single stations, from every measurement that they made, repeated ones too."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from analytics.trends.change_points import drawn_in
+from analytics.trends.series import Series
+from analytics.trends.session_layout import (
+    LEAST_SEGMENT,
+    LEAST_UNITS,
+    Layout,
+    layout_of,
+    sides,
+    station_columns,
+    steps_of,
+    units_across,
+)
+from analytics.trends.session_model import SessionModel, Sums, unit_ratio
+from analytics.trends.step_search import Found, StepSearch
+from analytics.trends.words import Refused, Words
+from stream.batch import FloatArray, IntArray
+
+LEAST_VALUES = 12
+MOST_SHIFTS = 6
+PLAIN = 0.01
+LIKELY = 0.2
+_MOST_RATIO = 1e6
+
+
+class LevelShift(NamedTuple):
+    """A change of the level of a station.
+
+    Parameters
+    ----------
+    station : str
+        Which; empty where all stations change together.
+    at : int
+        First value of the series at the new level there.
+    first, last : int
+        Between which of its values the change lies with 95 % confidence: the last one before and the first one after.
+    size, lo, hi : float
+        By how much the level changes, with 95 % limits, in the unit of the values.
+    chance : float
+        Probability with which independent measurements show such a change anywhere.
+    wander : float
+        Probability with which levels that wander from session to session do.
+    units : int
+        Units that were measured there before and after.
+    """
+
+    station: str
+    at: int
+    first: int
+    last: int
+    size: float
+    lo: float
+    hi: float
+    chance: float
+    wander: float
+    units: int
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether a slow wander of the station is no explanation."""
+        return self.wander <= PLAIN
+
+
+class Unsteady(NamedTuple):
+    """Levels that differ from session to session by more than measurements scatter.
+
+    Parameters
+    ----------
+    deviation : float
+        Standard deviation of the sessions' levels, in the unit of the values.
+    chance : float
+        Probability with which noise alone shows as much.
+    largest : LevelShift or None
+        The largest change of level, which cannot be told from that scatter.
+    """
+
+    deviation: float
+    chance: float
+    largest: LevelShift | None
+
+
+class LevelShifts(NamedTuple):
+    """What a search for changes of stations has found.
+
+    Parameters
+    ----------
+    shifts : tuple of LevelShift
+        In order of time.
+    unsteady : Unsteady or None
+        None where sessions differ no more than by chance.
+    points : array of shape (n,)
+        Of each value: the level of its station then, and how far the value is from what its unit and station let
+        expect, scaled to the noise of one measurement.
+    """
+
+    shifts: tuple[LevelShift, ...]
+    unsteady: Unsteady | None
+    points: FloatArray
+
+
+def level_shifts(series: Series, *, false_alarm: float = 0.01) -> LevelShifts | Refused:
+    """Search for changes of level of each station, and of all together.
+
+    Parameters
+    ----------
+    series : Series
+        All values; some units measured twice at least, since they tell units from stations.
+    false_alarm : float
+        Probability with which noise alone may show a change, over all stations.
+
+    Notes
+    -----
+    value = level of station + unit + session + noise. Units and sessions (a run at a station on a day) are random;
+    neighbouring sessions of a station may be correlated. The best step of one station is held against none by their
+    likelihoods, each with the noise of the sessions that suits it best; the probability is that of so large a ratio in
+    series simulated with the noise that fits best without a step, and with the slowest one that is plausible. What is
+    found is added to the model, and the search goes on until nothing more is found. Wild values are drawn in to 5
+    standard deviations first. Moment and size are averaged over all moments and noises by their likelihoods.
+    """
+    layout = layout_of(series)
+    station_of_value = layout.station[layout.session]
+    repeated = int((np.bincount(layout.unit) > 1).sum())
+    if series.value.size < LEAST_VALUES or repeated < LEAST_UNITS:
+        return Refused(
+            Words(
+                f"{series.value.size} values, {repeated} units measured more than once; changes of stations need "
+                f"{LEAST_VALUES} values with {LEAST_UNITS} such units",
+                f"共 {series.value.size} 个数值、{repeated} 个重复测量的样品；测试站变点检测至少需要 "
+                f"{LEAST_VALUES} 个数值与 {LEAST_UNITS} 个重复测量的样品",
+            )
+        )
+    middle, scale = float(np.median(series.value)), float(series.value.std())
+    if not scale > 1e-12 * abs(middle):
+        return Refused(Words("the values do not vary", "数值无变化"))
+    y = (series.value - middle) / scale
+    model = SessionModel(
+        layout.session, layout.unit, layout.station, min(unit_ratio(y, layout.unit, station_of_value), 1e6)
+    )
+    search = StepSearch(model, steps_of(layout), station_columns(layout.station))
+    for _ in range(2):
+        # levels first by what is raw, then by what is drawn in
+        expected, spread = search.residuals(y)
+        tame = expected + spread * _tame((y - expected) / spread, station_of_value)
+    sums = model.sums(tame)
+    found: list[Found] = []
+    while len(found) < MOST_SHIFTS and (best := search.best(sums)) is not None:
+        if best.seen > false_alarm / 2 or best.wander > LIKELY:
+            break
+        found.append(best)
+        search = search.with_step(best.step)
+    shifts = [_located(search.without(each.step), sums, each, layout, scale) for each in found]
+    shifts.sort(key=lambda each: each.at)
+    unsteady = None
+    if (scatter := search.unsteady(sums, false_alarm / 2)) is not None:
+        deviation, chance = scatter
+        best = search.best(sums)
+        largest = None if best is None else _located(search, sums, best, layout, scale)
+        unsteady = Unsteady(deviation * scale, chance, largest)
+    expected, spread = search.residuals(y)
+    level = search.levels(model.sums(y))[model.session]
+    points = middle + scale * (level + (y - expected) / spread)
+    return LevelShifts(tuple(shifts), unsteady, points)
+
+
+def _tame(residuals: FloatArray, station: IntArray) -> FloatArray:
+    """Wild residuals drawn in, each by its neighbours at its station."""
+    found = residuals.copy()
+    for number in np.unique(station):
+        own = station == number
+        if own.sum() >= LEAST_SEGMENT:
+            found[own] = drawn_in(residuals[own])
+    return found
+
+
+def _located(search: "StepSearch", sums: Sums, found: Found, layout: Layout, scale: float) -> LevelShift:
+    """A step with its limits; it is no column of the search."""
+    step = found.step
+    moments = search.moments(sums, step)
+    size, lo, hi = moments.size()
+    likely = moments.likely()
+    return LevelShift(
+        station="" if step.station < 0 else layout.names[step.station],
+        at=int(sides(layout, step)[1][0]),
+        first=min(int(sides(layout, each)[0][-1]) for each in likely),
+        last=max(int(sides(layout, each)[1][0]) for each in likely),
+        size=size * scale,
+        lo=lo * scale,
+        hi=hi * scale,
+        chance=found.seen,
+        wander=found.wander,
+        units=units_across(layout, step),
+    )
