@@ -2,8 +2,10 @@
 
 Sets up ``.venv``, runs ruff, mypy, import-linter and pytest on the checkout, then builds the wheel and runs the laws
 of estimators and metrics and the demo once more against it, installed in a clean environment (``.venv-wheel``).
+With ``--all``, the long forms of the tests run as well.
 """
 
+import argparse
 import os
 import shutil
 import subprocess
@@ -43,6 +45,9 @@ def development_requirements() -> list[str]:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description="Every gate of gyrofleet, in virtual environments that it makes.")
+    parser.add_argument("--all", action="store_true", help="Run the long forms of the tests as well.")
+    chosen = ("-m", "") if parser.parse_args().all else ()
     if sys.version_info < (3, 11):
         sys.exit(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
     bin_ = environment(ROOT / ".venv")
@@ -51,7 +56,7 @@ def main() -> None:
     run(bin_ / "ruff", "format", "--check", ".")
     run(bin_ / "mypy")
     run(bin_ / "lint-imports")
-    run(bin_ / "python", "-m", "pytest", *PARALLEL)
+    run(bin_ / "python", "-m", "pytest", *PARALLEL, *chosen)
 
     with tempfile.TemporaryDirectory() as temporary:
         there = Path(temporary)

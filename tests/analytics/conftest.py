@@ -1,6 +1,7 @@
 """Stores with tested units: runs that are written sample by sample, and records of steps as they are kept."""
 
 import json
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -13,7 +14,6 @@ import pytest
 from analytics.block_checks import Note
 from analytics.block_reduction import BlockReducer, Reduction
 from analytics.metrics.evaluation import define_views, evaluate
-from analytics.metrics.product_files import products_of
 from analytics.metrics.registry import metrics
 from analytics.report.remarks_zh import in_chinese
 from analytics.step_records.step_table import step_means
@@ -23,12 +23,15 @@ from storage.event_log import EventLog
 from storage.lake import build_missing, builder_lock
 from storage.mcap_records import EVENTS, SAMPLES, LogRecord
 from storage.sequence import place_of
+from storage.specification_chain import hash_of
 from storage.store import Store, WriterLock
 from stream.batch import FloatArray, SampleBatch
 from stream.events import (
     AnyDocument,
     PowerOn,
     RunStarted,
+    SpecificationAction,
+    SpecificationEntered,
     StepEnded,
     StepStarted,
     StepWords,
@@ -53,6 +56,7 @@ class TestedUnits:
         self._lock = WriterLock(self.store, "test")
         self._log = EventLog(self.store)
         self._documents = 0
+        self._specifications: list[SpecificationEntered] = []
 
     def run(
         self,
@@ -131,10 +135,20 @@ class TestedUnits:
         self._append(LogRecord(event_key(PLACE), EVENTS, document.t_ns, document.t_ns, payload))
 
     def product(self, text: str) -> None:
-        """Write a specification into the store."""
-        folder = self.store.folder / "products"
-        folder.mkdir(exist_ok=True)
-        (folder / "specification.toml").write_text(text)
+        """Put a specification into the log, in place of the one before it; all runs are judged by it."""
+        revision = str(len(self._specifications) + 1)
+        if self._specifications:
+            self._specify(SpecificationAction.WITHDRAWN, self._specifications[-1].revision)
+        self._specify(SpecificationAction.ADDED, revision, re.sub("^revision *=.*", "", text, flags=re.MULTILINE))
+
+    def _specify(self, action: SpecificationAction, revision: str, text: str = "") -> None:
+        before = self._specifications[-1] if self._specifications else None
+        document = SpecificationEntered(
+            run="", t_ns=START_NS, action=action, name="specification", revision=revision, by="Li", rejudges=True,
+            content=text and f'revision = "{revision}"\n{text}', previous="" if before is None else hash_of(before),
+        )  # fmt: skip
+        self._specifications.append(document)
+        self.document(document)
 
     def catalog(self) -> Catalog:
         """What has been written so far."""
@@ -161,8 +175,11 @@ class TestedUnits:
 def _evaluated(catalog: Catalog, steps: pa.Table, metric: str) -> list[dict[str, Any]]:
     """Rows of one metric from records of steps, its parameters among the columns; the other metrics are left out."""
     catalog._unfilled.clear()  # else it would fill itself with all of them
-    define_views(catalog, steps, products_of(catalog.store).scales)
+    define_views(catalog, steps)
     rows: list[dict[str, Any]] = evaluate(catalog, [metrics()[metric]]).to_pylist()
+    known = set(metrics()[metric].header.parameters)
+    found = {key for row in rows for key in json.loads(row["parameters"] or "{}")}
+    assert found <= known, f"parameters that are not in the header of {metric}: {found - known}"
     return [json.loads(row["parameters"] or "{}") | row for row in rows]
 
 

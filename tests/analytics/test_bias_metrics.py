@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analytics.metrics.variance_components import between, scatter
+from analytics.metrics.variance_components import Variance, between, beyond, means_noise, scatter
 from stream.estimators.random_walk_normalised import angle_random_walk_normalised
 from stream.events import NoiseFitted
 
@@ -74,10 +74,10 @@ def test_static_records_are_those_of_the_samples(tested: Any) -> None:
     assert len(averaged) == 8
 
 
-def test_a_record_that_is_too_short_or_empty_has_a_reason_and_the_others_go_on(recorded: Recorded) -> None:
+def test_a_short_record_is_flagged_an_empty_one_has_a_reason_and_the_others_go_on(recorded: Recorded) -> None:
     rows: Rows = [
         {"mean": 1.0, "sd": 2.0, "sd_freedom": 900.0, "procedure": "static_bias"},
-        {"mean": 1.0, "sd": 2.0, "duration_s": 600.0, "unit": "U2"},
+        {"mean": 1.0, "sd": 2.0, "sd_freedom": 900.0, "duration_s": 600.0, "unit": "U2"},
         {"n": 0, "unit": "U3"},
         {"mean": 1.0, "unit": "U4", "unit_of_measure": "mV"},
         {"mean": 1.0, "unit": "U5", "rate_command": 0.0, "procedure": "own"},
@@ -86,8 +86,10 @@ def test_a_record_that_is_too_short_or_empty_has_a_reason_and_the_others_go_on(r
         {"mean": 9.0, "unit": "U7", "input_rate": 10.0, "input_rate_source": "table"},
     ]
     found = recorded(rows, "bias_stability")
-    assert one(found, unit="U1")["value"] == 2.0
-    assert "600 s long" in one(found, unit="U2")["reason"]
+    assert (one(found, unit="U1")["value"], one(found, unit="U1")["remark"]) == (2.0, None)
+    # by the note of JJF 2014-2022 7.2.13.1 the user chooses the time
+    assert one(found, unit="U2")["value"] == 2.0
+    assert one(found, unit="U2")["remark"] == "record of 600 s: the clauses ask for one hour as a rule"
     assert one(found, unit="U3")["reason"] == "no sample in the evaluated part of the step"
     assert "no scale factor for an output in mV" in one(found, unit="U4")["reason"]
     assert {row["unit"] for row in found} == {"U1", "U2", "U3", "U4"}
@@ -122,17 +124,22 @@ def test_repeatability_and_its_components(recorded: Recorded) -> None:
     }  # fmt: skip
     within = biases.var(axis=1, ddof=1).mean()
     mean_square = 4 * biases.mean(axis=1).var(ddof=1)
+    # each mean has an uncertainty of 0.01 with 30 degrees of freedom, which is taken off
     expected = {
-        "all": (biases.std(ddof=1), 27),
-        "run_to_run": (math.sqrt(within), 21),
-        "day_to_day": (biases.mean(axis=1).std(ddof=1), 6),
-        "within_day_component": (math.sqrt(within), 21),
+        "run_to_run": (within, 21, 1e-4, 28 * 30),
+        "day_to_day": (biases.mean(axis=1).var(ddof=1), 6, 1e-4 / 4, 28 * 30),
+        "within_day_component": (within, 21, 1e-4, 28 * 30),
     }
-    for kind, (value, freedom) in expected.items():
+    for kind, (variance, freedom, noise, noise_freedom) in expected.items():
         row = one(whole, kind=kind)
-        assert (row["value"], row["freedom"]) == (exact(value), freedom)
-        assert row["hi"] == exact(value * math.sqrt(freedom / stats.chi2.ppf(0.025, freedom)))
-        assert row["standard_uncertainty"] == exact(value / math.sqrt(2 * freedom))
+        assert row["value"] == exact(math.sqrt(variance - noise))
+        assert (row["scatter"], row["uncertainty_of_means"]) == (exact(math.sqrt(variance)), exact(math.sqrt(noise)))
+        for side, tail in (("lo", 0.025), ("hi", 0.975)):
+            left = variance - noise * stats.f.isf(tail, freedom, noise_freedom)
+            assert row[side] == exact(math.sqrt(freedom * left / stats.chi2.isf(tail, freedom)))
+        assert row["standard_uncertainty"] == pytest.approx(row["value"] / math.sqrt(2 * freedom), rel=0.02)
+    # power-ons of one day share its effect: a deviation of all would be neither
+    assert "28 power-ons of 7 days, several of one" in one(whole, kind="all")["reason"]
     row = one(whole, kind="between_day_component")
     assert row["value"] == exact(math.sqrt((mean_square - within) / 4))
     lo = 6 * (mean_square - within * stats.f.isf(0.025, 6, 21)) / (4 * stats.chi2.isf(0.025, 6))
@@ -141,7 +148,7 @@ def test_repeatability_and_its_components(recorded: Recorded) -> None:
     assert row["runs"] == [f"r{day}" for day in range(7)]
     # a run of its own has four power-ons: GJB 2426A asks for six
     own = [row for row in found if row["run"] == "r2" and row["kind"] == "all"]
-    assert one(own, standard="JJF2014")["value"] == exact(biases[2].std(ddof=1))
+    assert one(own, standard="JJF2014")["value"] == exact(math.sqrt(biases[2].var(ddof=1) - 1e-4))
     assert one(own, standard="GJB2426A")["reason"] == "4 power-ons measured, the clause asks for 6 or more"
 
 
@@ -151,11 +158,11 @@ def test_the_same_day_is_that_of_the_station(recorded: Recorded) -> None:
     for at, row in enumerate(late):
         row["t_start_ns"] = START_NS + (20 + 3 * at) * 3600 * SECOND_NS  # 20:00, 23:00, 02:00, 05:00 UTC
     in_london = recorded(late, "bias_repeatability")
-    assert one(in_london, kind="day_to_day", standard="JJF2014")["value"] == exact(np.std([1.5, 6.0], ddof=1))
+    assert one(in_london, kind="day_to_day", standard="JJF2014")["scatter"] == exact(np.std([1.5, 6.0], ddof=1))
     in_shanghai = recorded([row | {"time_zone": "Asia/Shanghai"} for row in late], "bias_repeatability")
     assert one(in_shanghai, kind="day_to_day")["reason"] == "all 4 power-ons are of one day, 2 days are needed"
     undated = recorded([row | {"date_known": False} for row in late], "bias_repeatability")
-    assert one(undated, kind="run_to_run", standard="JJF2014")["value"] == exact(np.std(biases, ddof=1))
+    assert one(undated, kind="run_to_run", standard="JJF2014")["scatter"] == exact(np.std(biases, ddof=1))
     assert "the date is unknown" in one(undated, kind="day_to_day")["reason"]
 
 
@@ -171,8 +178,61 @@ def test_repeatability_of_too_few_power_ons(recorded: Recorded) -> None:
         for day in range(6)
     ]
     found = recorded(daily, "bias_repeatability")
-    assert one(found, kind="day_to_day")["value"] == exact(np.std(np.arange(6.0), ddof=1))
+    assert one(found, kind="day_to_day")["value"] == exact(math.sqrt(np.var(np.arange(6.0), ddof=1) - 1e-4))
+    assert one(found, kind="all")["value"] == one(found, kind="day_to_day")["value"]
+    assert one(found, kind="all")["remark"] == "6 power-ons are not recorded: each run is taken for one"
+    assert (one(found, kind="all")["power_ons"], one(found, kind="all")["power_ons_recorded"]) == (6, 0)
     assert "each of the 6 power-ons is of another day" in one(found, kind="run_to_run")["reason"]
+
+
+def test_raw_and_corrected_biases_are_never_in_one_repeatability(recorded: Recorded) -> None:
+    rows = power_ons(np.arange(6.0)[:, np.newaxis], position="IRA_up")
+    unknown = [{**row, "unit": "U2", "latitude_deg": None if at == 0 else 40.0} for at, row in enumerate(rows)]
+    east = [{**row, "unit": "U3", "latitude_deg": None, "position": "IRA_east"} for row in rows]
+    found = recorded([*rows, *unknown, *east], "bias_repeatability")
+    found = [row for row in found if row["kind"] == "all" and row["run"] is None]
+    whole = math.sqrt(np.var(np.arange(6.0), ddof=1) - 1e-4)
+    assert one(found, unit="U1")["value"] == pytest.approx(whole)
+    assert one(found, unit="U1")["earth_rate"] == "removed"
+    assert one(found, unit="U2", earth_rate="none")["value"] == pytest.approx(whole)
+    assert "no latitude of the station" in one(found, unit="U2", earth_rate="removed")["reason"]
+    assert (one(found, unit="U3")["earth_rate"], one(found, unit="U3")["value"]) == ("removed", pytest.approx(whole))
+
+
+def test_the_scatter_of_short_records_is_their_noise(recorded: Recorded) -> None:
+    """Seven records of 52 s: the means scatter by 2.9, each is uncertain by 3.0."""
+    rng = np.random.default_rng(16)
+    biases = rng.normal(0, 1, (1, 7))
+    biases *= 2.9 / biases.std(ddof=1)
+    rows = power_ons(biases, standard_uncertainty=3.01, freedom=12.0, duration_s=52.0)
+    found = recorded(rows, "bias_repeatability")
+    row = one(found, kind="all")
+    assert (row["value"], row["lo"]) == (0.0, 0.0)
+    assert row["hi"] < 6.0
+    assert (row["scatter"], row["uncertainty_of_means"]) == (exact(2.9), exact(3.01))
+    assert row["remark"] == "7 of 7 records are of 52 s: the clauses ask for an hour as a rule"
+    assert row["power_ons_recorded"] == 7
+    # longer records of the same unit would show it
+    rows = power_ons(biases, standard_uncertainty=0.3, freedom=12.0)
+    assert one(recorded(rows, "bias_repeatability"), kind="all")["lo"] > 1.8
+    # one whose uncertainty is unknown lets nothing be taken off
+    rows[0]["standard_uncertainty"] = None
+    unknown = one(recorded(rows, "bias_repeatability"), kind="all")
+    assert (unknown["value"], unknown["uncertainty_of_means"]) == (exact(2.9), None)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.3, 1.0, 3.0])
+def test_the_limits_of_what_is_left_of_a_scatter_hold(sigma: float) -> None:
+    rng = np.random.default_rng(17)
+    trials, n, u, freedom = 2000, 8, 1.0, 9
+    held = 0
+    for _ in range(trials):
+        values = rng.normal(0, math.hypot(sigma, u), n)
+        told = u * np.sqrt(rng.chisquare(freedom, n) / freedom)
+        noise = means_noise(told.tolist(), [freedom] * n, ["a"] * n)
+        found = beyond(Variance(values.var(ddof=1), n - 1), noise.square)
+        held += found.lo <= sigma <= found.hi
+    assert held >= stats.binom.ppf(0.001 / 4, trials, 0.95)
 
 
 @pytest.mark.parametrize("sigma", [0.0, 0.1, 0.5])
@@ -233,6 +293,11 @@ def test_room_temperature_is_the_step_that_says_so_else_the_one_nearest_to_20_de
     for row in own:
         row["temperature"] += 15
     assert one(recorded(own, metric))["value"] == exact(1 / 20)
+    # 15 and 25 degC are as near: the one that was measured first is the room, the other a point
+    for temperatures in ((15.0, 25.0), (25.0, 15.0)):
+        row = one(recorded(curve(dict(zip((*temperatures, 60.0), (1.0, 2.0, 1.0), strict=True))), metric))
+        assert (row["value"], row["points"]) == (exact(0.1), 2)
+        assert row["room_temperature_deg_c"] == temperatures[0] + 0.25
     alone = recorded(curve({20.0: 2.0}), metric)
     assert "no other temperature" in one(alone)["reason"]
     # too near to the room to divide by
@@ -285,7 +350,23 @@ def test_acceleration_sensitivity(recorded: Recorded) -> None:
     short = recorded(flips(means)[:3], "bias_acceleration_sensitivity")
     assert "measured only with it up" in one(short, axis="Y")["reason"]
     assert "no flip of axis Z" in one(short, axis="largest")["reason"]
-    assert {row["earth_rate"] for row in short} == {"none"}  # which body axis `rate` is, no word tells
+    assert {row["earth_rate"] for row in short} == {"none"}  # X and Y up leave the input axis of `rate` level
+
+
+def test_z_up_of_a_gyro_with_one_axis_is_its_input_axis(recorded: Recorded) -> None:
+    # JJF 2014-2022 figure 2: the input reference axis is o'z'
+    earth = EARTH_DEG_PER_H * math.sin(math.radians(40.0))
+    means = {"X": (0.5, -0.5), "Y": (1.0, -1.0), "Z": (1.2 + earth, -1.2 - earth)}
+    found = recorded(flips(means), "bias_acceleration_sensitivity")
+    assert one(found, axis="Z", earth_rate="none")["value"] == exact(1.2 + earth)
+    assert one(found, axis="Z", earth_rate="removed")["value"] == exact(1.2)
+    assert one(found, axis="largest", earth_rate="removed")["value"] == exact(1.2)
+
+
+def test_a_bias_is_of_the_standard_whose_attitude_it_has(recorded: Recorded) -> None:
+    rows = [{"mean": 1.0, "unit": position, "position": position} for position in ("IRA_east", "IRA_up", "Z_down", "x")]
+    found = {row["unit"]: row["standard"] for row in recorded(rows, "bias")}
+    assert found == {"IRA_east": "GJB2426A", "IRA_up": "JJF2014", "Z_down": "JJF2014", "x": "GJB2426A, JJF2014"}
 
 
 @pytest.mark.parametrize(("cause", "other"), [("shock", "vibration"), ("vibration", "shock")])

@@ -15,12 +15,14 @@ import pytest
 from matplotlib.figure import Figure
 
 from analytics.block_checks import Note
+from analytics.diagnose_cli import _tell_unit
 from analytics.error_model import ErrorModel
+from analytics.left_out import LeftOut
 from analytics.report.diagnosis_html import report_html, write_report
 from analytics.report.diagnosis_plots import figures_of, write_figures
 from analytics.report.drivers import drawn
 from analytics.report.error_by_driver import bias_over_temperature, scale_factor_over_rate
-from analytics.report.evidence import implied_offset_s
+from analytics.report.evidence import alternative
 from analytics.report.residual_allan import residual_allan
 from analytics.report.residuals import Residuals, residuals_of
 from analytics.report.sentences import verdict_sentence
@@ -196,14 +198,21 @@ def test_a_jump_is_drawn_over_the_time_of_its_run_and_a_line_is_not() -> None:
 
 
 def test_a_clock_is_asked_for_an_offset_that_a_reader_can_judge() -> None:
+    """40 deg/h/(degC/s) over 0.012 deg/h/degC: no clock is off by most of an hour."""
     found = diagnosed()
-    effect = found.diagnosis.effects[0]
-    assert found.diagnosis.declared is not None
-    offset_s = implied_offset_s("temperature_time_offset", effect, found.diagnosis.declared)
-    assert offset_s is not None
-    # planted: 40 deg/h/(degC/s) over 0.012 deg/h/degC, the declared coefficient being known to about a tenth
-    assert offset_s == pytest.approx(SHUPE / 0.012, rel=0.5)
-    assert implied_offset_s("thermal_lag", effect, found.diagnosis.declared) is None
+    others = {each.name: each for each in found.diagnosis.effects[0].confounded}
+    late = others["temperature_time_offset"]
+    assert late.implied is not None
+    # the least that the declared coefficient allows, which is known to about a tenth
+    assert 0.5 * SHUPE / 0.012 < late.implied < SHUPE / 0.012
+    assert not late.is_plausible
+    told = alternative(late, Wording("en"))
+    assert "and clocks are off by 120 s at most: hardly" in told
+    assert "时钟偏差至多120 s" in alternative(late, Wording("zh"))
+    document = found.diagnosis.document()["confounded"]
+    assert [each["implied"]["plausible"] for each in document if each["name"] == "temperature_time_offset"] == [False]
+    late = msgspec.structs.replace(late, implied=80.0)
+    assert "it would take 80 s at least" in alternative(late, Wording("en"))
 
 
 def a_finding(**more: Any) -> FoundEffect:
@@ -255,7 +264,7 @@ def test_a_sentence_names_what_was_found_its_alternatives_and_what_it_wins() -> 
     text = verdict_sentence(found.diagnosis, Wording("en", found.data.runs[0]))
     assert found.diagnosis.verdict is Verdict.CONFOUNDED
     assert text.startswith("The declared model lacks an effect, and these data cannot tell which: temperature rate")
-    assert "or time offset of the temperature sensor" in text
+    assert re.search(r"or hardly time offset of the temperature sensor \(of [1-9],\d{3} s\)", text)
     assert "3 held-out runs confirm it" in text
     assert re.search(r"RMS error over \d+ s there falls from", text)
 
@@ -375,6 +384,27 @@ def test_a_report_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BadInput, match="folder for plots"):
         write_figures(diagnosed(), tmp_path / "file", Wording("en"))
+
+
+@pytest.mark.parametrize(
+    ("language", "words"), [("en", "91% of the excitation of input_rate left out"), ("zh", "略去input_rate的激励的91%")]
+)
+def test_what_was_left_out_comes_before_the_verdict(
+    language: Language, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = diagnosed()
+    lost = LeftOut("the excitation of input_rate", 0.91, "a channel has no value there", is_grave=True)
+    diagnosis = msgspec.structs.replace(
+        found.diagnosis, left_out=(lost,), limits=(lost.sentence, *found.diagnosis.limits)
+    )
+    found = replace(found, diagnosis=diagnosis)
+    verdict = verdict_sentence(diagnosis, Wording(language, found.data.runs[0]))[:20]
+    page = Page()
+    page.feed(report_html(as_units(found), language))
+    _tell_unit(found, language)
+    for text in ("".join(page.text), capsys.readouterr().out):
+        assert 0 <= text.index(words) < text.index(verdict)
+        assert text.count(words) == 1
 
 
 def test_not_enough_data_is_a_report_too() -> None:

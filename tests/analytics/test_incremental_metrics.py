@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from analytics.metrics import evaluation
 from analytics.step_records import step_table
+from analytics.step_records.kept_file import write_kept
 from analytics.step_records.reduction import reduce_run
 from storage.compaction import compact
 from storage.lake import Lake, builder_lock
@@ -189,7 +189,7 @@ def test_kept_metrics_that_cannot_be_read_are_computed_anew(tested: Any, damage:
     path = tested.store.folder / "metrics" / "unit_metrics.parquet"
     if damage is None:  # of a version that kept other columns
         older = before.drop_columns(["freedom"])
-        pq.write_table(older, path)
+        write_kept(path, older)
     else:
         path.write_bytes(damage)
     assert table_of(tested).equals(before)

@@ -9,7 +9,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from analytics.metrics.product_files import parse_products
+from analytics.specification import parse_specification
+from analytics.step_records.kept_file import read_kept, write_kept
 from storage.catalog import Catalog
 from storage.mcap_records import SAMPLES, LogRecord
 from stream.batch import SampleBatch
@@ -105,9 +106,10 @@ def test_a_latitude_that_is_none_leaves_the_earth_rate_in(tested: TestedUnits, t
     tested.run("r1", procedure="static_bias", latitude_deg=text)  # type: ignore[arg-type]
     values = np.random.default_rng(4).normal(1, 0.1, 3700)
     tested.step("r1", "U1", values, t0_ns=START_NS, dt_ns=SECOND_NS, procedure="static_bias", position="IRA_up")
-    (row,) = tested.metric("bias")
-    assert row["earth_rate"] == "none"
-    assert row["value"] == pytest.approx(values.mean(), rel=1e-9)
+    raw, corrected = sorted(tested.metric("bias"), key=lambda row: row["earth_rate"])
+    assert (raw["earth_rate"], corrected["earth_rate"]) == ("none", "removed")
+    assert raw["value"] == pytest.approx(values.mean(), rel=1e-9)
+    assert "no latitude of the station" in corrected["reason"]
 
 
 def test_repeats_of_too_few_rates_say_so(tested: TestedUnits) -> None:
@@ -185,13 +187,12 @@ def test_damaged_records_are_made_anew(tested: TestedUnits, file: str, damage: b
 
 @pytest.mark.parametrize("file", ["steps.parquet", "unit_metrics.parquet"])
 def test_records_of_another_version_are_made_anew(tested: TestedUnits, file: str) -> None:
-    import pyarrow.parquet as pq
-
     turn(tested, "U1")
     with tested.catalog() as catalog:
         before = rows_of(catalog)
     path = tested.store.folder / "metrics" / file
-    kept = pq.read_table(path)
+    kept = read_kept(path)
+    assert kept is not None
     for other in (
         pa.table({"run": ["r1"]}),
         kept.drop_columns([kept.column_names[-1]]),
@@ -200,7 +201,7 @@ def test_records_of_another_version_are_made_anew(tested: TestedUnits, file: str
         kept.append_column("later", pa.nulls(kept.num_rows, pa.string())),
         kept.set_column(kept.column_names.index("n"), "n", pa.array(["many"] * kept.num_rows)),
     ):
-        pq.write_table(other, path)
+        write_kept(path, other)
         with Catalog(tested.store) as catalog:
             assert rows_of(catalog) == before
 
@@ -231,7 +232,7 @@ def test_what_cannot_be_kept_is_right_all_the_same(tested: TestedUnits) -> None:
 )
 def test_numbers_of_a_product_that_nothing_can_be_divided_by_are_refused(line: str) -> None:
     with pytest.raises(BadInput, match=line.split()[0]):
-        parse_products(f'[product."FOG-70"]\n{line}'.encode(), "spec.toml")
+        parse_specification(f'revision = "A"\n[product."FOG-70"]\n{line}'.encode(), "spec.toml")
 
 
 def test_irregular_samples_of_short_steps_all_count(tested: TestedUnits) -> None:

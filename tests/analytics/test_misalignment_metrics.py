@@ -9,7 +9,6 @@ import pytest
 
 from analytics.metrics.evaluation import define_views, evaluate
 from analytics.metrics.half_error import Direction, smallest_within_half
-from analytics.metrics.product_files import products_of
 from analytics.metrics.registry import metrics
 from analytics.metrics.slow_turn import threshold_in_turn
 from analytics.step_records.step_table import step_means
@@ -25,7 +24,7 @@ def rows_of(tested: Any, metric: str) -> list[dict[str, Any]]:
     with tested.catalog() as catalog:
         steps = step_means(catalog)
         catalog._unfilled.clear()
-        define_views(catalog, steps, products_of(catalog.store).scales)
+        define_views(catalog, steps)
         found = evaluate(catalog, [metrics()[metric]]).to_pylist()
     return [json.loads(row["parameters"] or "{}") | row for row in found]
 
@@ -232,6 +231,24 @@ def test_threshold_in_one_slow_turn(tested: Any) -> None:
     means = volts.reshape(-1, 2).mean(axis=1)[:-1]
     found = threshold_in_turn(np.arange(3599.0) + 0.5, means * 3600 / 0.02, 0.1, float(level))
     assert row["value"] == pytest.approx(found["value"], rel=1e-9)
+
+
+@pytest.mark.parametrize(("half_width", "noise"), [(0.0, 1.0), (0.0, 3.0), (1.5, 1.0)])
+def test_noise_of_single_seconds_is_no_threshold(half_width: float, noise: float) -> None:
+    rng = np.random.default_rng(7)
+    level = float(EARTH_DEG_PER_H * np.cos(np.radians(40.0)))
+    t_s = np.arange(3600.0) + 0.5
+    rate = level * np.cos(np.radians(0.1 * t_s) + 0.4)
+    output = 30.0 + np.sign(rate) * np.maximum(np.abs(rate) - half_width, 0) + rng.normal(0, noise, t_s.size)
+    found = threshold_in_turn(t_s, output, 0.1, level)
+    if half_width:
+        assert found["lo"] < 2 * half_width <= found["hi"]
+        assert found["value"] == pytest.approx(2 * half_width, rel=0.2)
+        return
+    # a perfect gyro: the input changes by 0.02 deg/h a second at the crossing, so that the end of a straight piece over
+    # an octave x to 2 x is known to about 2 noise sqrt(0.02/x), and to a sixth of x at (12 noise sqrt(0.02))^(2/3)
+    assert found["lo"] == 0.0
+    assert found["value"] < 1.2 * (12 * noise * 0.02**0.5) ** (2 / 3)
 
 
 def test_half_a_turn_is_too_little(tested: Any) -> None:

@@ -99,7 +99,7 @@ def test_what_is_not_there_is_said_with_what_is(store: Store) -> None:
     registry.add(version())
     with pytest.raises(NotFound, match="there are 1"):
         registry.version("U1", 7)
-    with pytest.raises(NotFound, match="none: make one"):
+    with pytest.raises(NotFound, match=r"promote --unit U2 --model 'rate = bias \+ .* writes version 1"):
         registry.version("U2", 1)
 
 
@@ -218,6 +218,64 @@ def test_commands_list_show_promote_and_roll_back(store: Store) -> None:
     assert plain.exit_code == 0
     assert "temperature: 0.5 +- 0.01 deg/h/degC" in plain.stdout
     assert CliRunner().invoke(model, ["list", "--store", str(store.folder)]).exit_code == 0
+
+
+def test_what_is_only_watched_is_rolled_back_by_the_option_that_the_message_names(store: Store) -> None:
+    registry = ModelRegistry(store)
+    registry.add(version())
+    registry.add(version(note="again"))
+
+    def run(*words: str, code: int = 0) -> Any:
+        done = CliRunner().invoke(model, [words[0], "--store", str(store.folder), "--json", *words[1:]])
+        assert done.exit_code == code, done.output
+        return json.loads(done.stdout.splitlines()[-1])
+
+    rollback = ("rollback", "--unit", "U1", "--reason", "x")
+    assert "gyrofleet model list --unit U1" in run(*rollback, code=1)["error"]["message"]
+    run("promote", "--unit", "U1", "--version", "1", "--shadow")
+    message = run(*rollback, code=1)["error"]["message"]
+    assert "version 1 is only watched (shadow): give --shadow" in message
+    assert run(*rollback, "--shadow")[0]["stage"] == "off"
+    run("promote", "--unit", "U1", "--version", "2")
+    assert "version 2 is live: leave --shadow out" in run(*rollback, "--shadow", code=1)["error"]["message"]
+    run("rollback", "--unit", "U1", "--reason", "x")
+    registry.add(version(signal="rate_z"))
+    run("promote", "--unit", "U1", "--version", "3")
+    assert "there is one of signal rate_z: give --signal" in run(*rollback, code=1)["error"]["message"]
+
+
+def test_a_unit_without_versions_is_told_how_its_first_one_is_made(store: Store) -> None:
+    for words in (("promote", "--unit", "U9", "--version", "1"), ("show", "--unit", "U9")):
+        done = CliRunner().invoke(model, [words[0], "--store", str(store.folder), "--json", *words[1:]])
+        assert done.exit_code == 1
+        assert "promote --unit U9 --model 'rate = bias" in json.loads(done.stdout.splitlines()[-1])["error"]["message"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"verdict": "confounded", "confounded": ("sensor_clock",)}, "cannot tell temperature from sensor_clock"),
+        ({"verdict": "confounded"}, "cannot tell temperature from others"),
+        ({}, None),
+    ],
+)
+def test_a_confounded_model_goes_live_with_a_warning(store: Store, changes: dict[str, Any], said: str | None) -> None:
+    ModelRegistry(store).add(version(**changes))
+    words = ["promote", "--store", str(store.folder), "--unit", "U1", "--version", "1"]
+    watched = CliRunner().invoke(model, [*words, "--shadow", "--json"])
+    assert json.loads(watched.stdout)["warnings"] == []
+    told = json.loads(CliRunner().invoke(model, [*words, "--json"]).stdout)
+    assert told["stage"] == "live"
+    assert [said in each for each in told["warnings"]] == ([] if said is None else [True])
+    CliRunner().invoke(model, ["rollback", "--store", str(store.folder), "--unit", "U1", "--reason", "x"])
+    plain = CliRunner().invoke(model, words)
+    assert plain.exit_code == 0, plain.output
+    assert ("warning: unit U1" in plain.stderr) == (said is not None)
+
+
+def test_a_version_without_confounded_effects_keeps_its_hash() -> None:
+    assert b"confounded" not in version().content()
+    assert version(confounded=("sensor_clock",)).hash != version().hash
 
 
 def test_compensation_needs_a_recorder(store: Store) -> None:

@@ -5,9 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analytics.rolling_allan import RollingAllan
+from analytics.rolling_allan import RollingAllan, rolling_allan
 from analytics.rolling_plot import plot_rolling
-from stream.errors import BadInput
+from stream.errors import BadInput, NotFound
+from tests.analytics.conftest import START_NS, TestedUnits
+
+HOUR_NS = 3600 * 10**9
 
 
 def surface(rows: int = 6, columns: int = 9, scale: float = 1.0) -> RollingAllan:
@@ -57,3 +60,19 @@ def test_the_table_leaves_out_and_says_so() -> None:
     assert small.row_count == 6
     assert large.row_count <= 40
     assert len(large.columns) <= 9
+
+
+def test_the_run_is_the_last_one_that_fills_a_window(tested: TestedUnits) -> None:
+    rng = np.random.default_rng(31)
+    for run, start_h, samples in (("long", 10, 3000), ("early", 1, 3000), ("short", 20, 500)):
+        t0_ns = START_NS + start_h * HOUR_NS
+        tested.run(run, t_ns=t0_ns)
+        tested.step(run, "U1", rng.normal(size=samples), t0_ns=t0_ns, dt_ns=10**9)
+    with tested.catalog() as catalog:
+
+        def run_of(window_s: float) -> str:
+            return rolling_allan(catalog, "U1", "rate", window_s=window_s, step_s=window_s / 2).run
+
+        assert [run_of(1000.0), run_of(3000.0), run_of(500.0)] == ["long", "long", "short"]
+        with pytest.raises(NotFound, match="run short: no Allan deviation of a window of 4000 s: the record has 499 s"):
+            run_of(4000.0)

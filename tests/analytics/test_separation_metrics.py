@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analytics.specification_store import add_specification
 from storage.store import Store
 
 T0_NS = 1_763_683_200 * 10**9
@@ -49,9 +50,9 @@ def product(tmp_path: Path) -> Any:
     """Nominal scale factors of products, in the store that `recorded` fills."""
 
     def write(text: str) -> None:
-        folder = Store.create(tmp_path / "records").folder / "products"
-        folder.mkdir()
-        (folder / "specification.toml").write_text(text)
+        path = tmp_path / "specification.toml"
+        path.write_text(f'revision = "A"\n{text}')
+        add_specification(Store.create(tmp_path / "records"), path)
 
     return write
 
@@ -91,8 +92,9 @@ def test_the_published_gyro_table_comes_out(recorded: Any, product: Any) -> None
         found = angles(rows, *GYRO_ANGLES, run=f"r{rate:.0f}")
         np.testing.assert_allclose(found, printed, atol=0.1)
     for row in rows:
-        assert (row["n"], row["freedom"], row["unit_of_measure"]) == (10, 4, "arcsec")
-        assert row["lo"] < row["value"] < row["hi"]
+        # ten readings, five angles and five offsets: one speed has no interval
+        assert (row["n"], row["freedom"], row["unit_of_measure"]) == (10, 0, "arcsec")
+        assert (row["lo"], row["hi"]) == (None, None)
         assert row["standard"] == "HIT2012"
         assert row["scale_factor"] == "nominal of product GYRO"
 
@@ -105,15 +107,16 @@ def test_one_least_squares_over_all_speeds(recorded: Any, product: Any) -> None:
     for step in steps:
         a, b = (math.radians(each) for each in POSITIONS[step["position"]])
         kw = -2.9222 * step["input_rate"]
-        design.append([1, -kw * math.cos(b), kw * math.sin(b), -kw, -kw * math.cos(a), kw * math.sin(a)])
+        offsets = [float(step["position"] == place) for place in POSITIONS]
+        design.append([*offsets, -kw * math.cos(b), kw * math.sin(b), -kw, -kw * math.cos(a), kw * math.sin(a)])
         outputs.append(step["mean"])
     x, y = np.array(design), np.array(outputs)
     solved, left = np.linalg.lstsq(x, y)[:2]
-    covariance = np.linalg.inv(x.T @ x) * left[0] / (len(y) - 6)
-    expected = [*solved[1:] / ARCSEC, math.hypot(*solved[4:]) / ARCSEC]
+    covariance = np.linalg.inv(x.T @ x) * left[0] / (len(y) - 10)
+    expected = [*solved[5:] / ARCSEC, math.hypot(*solved[8:]) / ARCSEC]
     np.testing.assert_allclose(angles(rows, *GYRO_ANGLES), expected, rtol=1e-9)
     errors = [row["standard_uncertainty"] for row in rows][:5]
-    np.testing.assert_allclose(errors, np.sqrt(np.diag(covariance)[1:]) / ARCSEC, rtol=1e-8)
+    np.testing.assert_allclose(errors, np.sqrt(np.diag(covariance)[5:]) / ARCSEC, rtol=1e-8)
     assert rows[0]["steps"] == list(range(1, 31))
 
 

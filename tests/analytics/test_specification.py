@@ -3,18 +3,22 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
-from analytics.metrics.product_files import products_of
+from analytics.metrics.evaluation import define_views
 from analytics.specification import parse_specification
+from analytics.specification_periods import NEVER, periods_of
 from analytics.specification_store import (
-    NEVER,
     add_specification,
-    periods_of,
     specification_named,
     stored_specifications,
 )
+from analytics.step_records.step_table import step_means
+from storage.catalog import Catalog
+from storage.findings import Severity
 from storage.store import Store
+from storage.verify import verify
 from stream.errors import BadInput, NotFound
 
 LIMIT = '[[limit]]\nmetric = "bias"\nupper = 1.0\nunit_of_measure = "deg/h"\n'
@@ -60,6 +64,12 @@ def add(store: Store, tmp_path: Path) -> Add:
         (spec(limits=limit(uper=1.0)), ["uper", "$.limit[0]"]),
         (spec(limits=limit(standard='"GJB9999"')), ["GJB9999", "GJB2426A"]),
         (spec(limits=limit(standard='"JJF1536"')), ["JJF1536"]),
+        (spec(limits=limit(parameters="{earth_rat = 'none'}")), ["$.limit[0] (bias)", "did you mean earth_rate?"]),
+        (
+            spec(limits=limit(metric='"bias_stability_averaged"', parameters="{average_ss = 100}")),
+            ["line 3", "no value of bias_stability_averaged has a parameter 'average_ss'", "did you mean average_s?"],
+        ),
+        (spec(limits=limit(parameters="{x = 1}")), ["a parameter 'x'; its parameters are duration_s, earth_rate"]),
         (spec(limits=LIMIT + LIMIT), ["$.limit[1]", "$.limit[0] limits the same"]),
         (spec(limits=LIMIT + limit(product='"X"')), ["$.limit[1]", "limits the same"]),
         (spec(more='[product."FOG-70"]', limits=limit(product='"FOG-7O"')), ["FOG-7O", "did you mean FOG-70?"]),
@@ -177,11 +187,33 @@ def test_specifications_that_do_not_contradict_each_other_stand_beside_each_othe
 def test_the_numbers_of_a_product_are_those_of_the_revision_that_began_last(store: Store, add: Add) -> None:
     for revision, year, rate in (("9", 2025, 9.0), ("10", 2026, 10.0), ("8", 2024, 8.0)):
         add("fog.toml", spec(revision, f"valid_from = {year}-01-01\n[product.X]\nmax_rate_deg_per_s = {rate}", ""))
-    assert products_of(store).by_name["X"].max_rate_deg_per_s == 10.0
+    year_ns, year_2024_ns = 366 * 86_400 * 10**9, 1_704_067_200 * 10**9
+    begins = {"r2023": -1, "r2024": 0, "r2026": 2}
+    with Catalog(store) as catalog:
+        catalog._unfilled.clear()
+        rows = [
+            {
+                "unit": "U1",
+                "run": run,
+                "product": "X",
+                "date_known": True,
+                "unit_of_measure": "deg/h",
+                "t_start_ns": year_2024_ns + at * year_ns,
+            }
+            for run, at in begins.items()
+        ]
+        define_views(catalog, pa.Table.from_pylist(rows, schema=step_means(catalog).schema))
+        found = catalog.rows("select run, max_rate_deg_per_s from run_products order by run")
+    assert found == [("r2023", 8.0), ("r2024", 8.0), ("r2026", 10.0)]  # of a time before all, the first
 
 
-def test_a_damaged_copy_is_named(store: Store) -> None:
+def test_a_file_among_the_copies_counts_for_nothing(store: Store) -> None:
     (store.folder / "products").mkdir()
-    (store.folder / "products" / "fog-A.toml").write_bytes(b"revision = 7")
-    with pytest.raises(BadInput, match=r"fog-A\.toml"):
-        stored_specifications(store)
+    (store.folder / "products" / "fog-A.toml").write_bytes(spec("A"))
+    assert stored_specifications(store) == []
+    (found,) = verify(store)[0].findings
+    assert (found.kind, found.severity) == ("specification_not_entered", Severity.UNFINISHED)
+    assert "gyrofleet limits add" in found.remedy
+    add_specification(store, Path(found.where))  # as after an upgrade
+    assert [each.label for each in stored_specifications(store)] == ["fog-A"]
+    assert verify(store)[0].is_sound

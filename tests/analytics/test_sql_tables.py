@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import duckdb
+import msgspec
 import numpy as np
 import polars as pl
 import pyarrow as pa
@@ -18,11 +19,12 @@ from click.testing import CliRunner
 from storage import open_store
 from storage.catalog import VIEWS, Catalog, layers
 from storage.cli import sql
+from storage.specification_chain import append_document, read_chain
 from storage.sql_columns import column_words, read_words
 from storage.sql_tables import columns_of, examples, export_catalogue, known_tables, told_tables
 from storage.store import Store
 from stream.errors import BadInput, NotFound, QueryError
-from stream.events import EstimatePoint, EstimatePublished
+from stream.events import EstimatePoint, EstimatePublished, SpecificationAction, SpecificationEntered, new_uid
 
 README = Path(__file__).parents[2] / "README.md"
 T0_NS = 1_763_683_200 * 10**9
@@ -269,19 +271,28 @@ def test_adev_is_the_last_estimate_of_each_run(store: Store) -> None:
 def test_a_layer_that_cannot_be_made_harms_no_other_table(store: Store, tmp_path: Path) -> None:
     shutil.copytree(store.folder, tmp_path / "broken")
     store = Store.open(tmp_path / "broken")
-    (store.folder / "products" / "broken.toml").write_text("[product.FOG-70]\nmax_rate_deg_per_s = 'fast'\n")
+    broken = SpecificationEntered(
+        run="", t_ns=T0_NS, action=SpecificationAction.ADDED, name="broken", revision="A", by="Li",
+        previous=read_chain(store).head,
+        content="revision = 'A'\n[product.FOG-70]\nmax_rate_deg_per_s = 'fast'\n",
+    )  # fmt: skip
+    append_document(store, broken)
     with Catalog(store) as catalog:
         for _ in range(2):  # it stays so, and stays told
-            with pytest.raises(BadInput, match=r"broken\.toml.*max_rate_deg_per_s"):
+            with pytest.raises(BadInput, match=r"broken-A\.toml.*max_rate_deg_per_s"):
                 catalog.rows("select count(*) from unit_metrics")
         ((samples,),) = catalog.rows("select sum(samples) from signals where signal = 'rate'")
         assert samples == 4 * 3600 + 4 * 600
         told = {row["table"]: str(row["what"]) for row in told_tables(catalog)}
         assert told["samples"].startswith("every sample")
         assert "cannot be made: " in told["unit_metrics"]
-        assert "broken.toml" in told["unit_metrics"]
+        assert "broken-A.toml" in told["unit_metrics"]
         assert columns_of(catalog, "samples")
-        (store.folder / "products" / "broken.toml").unlink()
+    withdrawn = msgspec.structs.replace(
+        broken, action=SpecificationAction.WITHDRAWN, content="", previous=read_chain(store).head, rejudges=True
+    )
+    append_document(store, msgspec.structs.replace(withdrawn, uid=new_uid()))
+    with Catalog(store) as catalog:
         ((metrics,),) = catalog.rows("select count(*) from unit_metrics")  # mended, it is made
         assert metrics > 0
 

@@ -4,6 +4,7 @@ import math
 import signal
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -15,6 +16,7 @@ import pytest
 from scipy import stats
 
 from analytics.step_records.reduction import MOST_RAW
+from analytics.step_records.series_statistics import series_statistics
 from analytics.step_records.step_table import step_means
 from storage.lake import Lake, builder_lock
 from storage.mcap_records import SAMPLES, LogRecord
@@ -231,7 +233,6 @@ def test_a_run_of_an_unknown_date_is_reduced_alike(tested: Any) -> None:
 _KILLED = """
 import os, signal, sys
 from pathlib import Path
-import pyarrow.parquet as pq
 from analytics.step_records import step_table
 from storage.catalog import Catalog
 from storage.store import Store
@@ -239,15 +240,13 @@ from storage.store import Store
 def die(*_, **__):
     os.kill(os.getpid(), signal.SIGKILL)
 
-write = pq.write_table
-def half(table, path, **words):
-    write(table, path, **words)
-    with open(path, "r+b") as file:
-        file.truncate(os.path.getsize(path) // 2)
+write = Path.write_bytes
+def half(path, content):
+    write(path, content[: len(content) // 2])
     die()
 
 if sys.argv[2] == "half":
-    pq.write_table = half
+    Path.write_bytes = half
 else:
     Path.replace = die
 with Catalog(Store.open(Path(sys.argv[1]))) as catalog:
@@ -272,3 +271,26 @@ def test_a_kill_while_the_records_are_written_leaves_the_old_ones_or_none(tested
     assert first == before | {"fingerprint": second["fingerprint"]}
     assert pq.read_table(path).num_rows == 2
     assert Store.open(tested.store.folder).identity == tested.store.identity
+
+
+def test_more_samples_of_white_noise_tell_the_mean_better() -> None:
+    rng = np.random.default_rng(21)
+    sizes = (5, 8, 10, 12, 16, 20, 24, 30, 48, 64, 100)
+    medians = []
+    for n in sizes:
+        t_ns = np.arange(n) * SECOND_NS
+        found = [
+            series_statistics(
+                t_ns, np.ones(n, int), rng.standard_normal(n), np.zeros(n), base_ns=SECOND_NS, samples_per_block=1.0,
+                window_ns=(0, n * SECOND_NS),
+            )
+            for _ in range(400)
+        ]  # fmt: skip
+        medians.append(np.sqrt(np.mean([each.standard_uncertainty**2 for each in found])))
+        # the truth is 0: 95 % of 400 less four standard deviations of the binomial
+        half = [stats.t.ppf(0.975, each.freedom) * each.standard_uncertainty for each in found]
+        held = sum(abs(each.mean) <= h for each, h in zip(found, half, strict=True))
+        assert held > 400 * 0.95 - 4 * np.sqrt(400 * 0.95 * 0.05)
+    # neighbours may differ by chance: 5 % is two standard deviations of the root mean square of 400
+    assert all(b < a * 1.05 for a, b in pairwise(medians)), dict(zip(sizes, medians, strict=True))
+    assert medians[5] < medians[2]

@@ -157,7 +157,9 @@ def test_stretches_of_nan_are_left_out_or_the_channel_is(campaign: Campaign) -> 
     assert any("blocks left out: a channel has no value" in each for each in few.limits)
     many = told([holed(run, "humidity", 0.6) for run in runs])
     assert "gravity_o" in many.names
-    assert "humidity" in many.not_tested
+    assert "humidity" in many.detection_limits  # by the blocks in which it is there
+    assert "humidity" not in many.not_tested
+    assert [each.what for each in many.left_out] == ["the blocks of channel humidity"]
 
 
 def test_too_little_data_is_a_result(campaign: Campaign) -> None:

@@ -12,7 +12,6 @@ import pytest
 from scipy.stats import binom
 
 from analytics.metrics.evaluation import COLUMNS, define_views
-from analytics.metrics.product_files import products_of
 from analytics.specification_store import add_specification
 from analytics.step_records.step_table import step_means
 from analytics.trend_plot import plot_trend
@@ -67,7 +66,7 @@ def told(store: Store) -> Iterator[Told]:
                 }
             )  # fmt: skip
         table = pa.Table.from_pylist(steps, schema=step_means(catalog).schema)
-        define_views(catalog, table, products_of(store).scales)
+        define_views(catalog, table)
         catalog.put("unit_metrics", pa.Table.from_pylist(values, schema=COLUMNS))
         return catalog
 

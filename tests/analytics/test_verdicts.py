@@ -11,7 +11,6 @@ from scipy import stats
 
 from analytics.metrics.evaluation import COLUMNS, define_views
 from analytics.metrics.layer import define_tables
-from analytics.metrics.product_files import products_of
 from analytics.metrics.registry import metrics
 from analytics.specification_store import add_specification
 from analytics.step_records.step_table import step_means
@@ -56,7 +55,7 @@ class Judged:
         }
         rows = [plain | {"t_to_ns": row.get("t_start_ns", JANUARY_NS) + HOUR_NS} | dict(row) for row in runs]
         steps = pa.Table.from_pylist(rows, schema=step_means(catalog).schema)
-        define_views(catalog, steps, products_of(self.store).scales)
+        define_views(catalog, steps)
         catalog.put("unit_metrics", pa.Table.from_pylist([_value(row) for row in values], schema=COLUMNS))
         define_tables(catalog)
         return catalog
@@ -180,22 +179,28 @@ def test_a_run_without_a_date_has_a_verdict_only_where_there_is_one_revision(jud
 
 
 def test_a_limit_is_of_the_values_with_its_parameters_product_signal_and_standard(judged: Judged) -> None:
-    ask = 'metric = "bias_stability"\nupper = 1.0\nunit_of_measure = "deg/h"\n'
+    ask = 'metric = "bias_stability_averaged"\nupper = 1.0\nunit_of_measure = "deg/h"\n'
     judged.specify(
         limits(
-            ask + "parameters = { average_s = 100, axis = 'X' }",
+            ask + "parameters = { average_s = 100, position = 'X' }",
             ask + 'product = "Y"',
             ask + 'signal = "rate_z"\nproduct = "X"',
             'metric = "bias"\nupper = 1.0\nunit_of_measure = "deg/h"\nstandard = "JJF2014"',
         )
     )
-    stability: dict[str, Any] = {"metric": "bias_stability", "value": 2.0, "lo": 1.9, "hi": 2.1, "standard": "JJF2014"}
+    stability: dict[str, Any] = {
+        "metric": "bias_stability_averaged",
+        "value": 2.0,
+        "lo": 1.9,
+        "hi": 2.1,
+        "standard": "JJF2014",
+    }
     values: list[dict[str, Any]] = [
-        {**stability, "parameters": {"average_s": 100.0, "axis": "X", "n_effective": 3.2}},
-        {**stability, "parameters": {"average_s": 10, "axis": "X"}},
-        {**stability, "parameters": {"average_s": 100, "axis": "Y"}},
-        {**stability, "parameters": {"average_s": "100 s", "axis": "X"}},
-        {**stability, "parameters": {"axis": "X"}},
+        {**stability, "parameters": {"average_s": 100.0, "position": "X"}},
+        {**stability, "parameters": {"average_s": 10, "position": "X"}},
+        {**stability, "parameters": {"average_s": 100, "position": "Y"}},
+        {**stability, "parameters": {"average_s": "100 s", "position": "X"}},
+        {**stability, "parameters": {"position": "X"}},
         {**stability, "signal": "rate_z", "parameters": {}},
         {"value": 2.0, "lo": 1.9, "hi": 2.1, "standard": "GJB2426A"},
         {"value": 2.0, "lo": 1.9, "hi": 2.1, "standard": "GJB2426A, JJF2014", "run": "r2"},
@@ -204,8 +209,8 @@ def test_a_limit_is_of_the_values_with_its_parameters_product_signal_and_standar
     found = verdicts_of(judged.catalog(runs, values)).verdicts
     assert sorted((row["metric"], row["signal"], row["run"], row["parameters"]) for row in found) == [
         ("bias", "rate", "r2", "{}"),
-        ("bias_stability", "rate", "r1", '{"average_s": 100.0, "axis": "X", "n_effective": 3.2}'),
-        ("bias_stability", "rate_z", "r1", "{}"),
+        ("bias_stability_averaged", "rate", "r1", '{"average_s": 100.0, "position": "X"}'),
+        ("bias_stability_averaged", "rate_z", "r1", "{}"),
     ]
     assert {row["verdict"] for row in found} == {"FAIL"}
 
@@ -214,24 +219,25 @@ def test_what_a_specification_asks_for_and_nobody_measured_is_no_data(judged: Ju
     judged.specify(
         limits(
             BIAS,
-            'metric = "bias_stability"\nparameters = { average_s = 100 }\nupper = 1.0\nunit_of_measure = "deg/h"',
+            'metric = "bias_stability_averaged"\nparameters = { average_s = 100 }\nupper = 1.0\n'
+            'unit_of_measure = "deg/h"',
         )
     )
     runs = [{"unit": "U1", "run": "r1"}, {"unit": "U2", "run": "r1"}]
     values: list[dict[str, Any]] = [
         {"value": 0.0, "lo": -0.1, "hi": 0.1},
-        {"metric": "bias_stability", "parameters": {"average_s": 10}, "value": 0.1, "lo": 0.1, "hi": 0.1},
+        {"metric": "bias_stability_averaged", "parameters": {"average_s": 10}, "value": 0.1, "lo": 0.1, "hi": 0.1},
         {"unit": "U2", "value": 0.0, "lo": -0.1, "hi": 0.1},
     ]
     found = verdicts_of(judged.catalog(runs, values))
-    lacking = {row["unit"]: row for row in found.verdicts if row["metric"] == "bias_stability"}
+    lacking = {row["unit"]: row for row in found.verdicts if row["metric"] == "bias_stability_averaged"}
     assert {row["verdict"] for row in lacking.values()} == {"NO_DATA"}
     assert lacking["U1"]["reason"] == (
-        "values of bias_stability are there, but none of bias_stability (average_s = 100)"
+        "values of bias_stability_averaged are there, but none of bias_stability_averaged (average_s = 100)"
     )
     assert lacking["U2"]["reason"].startswith("not measured: it needs ")
     assert [(row["unit"], row["verdict"], row["lacking"]) for row in found.units] == [
-        ("U1", "NO_DATA", ["bias_stability"]), ("U2", "NO_DATA", ["bias_stability"]),
+        ("U1", "NO_DATA", ["bias_stability_averaged"]), ("U2", "NO_DATA", ["bias_stability_averaged"]),
     ]  # fmt: skip
 
 
@@ -350,6 +356,44 @@ def test_an_entered_check_counts_by_its_own_verdict(judged: Judged) -> None:
     (unit,) = found.units
     assert (unit["verdict"], unit["failures"]) == ("FAIL", ["insulation", "visual_check"])
     assert found.has_failure
+
+
+def check(judged: Judged, unit: str, verdict: Verdict = Verdict.PASS, **more: Any) -> None:
+    enter(judged.store.folder, [check_entered(Entry(unit, "visual", "Li", verdict, **more), JANUARY_NS)], role="test")
+
+
+def test_a_check_alone_passes_no_unit(judged: Judged) -> None:
+    check(judged, "NOPE-9")
+    check(judged, "NOPE-8", Verdict.FAIL)
+    catalog = judged.catalog([], [])
+    passing, failing = verdicts_of(catalog, ["NOPE-9"]).units[0], verdicts_of(catalog, ["NOPE-8"]).units[0]
+    assert (passing["verdict"], passing["latest_verdict"], failing["verdict"]) == ("NO_DATA", "NO_DATA", "FAIL")
+    assert passing["reason"].startswith("the store has no limits")
+    (group,) = yield_by(catalog, "lot")
+    assert (group["passed"], group["failed"], group["no_data"], group["yield"]) == (0, 1, 1, 0.0)
+
+
+def test_limits_for_every_product_apply_to_a_unit_that_was_only_checked(judged: Judged) -> None:
+    judged.specify(limits(BIAS, 'metric = "bias_stability"\nproduct = "X"\nupper = 1.0\nunit_of_measure = "deg/h"'))
+    check(judged, "NOPE-9")
+    found = verdicts_of(judged.catalog([], []))
+    (unit,) = found.units
+    assert (unit["verdict"], unit["passed"], unit["lacking"]) == ("NO_DATA", 1, ["bias", "product"])
+    reasons = {row["metric"]: row["reason"] for row in found.verdicts if row["verdict"] == "NO_DATA"}
+    assert reasons["bias"].startswith("not measured: it needs ")
+    assert reasons["product"].startswith("its product is not known, so that no limit of X is applied")
+    assert [row["passed"] for row in yield_by(judged.catalog([], []), "lot")] == [0]
+
+
+def test_a_unit_of_unknown_product_passes_only_where_no_limit_asks_for_the_product(judged: Judged) -> None:
+    runs: Rows = [{"unit": "U1", "run": "r1", "product": None}]
+    values: Rows = [{"value": 0.0, "lo": -0.1, "hi": 0.1}]
+    judged.specify(limits(BIAS))
+    assert verdicts_of(judged.catalog(runs, values)).units[0]["verdict"] == "PASS"
+    judged.specify(limits('metric = "bias_stability"\nproduct = "X"\nupper = 1.0\nunit_of_measure = "deg/h"'), "x.toml")
+    (unit,) = verdicts_of(judged.catalog(runs, values)).units
+    assert (unit["verdict"], unit["passed"], unit["lacking"]) == ("NO_DATA", 1, ["product"])
+    assert unit["reason"].startswith("its product is not known, so that no limit of X is applied: name its product")
 
 
 @pytest.mark.parametrize("other", ["fog-0231", "FOG_0231", "FOG0231", "FOG-02.31"])

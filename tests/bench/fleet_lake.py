@@ -21,7 +21,7 @@ from storage.lake import Lake, builder_lock
 from storage.lake_manifest import Part, PartFile, write_part
 from storage.lake_tables import CHANNEL_COLUMNS, EVENT_COLUMNS, ROLLUP_COLUMNS, part_writers
 from storage.rollups import merge, rollup_table
-from storage.segment_part import BuiltPart, channel_id
+from storage.segment_part import BuiltPart, Drops, channel_id
 from storage.store import Store
 from stream.batch import SampleBatch
 from stream.events import AnyDocument, PowerOn, RunStarted, StepEnded, StepStarted, StepWords, UnitMounted
@@ -238,7 +238,7 @@ def put_part(
         arrival_last_ns=max(row["arrival_last_ns"] for row in rows),
     )
     write_part(fresh, part)
-    lake.swap((), [BuiltPart(fresh, part, {})])
+    lake.swap((), [BuiltPart(fresh, part, Drops({}, {}))])
 
 
 def write_raw_day(folder: Path, units: int, rate_hz: int, hours: int = 24) -> Store:

@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from analytics.metrics.evaluation import define_views, evaluate
-from analytics.metrics.product_files import products_of
 from analytics.metrics.registry import metrics
 from analytics.step_records import reduction
 from analytics.step_records.step_table import step_means
@@ -52,7 +51,7 @@ def family(store: Store) -> int:
     """The bias family from the kept records of the steps; how many rows."""
     with Catalog(store) as catalog:
         catalog._unfilled.clear()  # else it would fill itself with all metrics
-        define_views(catalog, step_means(catalog), products_of(store).scales)
+        define_views(catalog, step_means(catalog))
         return int(evaluate(catalog, [each for name, each in metrics().items() if name.startswith(FAMILY)]).num_rows)
 
 

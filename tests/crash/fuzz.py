@@ -32,7 +32,7 @@ import numpy as np
 
 from storage.catalog import Catalog
 from storage.event_log import EventLog
-from storage.intake import MAX_PAYLOAD_BYTES
+from storage.intake import MAX_REJECT_BYTES
 from storage.lake import build_missing, builder_lock
 from storage.log_tail import LogTail
 from storage.mcap_records import REJECTED
@@ -42,6 +42,7 @@ from storage.store import Store, WriterLock
 from storage.verify import verify
 from stream import samples_pb2
 from stream.batch import SampleBatch
+from stream.bounds import MAX_MESSAGE_BYTES
 from stream.bus import Bus, LocalBus
 from stream.delivery import DurablePublisher
 from stream.errors import BusError, GyrofleetError
@@ -96,7 +97,7 @@ def is_malformed(key: str, payload: bytes) -> bool | None:
     """Whether nobody can read it; None where it can be read, and its stream would take it."""
     try:
         parsed = parse_key(key)
-        if len(payload) > MAX_PAYLOAD_BYTES:
+        if len(payload) > MAX_MESSAGE_BYTES:
             return True
         if isinstance(parsed, SampleKey):
             batch = decode_batch(payload)
@@ -176,15 +177,19 @@ class Forge:
             "schema": [0, 3, 2**32 - 1],
             "samples": [0, 1, 99, 101, 2**32 - 1],
             "epoch": [b"", bytes(15), bytes(17)],
-            "seq": [-1, -(2**63), 2**63 - 1],
-            "dt_ns": [0, -1, -(2**63), 2**63 - 1],
-            "t0_ns": [-(2**63)],
+            "seq": [-1, -(2**63), 2**63 - 1, 2**53],
+            "dt_ns": [0, -1, -(2**63), 2**63 - 1, 2**58 + 1],
+            "t0_ns": [-(2**63), -(2**61) - 1, 2**62, 2**63 - 20],
             "scale": [float("nan"), float("inf"), float("-inf")],
             "offset": [float("nan"), float("inf"), float("-inf")],
             "counts": [bytes(4 * BATCH), bytes(3)],
             "count_planes": [b"", bytes(1), bytes(BATCH - 1), bytes(5 * BATCH)],
             "values": [bytes(3), bytes(8 * BATCH - 8)],
-            "times_ns": [bytes(7), struct.pack("<q", -(2**63)) * BATCH],
+            "times_ns": [
+                bytes(7),
+                struct.pack("<q", -(2**63)) * BATCH,
+                struct.pack("<3q", 0, 2**63 - 20, 1).ljust(8 * BATCH, b"\x00"),
+            ],
             "flags": [bytes(1), bytes(BATCH + 1)],
         }
         name = self.rng.choice(sorted(wrong))
@@ -235,7 +240,7 @@ class GoodSource:
         if how == "overlap":
             self.publisher.drain()  # with which numbers it overlaps is known only when they are recorded
         seq = {"again": 0, "ahead": self.samples + 10**6, "overlap": self.samples - BATCH // 2}[how]
-        return Message(how, GOOD, encode_batch(self._batch(seq, counts)), how == "overlap")
+        return Message(how, GOOD, encode_batch(self._batch(seq, counts)), how != "ahead")
 
     def end(self) -> None:
         """End the run."""
@@ -272,7 +277,7 @@ class Trial:
                 wait_for(self.aside.total())
         for _ in range(oversize):
             wait_for(self.aside.total())
-            self.send(Message("oversize", VICTIM, bytes(MAX_PAYLOAD_BYTES) + self._rng.randbytes(10), True))
+            self.send(Message("oversize", VICTIM, bytes(MAX_MESSAGE_BYTES) + self._rng.randbytes(10), True))
             self.source.send()
         wait_for(self.aside.total())
         self.source.end()
@@ -286,7 +291,13 @@ class Trial:
             return
         self.by_kind[message.how] += 1
         if message.is_malformed:
-            self.aside[message.key[:1000], sha256(message.payload[:MAX_PAYLOAD_BYTES]).hexdigest()] += 1
+            self.aside[message.key[:1000], sha256(message.payload[:MAX_REJECT_BYTES]).hexdigest()] += 1
+
+    @property
+    def expected(self) -> tuple[int, int]:
+        """How many must be rejected, and how many have numbers that came with other content."""
+        conflicts = self.by_kind["again"]
+        return self.aside.total() - conflicts, conflicts
 
     def wrong(self, store: Store) -> list[str]:
         """What is not in the store as it must be."""
@@ -350,17 +361,19 @@ def in_this_process(folder: Path, count: int, rng: random.Random, oversize: int)
 
         def wait_for(rejected: int) -> None:
             deadline = time.monotonic() + PATIENCE_S
-            while recorder.counts.rejected < rejected and recorder.failure is None:
+            counts = recorder.counts
+            while counts.rejected + counts.conflicts < rejected and recorder.failure is None:
                 if time.monotonic() > deadline:
-                    raise TimeoutError(f"{recorder.counts.rejected} were counted as rejected, {rejected} are malformed")
+                    raise TimeoutError(f"{counts.rejected + counts.conflicts} were counted, {rejected} are malformed")
                 time.sleep(0.005)
 
         trial = Trial(bus, rng)
         trial.run(count, oversize, wait_for)
         worker.close()
         estimates.drain()
-        if recorder.counts.rejected != trial.aside.total():
-            wrong.append(f"{recorder.counts.rejected} were counted as rejected, {trial.aside.total()} are malformed")
+        counted = (recorder.counts.rejected, recorder.counts.conflicts)
+        if counted != trial.expected:
+            wrong.append(f"{counted} were counted as rejected and conflicts, {trial.expected} are malformed")
     if raising.told != raising.heard or not raising.heard:
         wrong.append(f"a handler failed at {raising.heard} messages, {raising.told} times it was told")
     found = trial.wrong(store)
@@ -390,8 +403,9 @@ def over_zenoh(folder: Path, count: int, rng: random.Random, oversize: int) -> t
         recorder.kill()
         recorder.wait()
     wrong = [] if recorder.returncode == 0 else [f"the recorder ended with exit code {recorder.returncode}"]
-    if said["rejected"] != trial.aside.total():
-        wrong.append(f"{said['rejected']} were counted as rejected, {trial.aside.total()} are malformed")
+    counted = (said["rejected"], said["conflicts"])
+    if counted != trial.expected:
+        wrong.append(f"{counted} were counted as rejected and conflicts, {trial.expected} are malformed")
     return trial, wrong + trial.wrong(Store.open(folder))
 
 

@@ -73,6 +73,23 @@ def test_a_full_disk_stops_recording_and_room_lets_it_go_on(
     check(gyrofleet, store)
 
 
+def test_a_lake_is_rebuilt_when_a_full_disk_has_room_again(
+    gyrofleet: Callable[..., Any], small_disk: Path, tmp_path: Path
+) -> None:
+    store = small_disk / "store"
+    done = gyrofleet("import", table(tmp_path / "a.parquet"), "--unit", "U1", "--store", store)
+    assert done.code == 0, done.err
+    ballast = small_disk / "ballast"
+    ballast.write_bytes(bytes(shutil.disk_usage(small_disk).free - 200_000))
+    done = gyrofleet("rebuild", "--store", store)
+    assert done.code == 1
+    assert "the old one stays in force" in done.err
+    check(gyrofleet, store)
+    ballast.unlink()
+    assert gyrofleet("rebuild", "--store", store).code == 0
+    check(gyrofleet, store)
+
+
 @pytest.mark.parametrize(
     ("calls", "when", "files"),
     [

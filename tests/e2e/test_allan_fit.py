@@ -39,7 +39,7 @@ def ask(store: Path, *more: object, run: str = "fast", signal: str = "rate") -> 
 
 def test_the_planted_random_walk_is_within_its_limits(gyrofleet: Callable[..., Any], store: Path) -> None:
     result = gyrofleet(*ask(store, "--fit", "--json")).json
-    assert list(result) == [*CURVE, "coefficients", "coefficients_reason", "misfit", "confidence"]
+    assert list(result) == [*CURVE, "coefficients", "coefficients_reason", "misfit", "confidence", "outliers"]
     found = result["coefficients"]
     assert list(found) == [*COEFFICIENTS, "markov", "angle_random_walk_normalised"]
     for key in ("angle_random_walk", "angle_random_walk_normalised"):

@@ -78,6 +78,7 @@ def test_a_rolling_window_shows_when_the_noise_rose(gyrofleet: Callable[..., Any
     np.testing.assert_allclose(first[:5], 1.0, rtol=5 / np.sqrt(17_999))
     np.testing.assert_allclose(first[7:], 3.0, rtol=5 / np.sqrt(17_999))
     table = gyrofleet(*ask(store, "--rolling", 0.1))
+    assert "limits" in table.out.split("deviations in")[1]
     assert "Rolling Allan deviation (动态 Allan 标准差) of FOG-1 rate" in table.out
     assert "33 windows of 0.1 h every 0.0125 h" in table.out
     assert table.code == 0

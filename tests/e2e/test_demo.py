@@ -52,6 +52,8 @@ def test_every_simulated_sample_is_in_the_lake_and_judged(
         "--store", store, "--json",
     ).json  # fmt: skip
     assert stored == [{"unit": unit["unit"], "verdict": unit["verdict"]} for unit in result["units"]]
+    rows = gyrofleet("metrics", "--metric", "bias", "--run", result["run"], "--store", store, "--json").json
+    assert {row["unit"] for row in rows if row["value"] is not None} == set(UNITS)
     (run,) = gyrofleet("sql", f"select * from runs where run = '{result['run']}'", "--store", store, "--json").json
     assert (run["simulated"], run["date_known"], run["outcome"]) == (True, True, "completed")
     assert Path(result["plot"]).read_bytes().startswith(b"\x89PNG")
@@ -130,7 +132,7 @@ def test_what_would_write_or_fails_is_refused_in_one_line(
     gyrofleet: Callable[..., Any], demo: tuple[Path, Any], tmp_path: Path, statement: str, word: str
 ) -> None:
     refused = gyrofleet("sql", statement, "--store", demo[0])
-    assert refused.code == 1
+    assert refused.code == 2
     assert word in refused.err
     assert refused.err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
@@ -174,6 +176,16 @@ def test_allan_draws_and_tells(gyrofleet: Callable[..., Any], demo: tuple[Path, 
     ]  # fmt: skip
 
 
+def test_curves_are_of_the_run_measured_last_and_not_of_a_short_run_recorded_after_it(
+    gyrofleet: Callable[..., Any], demo: tuple[Path, Any]
+) -> None:
+    ask = ("--unit", "FOG-0231", "--signal", "rate", "--store", demo[0], "--json")
+    for command in (("allan",), ("allan", "--rolling", "0.25", "--step", "0.125"), ("spectrum",)):
+        done = gyrofleet(*command, *ask)
+        assert done.code == 0, done.err
+        assert done.json["run"] == demo[1]["run"]
+
+
 def test_results_of_every_type_can_be_printed(
     gyrofleet: Callable[..., Any], demo: tuple[Path, Any], tmp_path: Path
 ) -> None:
@@ -192,7 +204,7 @@ def test_results_of_every_type_can_be_printed(
     assert '"{""k"":[1,2]}"' in as_csv.out
     assert gyrofleet("sql", question, "--store", demo[0]).code == 0
     refused = gyrofleet("sql", question, "--store", demo[0], "--parquet", "out.parquet")
-    assert refused.code == 1
+    assert refused.code == 2
     assert "::varchar" in refused.err
     assert list(tmp_path.iterdir()) == []
 

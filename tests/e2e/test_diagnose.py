@@ -13,14 +13,15 @@ import pytest
 from click.testing import CliRunner
 
 from analytics.diagnose_cli import diagnose
+from gyrofleet import main
 from tests import browser
 
 MODEL = "rate = bias + scale_factor*input_rate + temperature"
 SHUPE = 30.0  # deg/h per degC/s
 KEYS = [
     "verdict", "units", "signal", "effects", "confounded", "unreplicated", "holdout", "error", "noise",
-    "detection_limits", "not_tested", "limits", "missing", "replication", "training_runs", "model", "noise_source",
-    "reduction",
+    "detection_limits", "not_tested", "limits", "missing", "left_out", "replication", "training_runs", "model",
+    "noise_source", "reduction",
 ]  # fmt: skip
 HIT_2012 = Path(__file__).resolve().parents[1] / "golden" / "hit2012_table1.csv"
 HIT_MODEL = "rate = bias + channel:table_rate + cross_axis_o + cross_axis_s + fixture_cos + fixture_sin"
@@ -148,6 +149,21 @@ def test_several_units_are_a_list_and_a_fleet_is_pooled(gyrofleet: Callable[...,
     assert list(failed.json["units"]) == ["FOG-2"]
 
 
+def test_a_fleet_is_counted_on_standard_error(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = ["diagnose", "--fleet", "--model", MODEL, "--store", str(store), "--json"]
+    monkeypatch.setattr("stream.console._TOLD_EVERY_S", 0.0)
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["units"].keys() == {"FOG-1", "FOG-2"}
+    assert [line for line in done.stderr.splitlines() if line.startswith(("reading", "tracing", "searching"))] == [
+        "reading FOG-1 (1 of 2)",
+        "reading FOG-2 (2 of 2)",
+        "tracing FOG-1 (1 of 2)",
+        "tracing FOG-2 (2 of 2)",
+        "searching for what 2 units have in common",
+    ]
+
+
 def test_runs_noise_and_blocks_can_be_named(gyrofleet: Callable[..., Any], store: Path) -> None:
     noise = "N=0.01,B=0.01,K=0.01,turn_on=0.1"
     runs = [word for number in (0, 2, 3, 5, 6) for word in ("--run", f"r{number}")]
@@ -166,7 +182,7 @@ def test_runs_noise_and_blocks_can_be_named(gyrofleet: Callable[..., Any], store
 
 
 @pytest.mark.parametrize(("more", "message"), [
-    (("--noise", "N=1"), "B, K, turn_on is missing"),
+    (("--noise", "N=1"), "B, K is missing"),
     (("--noise", "N=0,B=0,K=0,turn_on=0"), "N above 0"),
     (("--noise", "N=a,B=0,K=0,turn_on=0"), "could not convert"),
     (("--block", "0s"), "positive number of seconds"),

@@ -41,10 +41,10 @@ Ask = Callable[..., Result]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]) -> Path:
-    """Two units at rest for 4000 s, and one for ten minutes, which the clauses find too short."""
+    """Two units at rest for 4000 s, and one for 150 s: too little for a stability over averages of 100 s."""
     here = tmp_path_factory.mktemp("metrics")
     rng = np.random.default_rng(7)
-    for run, units, seconds in (("long", BIASES, 4000), ("short", {"FOG-0003": 0.0}, 600)):
+    for run, units, seconds in (("long", BIASES, 4000), ("short", {"FOG-0003": 0.0}, 150)):
         with (here / f"{run}.csv").open("w", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(["unit", "time[s]", "rate[deg/h]", "procedure", "step"])
@@ -88,7 +88,8 @@ def test_json_is_a_list_of_values_and_reasons(ask: Ask) -> None:
     assert (bias["n"], bias["run"], bias["runs"], bias["unit_of_measure"]) == (4000, "long", ["long"], "deg/h")
     assert (bias["standard"], bias["clause"]) == ("GJB2426A, JJF2014", "5.12.1 (19); 7.2.13 (27)(28)")
     (short,) = [row for row in rows if row["metric"] == "bias" and row["unit"] == "FOG-0003"]
-    assert "599 s long" in short["reason"]
+    assert short["value"] == pytest.approx(0.0, abs=0.2)
+    assert short["parameters"]["remark"] == "record of 149 s: the clauses ask for one hour as a rule"
 
 
 def test_a_selection_leaves_the_rest_out(ask: Ask) -> None:
@@ -168,7 +169,10 @@ def test_a_workbook_holds_numbers_as_numbers(ask: Ask, tmp_path: Path) -> None:
     assert len(sheet.findall(".//m:row", space)) == len(rows) + 1
     assert {"特性", "零偏", "FOG-0001"} <= set(texts)
     # value is the sixth column
-    assert [numbers.get(f"F{i}") for i, _ in enumerate(rows, 2)] == [row["value"] for row in rows]
+    # 16 digits, as workbooks hold them
+    assert [numbers.get(f"F{i}") for i, _ in enumerate(rows, 2)] == pytest.approx(
+        [row["value"] for row in rows], rel=1e-15
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["m.xlsx"]
 
 
@@ -225,6 +229,25 @@ def test_specifications_are_listed_shown_and_refused(specified: Ask, folder: Pat
     assert "no metric 'baïs'" in message
 
 
+def test_a_serial_that_was_never_recorded_is_entered_with_a_warning_and_does_not_pass(specified: Ask) -> None:
+    words = ("--item", "visual", "--by", "Li", "--verdict", "pass")
+    assert "is in the store as 'FOG-0001'" in specified("check", "--unit", "fog-0001", *words, code=1).output
+    known = json.loads(specified("check", "--unit", "FOG-0001", *words, "--json").stdout)
+    assert (known["unit_is_known"], known["warnings"]) == (True, [])
+    for _ in range(2):  # a check does not make a serial number known
+        done = specified("check", "--unit", "FOG-0O01", *words, "--json")
+    told = json.loads(done.stdout)
+    assert told["unit_is_known"] is False
+    assert "nothing was recorded of unit 'FOG-0O01'" in told["warnings"][0]
+    assert "which has FOG-0001" in told["warnings"][0]
+    assert "it can fail the unit, which passes only when its limits are judged" in told["warnings"][0]
+    judged = json.loads(specified("verdicts", "--json").stdout)
+    units = {row["unit"]: row for row in judged["units"]}
+    assert (units["FOG-0001"]["verdict"], units["FOG-0001"]["passed"]) == ("PASS", 3)
+    assert (units["FOG-0O01"]["verdict"], units["FOG-0O01"]["passed"]) == ("NO_DATA", 1)
+    assert units["FOG-0O01"]["lacking"] == ["bias", "bias_stability_averaged"]
+
+
 def test_an_empty_store_has_nothing_to_tell(tmp_path: Path) -> None:
     folder = str(tmp_path / "S")
     assert CliRunner().invoke(main, ["metrics", "--store", folder]).exit_code == 1
@@ -233,3 +256,14 @@ def test_an_empty_store_has_nothing_to_tell(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     told = json.loads(CliRunner().invoke(main, ["verdicts", "--store", folder, "--json"]).stdout)
     assert [(row["unit"], row["verdict"]) for row in told["units"]] == [("U1", "FAIL")]
+
+
+def test_a_visual_check_alone_passes_no_unit(tmp_path: Path) -> None:
+    folder = str(tmp_path / "S")
+    words = ["check", "--store", folder, "--unit", "NOPE-9", "--item", "visual", "--by", "Li", "--verdict", "pass"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    assert "warning: nothing was recorded of unit 'NOPE-9'" in done.stderr
+    (unit,) = json.loads(CliRunner().invoke(main, ["verdicts", "--store", folder, "--json"]).stdout)["units"]
+    assert unit["verdict"] == "NO_DATA"
+    assert unit["reason"].startswith("the store has no limits")

@@ -100,7 +100,9 @@ def test_found_promoted_compensated_and_rolled_back(tmp_path: Path, monkeypatch:
         model, ["promote", "--store", str(folder), "--unit", UNIT, "--model", DECLARED_MODEL, "--by", "Li", "--json"]
     )
     assert done.exit_code == 0, done.output
-    version = ModelRegistry(store).version(UNIT, json.loads(done.stdout)["version"])
+    told = json.loads(done.stdout)
+    version = ModelRegistry(store).version(UNIT, told["version"])
+    assert (version.verdict == "confounded") == bool(version.confounded) == bool(told["warnings"])
     assert "temperature_rate" in version.added
     assert version.is_confirmed
     assert len(version.runs) == 9

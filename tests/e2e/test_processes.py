@@ -238,7 +238,7 @@ def test_an_estimator_killed_again_and_again_gives_what_one_that_lived_gives(
     record.stdout.readline()
 
     def start() -> subprocess.Popen[str]:
-        process = spawn("estimate", "--every", "600", "--checkpoint-every", "0.1", "--json")
+        process = spawn("estimate", "--every", "3600", "--checkpoint-every", "0.1", "--json")
         assert process.stderr is not None
         assert "estimating" in process.stderr.readline()
         return process
@@ -267,7 +267,7 @@ def test_an_estimator_killed_again_and_again_gives_what_one_that_lived_gives(
     )
     expected = gyrofleet("sql", ask, "--store", "undisturbed", "--json").json
     found = gyrofleet("sql", ask, "--json").json
-    assert len(expected) > 1000
+    assert len(expected) > 400
     assert found == expected
     other = "select kind, uid, document from events where kind in ('NoiseFitted', 'SpectralLinesFound') order by all"
     assert gyrofleet("sql", other, "--json").json == gyrofleet("sql", other, "--store", "undisturbed", "--json").json

@@ -90,9 +90,25 @@ def test_one_least_squares_over_all_speeds_is_the_closed_form_weighted_by_rate()
         closed += rate**2 * (d[2] - d[1]) / (4 * GYRO_SCALE * rate)
     closed *= ARCSEC_PER_RAD / sum(rate**2 for rate in TABLE_1)
     assert found.angles["y2"].value == pytest.approx(closed, rel=1e-9)
-    assert found.freedom == 24
-    # the paper's model leaves more than the display's step of 0.1 mV
-    assert found.rms == pytest.approx(0.81e-3, abs=0.01e-3)
+    # 30 readings less 5 angles and a V0 for each of 5 positions
+    assert found.freedom == 20
+    assert told(found, "y0", "x0", "y1", "y2", "z2") == pytest.approx(
+        [-7.4602, 2.3853, -53.7849, -162.0727, 56.0242, 171.4826], abs=1e-4
+    )
+    errors = [found.angles[name].standard_error for name in ("y0", "x0", "y1", "y2", "z2")]
+    assert errors == pytest.approx([0.093, 0.161, 0.093, 0.093, 0.161], abs=1e-3)
+    # what is left is about the display's step of 0.1 mV
+    assert found.rms == pytest.approx(0.116e-3, abs=0.001e-3)
+
+
+def test_offsets_that_differ_between_positions_are_no_error_of_the_angles() -> None:
+    readings = [reading for rate in TABLE_1 for reading in gyro_readings(rate)]
+    plain = gyro_separation(readings, GYRO_SCALE)
+    shift = {place: 0.01 * at for at, place in enumerate(POSITIONS)}
+    moved = [each._replace(output=each.output + shift[each.alpha_deg, each.beta_deg]) for each in readings]
+    found = gyro_separation(moved, GYRO_SCALE)
+    assert found.gamma == pytest.approx(plain.gamma, rel=1e-9)
+    assert found.offset == pytest.approx(plain.offset + np.mean(list(shift.values())))
 
 
 def test_limits_hold_the_truth_as_often_as_they_say() -> None:
@@ -114,5 +130,5 @@ def test_limits_hold_the_truth_as_often_as_they_say() -> None:
 
 
 def test_positions_that_tell_too_little_are_refused() -> None:
-    with pytest.raises(BadInput, match="tell 3 of 6 unknowns"):
+    with pytest.raises(BadInput, match="tell 4 of 7 unknowns"):
         gyro_separation([each for each in gyro_readings(20.0) if each.alpha_deg == 0.0 and each.beta_deg != 90], 1.0)

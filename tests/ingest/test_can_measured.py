@@ -34,11 +34,15 @@ def frame_by_frame(path: Path, database: Path, message: str, signal: str) -> Ite
                 yield round(frame.timestamp * 1e6) * 1000, of.decode(frame.data, decode_choices=False)[signal]
 
 
+def sample_batches(file: CanLogFile) -> list[SampleBatch]:
+    return [each for each in file.batches(lambda unit, run: UUID(int=1)) if isinstance(each, SampleBatch)]
+
+
 def test_yaw_rate_of_a_car_is_that_of_cantools() -> None:
     path, database = VEHICLE / "vehicle_60s.blf", VEHICLE / "vehicle.dbc"
     file = CanLogFile(path, automatic_plan([database], "CAR"))
     assert file.check().damage == ""
-    batches = [b for b in file.batches(lambda unit, run: UUID(int=1)) if b.signal == "yaw_rate"]
+    batches = [batch for batch in sample_batches(file) if batch.signal == "yaw_rate"]
     values = np.concatenate([batch.value_array for batch in batches])
     times = np.concatenate([batch.time_array for batch in batches])
     theirs = list(frame_by_frame(path, database, "KINEMATICS", "YAW_RATE"))
@@ -55,7 +59,7 @@ def test_angular_rates_of_an_mf4() -> None:
     summary = file.check()
     found = {each.signal: each.sampling for each in summary.signals}
     assert (found["angularratex"].samples, found["angularratex"].dt_ns) == (4518, 10_000_000)
-    batches: list[SampleBatch] = list(file.batches(lambda unit, run: UUID(int=1)))
+    batches = sample_batches(file)
     for axis in "XYZ":
         theirs = list(frame_by_frame(path, database, "gnss_imu", f"AngularRate{axis}"))
         mine = [b for b in batches if b.signal == f"angularrate{axis.lower()}"]

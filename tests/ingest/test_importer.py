@@ -6,7 +6,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from ingest.importer import FileImport, import_file
+from ingest.file_sending import CheckedFile, FileImport
+from ingest.importer import import_files
 from ingest.instruments.table_columns import TableOptions
 from ingest.instruments.table_file import TableFile
 from ingest.pipeline import EmbeddedPipeline
@@ -32,7 +33,8 @@ def path(tmp_path: Path) -> Path:
 
 def imported(path: Path, folder: Path) -> FileImport:
     table = TableFile(path, TableOptions(unit="U1"))
-    return import_file(path, table, table.check(), folder, PLACE)
+    (imported,) = import_files([CheckedFile(path, table, table.check(), 0.0)], folder, PLACE)
+    return imported
 
 
 def outcome(folder: Path) -> list[tuple[object, ...]]:

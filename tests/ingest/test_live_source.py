@@ -11,7 +11,7 @@ from ingest.run_state import RunParameters
 from stream.acknowledgement import StreamId
 from stream.batch import SampleBatch
 from stream.errors import BadInput, StoreError
-from stream.events import AnyDocument, PowerOn, RunEnded, RunResumed, RunStarted
+from stream.events import AnyDocument, PowerOn, RunEnded, RunResumed, RunStarted, StepEnded, StepStarted
 from stream.spool import Spool
 from stream.wire import encode_batch
 
@@ -84,12 +84,13 @@ class PowerLoss(Exception):
 class Station:
     """A run taken up again and again, with a clock of its own."""
 
-    def __init__(self, folder: Path, speed: float, hours: float = 0.01) -> None:
+    def __init__(self, folder: Path, speed: float, hours: float = 0.01, **words: str) -> None:
         self.folder = folder
         self.now_ns = 1_000_000 * SECOND
         self.parameters = RunParameters(
-            simulate=2, rate_hz=100.0, batch=50, hours=hours, speed=speed, seed=4, site="local", station="bench"
-        )
+            simulate=2, rate_hz=100.0, batch=50, hours=hours, speed=speed, seed=4, site="local", station="bench",
+            **words,
+        )  # fmt: skip
         self.batches: list[SampleBatch] = []
         self.documents: list[AnyDocument] = []
 
@@ -129,6 +130,31 @@ def test_a_run_without_a_pace_goes_on_with_the_next_sample(tmp_path: Path) -> No
     sent = len(broken.batches)
     assert broken.take_up().is_over
     assert len(broken.batches) == sent
+
+
+@pytest.mark.parametrize(("speed", "steps"), [(0.0, 2), (1000.0, 4)])
+def test_each_power_on_is_a_step_of_what_is_done(tmp_path: Path, speed: float, steps: int) -> None:
+    plain = Station(tmp_path / "plain", speed=0.0)
+    plain.take_up()
+    assert plain.of(StepStarted) == []
+    station = Station(tmp_path / "steps", speed=speed, procedure="static_bias", position="IRA_east_west")
+    with pytest.raises(PowerLoss):
+        station.take_up(breaks_after=5 + 20)
+    station.now_ns += 20_000_000
+    station.take_up()
+    begun = {each.uid: each for each in station.of(StepStarted) if isinstance(each, StepStarted)}
+    ended = [each for each in station.of(StepEnded) if isinstance(each, StepEnded)]
+    assert len(begun) == len(ended) == steps
+    assert {(each.words.procedure, each.words.position) for each in begun.values()} == {
+        ("static_bias", "IRA_east_west")
+    }
+    for batch in station.batches:
+        inside = [
+            each for each in ended
+            if each.unit == batch.unit and begun[each.step_uid].t_ns <= batch.t0_ns and batch.t0_ns <= each.t_ns
+        ]  # fmt: skip
+        assert len(inside) == 1
+        assert batch.signal != "rate" or batch.last_ns <= inside[0].t_ns
 
 
 def test_a_paced_run_loses_the_time_it_was_off_and_says_how_much(tmp_path: Path) -> None:

@@ -18,10 +18,11 @@ import pytest
 
 from analytics.metrics.evaluation import COLUMNS
 from analytics.metrics.registry import metrics
+from analytics.specification_store import add_specification
 from storage.store import Store
 from stream.quantities import check_unit
 from tests.bench.metric_coverage import CHECKS, covered
-from tests.bench.metric_steps import Unit, metrics_of, records_of
+from tests.bench.metric_steps import DAY_NS, Unit, metrics_of, records_of
 
 NAMES = tuple(metrics())
 EVERY = pytest.mark.parametrize("name", NAMES)
@@ -43,10 +44,7 @@ ELSEWHERE = {
     "electrical_check", "quantization_noise", "bias_instability", "rate_random_walk", "rate_ramp",
 }  # fmt: skip
 # what a doubled output doubles: all that is in deg/h, and these
-DOUBLED = {
-    "scale_factor", "scale_factor_acceleration_sensitivity", "scale_factor_shock_change", "gyro_separation",
-    "scale_factor_vibration_change", "misalignment", "misalignment_repeatability",
-}  # fmt: skip
+DOUBLED = {"gyro_separation", "misalignment", "misalignment_repeatability"}
 # Their points are tested inputs, their differences those of the input and the output.
 ON_A_GRID = {"threshold", "resolution"}
 PRODUCT = (
@@ -72,8 +70,9 @@ class Simulated(NamedTuple):
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
     store = Store.create(Path(tmp_path_factory.mktemp("laws")) / "store")
-    (store.folder / "products").mkdir()
-    (store.folder / "products" / "specification.toml").write_text(PRODUCT)
+    path = store.folder.with_name("specification.toml")
+    path.write_text(f'revision = "A"\n{PRODUCT}')
+    add_specification(store, path)
     records = [each | {"product": "FOG-70"} for each in campaign()]
     return Simulated(store, records, metrics_of(store, records))
 
@@ -120,6 +119,13 @@ def test_an_empty_store_has_no_metrics(tmp_path: Path) -> None:
 def test_a_unit_that_went_through_everything_has_values(simulated: Simulated, name: str) -> None:
     values = [row for row in simulated.rows(name, "U1") if row["value"] is not None]
     assert values or name in ELSEWHERE
+
+
+@EVERY
+def test_parameters_of_values_are_those_that_the_header_names(simulated: Simulated, name: str) -> None:
+    found = {key for row in simulated.rows(name) for key in read(row)}
+    assert found <= set(metrics()[name].header.parameters)
+    assert len(set(metrics()[name].header.parameters)) == len(metrics()[name].header.parameters) > 0
 
 
 @EVERY
@@ -208,28 +214,54 @@ def scaled(records: Records, factor: float) -> Records:
     return [each | times(each, linear, factor) | times(each, square, factor**2) for each in records]
 
 
-def paired(simulated: Simulated, factor: float) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """Rows of the unit that went through everything, and of an output that is so many times as large.
-
-    Where the IRA points is taken from the bias steps: the Earth's rate is not scaled.
-    """
-    whole = [each | {"latitude_deg": None} for each in simulated.records if each["unit"] == "U1"]
+def paired(simulated: Simulated, factor: float, records: Records) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Rows of a unit, and of an output that is so many times as large."""
 
     def rows(records: Records) -> Rows:
         found: Rows = metrics_of(simulated.store, records).to_pylist()
         found = [row for row in found if row["value"] is not None and row["metric"] not in ON_A_GRID]
         return sorted(found, key=lambda row: [str(row[name]) for name in ("metric", "run", "standard", "steps")])
 
-    yield from zip(rows(whole), rows(scaled(whole, factor)), strict=True)
+    yield from zip(rows(records), rows(scaled(records, factor)), strict=True)
+
+
+def is_scale_factor(record: dict[str, Any]) -> bool:
+    return bool(record["procedure"].startswith("scale_factor"))
+
+
+def of_whole_unit(simulated: Simulated) -> Records:
+    """The unit that went through everything; the Earth's rate, which is not scaled, is not known."""
+    return [each | {"latitude_deg": None} for each in simulated.records if each["unit"] == "U1"]
 
 
 def test_an_output_twice_as_large_doubles_what_is_an_output_and_leaves_what_is_relative(simulated: Simulated) -> None:
     seen = set()
-    for before, after in paired(simulated, 2.0):
+    without = [each for each in of_whole_unit(simulated) if not is_scale_factor(each)]
+    for before, after in paired(simulated, 2.0, without):
         name = before["metric"]
-        # fitted_zero is divided by the scale factor, which doubles too
-        is_output = before["unit_of_measure"].startswith(("deg/h", "deg/sqrt(h)")) and name != "fitted_zero"
+        is_output = before["unit_of_measure"].startswith(("deg/h", "deg/sqrt(h)"))
         factor = 2.0 if is_output or name in DOUBLED else 1.0
+        for each in ("value", "lo", "hi", "standard_uncertainty"):
+            if before[each] is not None:
+                assert after[each] == pytest.approx(before[each] * factor, rel=1e-6, abs=1e-6), (before, after)
+        seen.add(name)
+    assert len(seen) > 10
+
+
+def test_a_scale_factor_that_was_measured_before_leaves_only_itself_to_be_scaled(simulated: Simulated) -> None:
+    seen = set()
+    times = ("t_start_ns", "t_from_ns", "t_to_ns")
+    later = [
+        each if is_scale_factor(each) else each | {name: each[name] + 100 * DAY_NS for name in times}
+        for each in of_whole_unit(simulated)
+    ]
+    for before, after in paired(simulated, 1.25, later):
+        name = before["metric"]
+        is_scale = name in {
+            "scale_factor", "scale_factor_acceleration_sensitivity", "scale_factor_shock_change",
+            "scale_factor_vibration_change",
+        }  # fmt: skip
+        factor = 1.25 if is_scale else 1.0
         for each in ("value", "lo", "hi", "standard_uncertainty"):
             if before[each] is not None:
                 assert after[each] == pytest.approx(before[each] * factor, rel=1e-6, abs=1e-6), (before, after)

@@ -98,6 +98,11 @@ class ForgetfulDisk(Disk):
         super().rename(path, target)
         self._names += [("put", target, number), ("drop", path, number)]
 
+    def replace(self, path: Path, target: Path) -> None:
+        number = self._number(path)
+        super().replace(path, target)
+        self._names += [("put", target, number), ("drop", path, number)]
+
     def link(self, path: Path, target: Path) -> None:
         super().link(path, target)
         self._names.append(("put", target, self._number(path)))

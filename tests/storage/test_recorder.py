@@ -1,5 +1,7 @@
 """What a source sends is in the log and the lake, each sample once, whatever the bus does on the way."""
 
+import errno
+import os
 import random
 import time
 from collections.abc import Callable
@@ -100,7 +102,7 @@ def test_the_window_bounds_what_is_unacknowledged() -> None:
 
 def test_a_recorder_with_another_store_is_found_out(tmp_path: Path) -> None:
     bus = LocalBus()
-    with DurablePublisher(bus, resend_after_s=0.05) as publisher:
+    with DurablePublisher(bus, resend_after_s=0.05, timeout_s=1.0) as publisher:
         first = Store.create(tmp_path / "a")
         with Recorder(first, bus, EventLog(first), sync_interval_s=0.01):
             publisher.send_batch(KEY, batch(0))
@@ -178,7 +180,10 @@ def test_a_segment_left_open_is_recovered_without_its_damaged_chunk(tmp_path: Pa
     list(scan)
     chunk = scan.summary.chunks[10]
     content[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 0xFF
-    copy = Store.create(tmp_path / "copy")
+    Store.create(tmp_path / "copy")
+    for marker in ("store.json", "log/store.json"):
+        (tmp_path / "copy" / marker).write_bytes((store.folder / marker).read_bytes())
+    copy = Store.open(tmp_path / "copy")
     (copy.log / left_open.name).write_bytes(content[:-200])
 
     recovered = EventLog(copy)
@@ -366,3 +371,31 @@ def test_a_run_that_is_added_to_behind_its_end_is_not_cut_into_seconds(tmp_path:
         during = recorder.counts.segments
         until(lambda: recorder.counts.segments == 2)
     assert during == 1
+
+
+class FailsOnce(Disk):
+    """A disk whose next fdatasync fails."""
+
+    is_due = True
+
+    def sync_data(self, file: OpenFile) -> None:
+        if self.is_due:
+            self.is_due = False
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        super().sync_data(file)
+
+
+def test_what_came_when_the_disk_failed_does_not_keep_others_from_settling(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("storage.recorder._SETTLE_S", 10.0)
+    store, bus, disk = Store.create(tmp_path), LocalBus(), FailsOnce()
+    with (
+        Recorder(store, bus, EventLog(store, disk=disk), sync_interval_s=0.01, disk=disk) as recorder,
+        DurablePublisher(bus, resend_after_s=0.05) as publisher,
+    ):
+        time.sleep(0.05)  # so that the message is taken and synced in one pass
+        publisher.send_batch(KEY, batch(0))
+        publisher.drain()
+        recorder.settle()
+    assert not disk.is_due

@@ -123,16 +123,26 @@ def test_a_marker_that_is_lost_or_damaged_is_made_anew(filled: Store, content: b
     assert verify(Store.open(folder))[0].is_sound
 
 
-def test_without_a_copy_the_store_gets_another_identity(filled: Store) -> None:
+def test_without_a_copy_the_segments_say_whose_they_are(filled: Store) -> None:
     folder = filled.folder
     (folder / "store.json").unlink()
     (folder / "log" / "store.json").unlink()
+    store, _ = Store.open_or_repair(folder)
+    assert store.identity == filled.identity
+    assert list(recover(store)) == []
+
+
+def test_where_nothing_says_it_the_store_gets_another_identity(filled: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = filled.folder
+    (folder / "store.json").unlink()
+    (folder / "log" / "store.json").unlink()
+    # as of segments that an older gyrofleet wrote
+    monkeypatch.setattr("storage.store.identity_of_segments", lambda _folder: None)
     with WriterLock(filled, "test"), pytest.raises(StoreError, match="a process writes"):
         Store.open_or_repair(folder)
     store, told = Store.open_or_repair(folder)
     assert store.identity != filled.identity
     assert f"it is now {store.identity}" in str(told)
-    assert list(recover(store)) == []
     assert verify(Store.open(folder))[0].samples == 100
 
 

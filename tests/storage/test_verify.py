@@ -121,12 +121,6 @@ def test_a_run_that_sent_more_than_is_there_is_incomplete(store: Store) -> None:
     assert kinds(store) == ["numbers_missing", "run_incomplete"]
 
 
-def test_a_segment_put_in_by_hand_twice_is_found(store: Store) -> None:
-    shutil.copy(store.log / "00000003.mcap", store.log / "00000007.mcap")
-    assert "numbers_repeated" in kinds(store)
-    assert "segment_unlisted" in kinds(store)
-
-
 def test_a_lost_lake_is_made_anew(store: Store) -> None:
     shutil.rmtree(store.lake)
     store.lake.mkdir()

@@ -63,6 +63,10 @@ def of(kind: type) -> st.SearchStrategy[typing.Any]:
         events.SpectralLinesFound: {
             "lines": st.none() | st.lists(st.dictionaries(text, numbers, max_size=3), max_size=3).map(tuple)
         },
+        events.SpecificationEntered: {
+            "action": st.sampled_from(events.SpecificationAction),
+            "settles": st.lists(text, max_size=3).map(tuple),
+        },
         events.VerdictGiven: {"verdict": st.sampled_from(events.Verdict)},
     }
     return st.builds(kind, **fields, **nested.get(kind, {}))

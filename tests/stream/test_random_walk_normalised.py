@@ -8,7 +8,7 @@ import pytest
 from stream.batch import FloatArray
 from stream.errors import EstimatorError
 from stream.estimators.base import NoEstimate
-from stream.estimators.random_walk_normalised import angle_random_walk_normalised
+from stream.estimators.random_walk_normalised import angle_random_walk_normalised, median_efficiency
 
 
 @pytest.mark.parametrize("interval_s", [0.001, 0.003, 0.005])
@@ -62,3 +62,24 @@ def test_no_normalised_random_walk_without_its_conditions(values: FloatArray, in
 def test_a_normalised_random_walk_of_senseless_arguments_is_refused() -> None:
     with pytest.raises(EstimatorError, match="pieces from 10 s"):
         angle_random_walk_normalised(np.zeros(10), 0.005, piece_s=1.0)
+
+
+def test_a_second_piece_does_not_widen_the_limits() -> None:
+    """Two pieces of 30 s have the freedom of one of 60 s: the median of two is their mean."""
+    values = np.random.default_rng(5).standard_normal(12_200)
+
+    def width(seconds: float) -> float:
+        found = angle_random_walk_normalised(values[: round(seconds * 200)], 0.005)
+        assert not isinstance(found, NoEstimate)
+        return found.coefficient.hi / found.coefficient.lo
+
+    # 58 degrees of freedom each: 59 means less one, and twice 30 less one
+    assert width(60.0) == pytest.approx(width(59.0), rel=1e-9)
+
+
+def test_the_efficiency_of_a_median_is_that_of_simulated_ones() -> None:
+    values = np.random.default_rng(6).standard_normal((20_000, 9))
+    for n in (2, 3, 4, 6, 9):
+        simulated = values[:, :n].mean(axis=1).var() / np.median(values[:, :n], axis=1).var()
+        # a ratio of two variances of 20,000 values that correlate: known to 1 %
+        assert median_efficiency(n) == pytest.approx(simulated, rel=0.04)

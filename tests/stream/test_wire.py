@@ -27,14 +27,14 @@ def batches(draw: st.DrawFn) -> SampleBatch:
     n = draw(st.integers(1, 50))
     is_counts = draw(st.booleans())
     floats = st.floats(width=64, allow_nan=True, allow_infinity=True)
-    times = draw(st.none() | hnp.arrays(np.int64, n, elements=st.integers(-(2**62), 2**62)))
+    times = draw(st.none() | hnp.arrays(np.int64, n, elements=st.integers(-(2**61), 2**61)))
     return SampleBatch(
         unit=draw(names),
         signal=draw(names),
         run=draw(names),
         epoch=UUID(int=draw(st.integers(0, 2**128 - 1))),
-        seq=draw(st.integers(0, 2**62)),
-        t0_ns=draw(st.integers(-(2**62), 2**62)),
+        seq=draw(st.integers(0, 2**52)),
+        t0_ns=draw(st.integers(-(2**61), 2**61)),
         dt_ns=draw(st.integers(1, 10**15)),
         unit_of_measure=draw(names),
         counts=draw(hnp.arrays(np.int32, n)) if is_counts else None,

@@ -1,0 +1,121 @@
+"""Two processes at one store: the second is refused, and whatever happens no sealed segment is overwritten."""
+
+from pathlib import Path
+from uuid import UUID
+
+import numpy as np
+import pytest
+
+from storage.disk import DISK
+from storage.event_log import EventLog
+from storage.mcap_records import SAMPLES, LogRecord
+from storage.recover import recover
+from storage.segment_reader import read_segment
+from storage.sequence import place_of
+from storage.store import Store, WriterLock, writer_is_active
+from storage.verify import verify
+from stream.batch import SampleBatch
+from stream.errors import StoreError
+from stream.identity import Place, sample_key
+from stream.wire import decode_batch, encode_batch
+
+PLACE = Place("plant", "bench")
+
+
+def append(log: EventLog, unit: str, seq: int, n: int = 50) -> None:
+    values = np.arange(seq, seq + n, dtype=np.float64)
+    batch = SampleBatch(unit, "rate", "r1", UUID(int=1), seq, seq * 10**6, 10**6, "deg/s", values=values)
+    record = LogRecord(sample_key(PLACE, unit, "rate"), SAMPLES, 10**18, batch.t0_ns, encode_batch(batch))
+    place = place_of(record)
+    assert place is not None
+    log.append(place, record)
+
+
+def recorded(store: Store) -> dict[str, list[int]]:
+    """Numbers of the samples in the sealed segments, by unit."""
+    found: dict[str, list[int]] = {}
+    for segment in sorted(store.log.glob("*.mcap")):
+        for record in read_segment(segment):
+            batch = decode_batch(record.data)
+            found.setdefault(batch.unit, []).extend(range(batch.seq, batch.next_seq))
+    return found
+
+
+def test_a_removed_lock_file_lets_no_second_writer_in(tmp_path: Path) -> None:
+    store = Store.create(tmp_path)
+    with WriterLock(store, "gyrofleet record"):
+        (tmp_path / "writer.lock").unlink()
+        assert writer_is_active(tmp_path)
+        with pytest.raises(StoreError, match="is being written by"):
+            WriterLock(store, "gyrofleet record")
+    assert not writer_is_active(tmp_path)
+    with WriterLock(store, "gyrofleet record"):
+        pass
+
+
+def test_sealing_keeps_the_segment_that_has_the_name(tmp_path: Path) -> None:
+    store = Store.create(tmp_path)
+    first, second = EventLog(store), EventLog(store)  # as two processes that no lock keeps apart
+    append(first, "A", 0)
+    first.sync()
+    second._number = 5  # so that each begins its own file
+    append(second, "B", 0)
+    first.seal()
+    assert second._segment is not None
+    second._segment.path = store.log / "00000001.mcap"  # the number of the other
+    sealed = second.seal()
+    assert sealed is not None
+    assert sealed.name == "00000007.mcap"
+    assert "written by another process" in second.warnings[-1]
+    append(second, "B", 50)
+    assert second.seal() == store.log / "00000008.mcap"
+    assert recorded(store) == {"A": list(range(50)), "B": list(range(100))}
+    list(recover(store))
+    assert verify(store)[0].is_sound
+
+
+def test_an_open_segment_beside_another_of_its_number_is_sealed_under_a_new_one(tmp_path: Path) -> None:
+    store = Store.create(tmp_path)
+    log = EventLog(store)
+    append(log, "A", 0)
+    log.seal()
+    log._number = 0
+    append(log, "B", 0)
+    log.sync()
+    assert (store.log / "00000001.mcap.open").exists()
+    del log
+    again = EventLog(store)
+    assert [each.records for each in again.recovered] == [1]
+    assert recorded(store) == {"A": list(range(50)), "B": list(range(50))}
+    list(recover(store))
+    assert verify(store)[0].is_sound
+
+
+def test_a_copy_that_was_sealed_already_is_moved_aside(tmp_path: Path) -> None:
+    store = Store.create(tmp_path)
+    log = EventLog(store)
+    append(log, "A", 0)
+    log.sync()
+    left = (store.log / "00000001.mcap.open").read_bytes()
+    append(log, "A", 50)
+    log.seal()
+    (store.log / "00000001.mcap.open").write_bytes(left)
+    EventLog(store)
+    assert recorded(store) == {"A": list(range(100))}
+    assert len(list(store.aside.iterdir())) == 1
+
+
+@pytest.mark.parametrize("has_flag", [True, False])
+def test_a_name_that_is_taken_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_flag: bool) -> None:
+    if not has_flag:
+        monkeypatch.setattr("storage.disk._library", object())
+    a, b = tmp_path / "a", tmp_path / "b"
+    a.write_text("a")
+    b.write_text("b")
+    with pytest.raises(FileExistsError):
+        DISK.rename(a, b)
+    assert (a.read_text(), b.read_text()) == ("a", "b")
+    DISK.rename(a, tmp_path / "c")
+    DISK.replace(tmp_path / "c", b)
+    assert [path.name for path in tmp_path.iterdir()] == ["b"]
+    assert b.read_text() == "a"
