@@ -12,9 +12,11 @@ import numpy as np
 import polars as pl
 import pytest
 
+from storage.mcap_records import CHUNK_BYTES
 from stream.estimators.base import default_estimators
 
 Spawn = Callable[..., subprocess.Popen[str]]
+TWO_CHUNKS_BYTES = 2 * CHUNK_BYTES  # of a log: a kill may cut the chunk that is being written, not the one before
 
 
 def recorder(spawn: Spawn, endpoint: str) -> subprocess.Popen[str]:
@@ -102,7 +104,7 @@ def test_a_source_survives_the_recorder_being_killed(
     source = spawn("import", table(tmp_path / "a.parquet", 1_000_000), "--unit", "U1", "--connect", endpoint, "--json")
     log = tmp_path / "gyrofleet-data" / "log"
     deadline = time.monotonic() + 30
-    while not any(path.stat().st_size > 1_000_000 for path in log.glob("*.open")) and time.monotonic() < deadline:
+    while not any(path.stat().st_size > TWO_CHUNKS_BYTES for path in log.glob("*.open")) and time.monotonic() < deadline:
         time.sleep(0.005)
     first.kill()
     first.wait()
@@ -127,7 +129,7 @@ def test_an_interrupted_import_is_completed_by_giving_it_again(
     source = spawn("import", path, "--unit", "U1")
     log = tmp_path / "gyrofleet-data" / "log"
     deadline = time.monotonic() + 60
-    while not any(path.stat().st_size > 400_000 for path in log.glob("*.open")) and time.monotonic() < deadline:
+    while not any(path.stat().st_size > TWO_CHUNKS_BYTES for path in log.glob("*.open")) and time.monotonic() < deadline:
         time.sleep(0.005)
     source.send_signal(fault)
     source.communicate(timeout=60)
@@ -188,7 +190,7 @@ def test_a_recorder_that_is_stopped_while_samples_come_ends_at_once_and_goes_on_
     source = spawn("import", table(tmp_path / "a.parquet", 4_000_000), "--unit", "U1", "--connect", endpoint, "--json")
     log = tmp_path / "gyrofleet-data" / "log"
     deadline = time.monotonic() + 30
-    while not any(path.stat().st_size > 1_000_000 for path in log.glob("*.open")) and time.monotonic() < deadline:
+    while not any(path.stat().st_size > TWO_CHUNKS_BYTES for path in log.glob("*.open")) and time.monotonic() < deadline:
         time.sleep(0.005)
     began = time.monotonic()
     stopped(first)
