@@ -43,6 +43,14 @@ def table(path: Path, n: int) -> Path:
     return path
 
 
+def until_chunks_are_written(log: Path) -> None:
+    """Wait until the open segment of a log holds a whole chunk for certain."""
+    deadline = time.monotonic() + 60
+    while not any(path.stat().st_size > TWO_CHUNKS_BYTES for path in log.glob("*.open")):
+        assert time.monotonic() < deadline, "nothing was recorded"
+        time.sleep(0.005)
+
+
 def listening_addresses(pid: int) -> set[str]:
     """Addresses of the TCP sockets that a process listens on."""
     inodes = set()
@@ -102,10 +110,7 @@ def test_a_source_survives_the_recorder_being_killed(
 ) -> None:
     first = recorder(spawn, endpoint)
     source = spawn("import", table(tmp_path / "a.parquet", 1_000_000), "--unit", "U1", "--connect", endpoint, "--json")
-    log = tmp_path / "gyrofleet-data" / "log"
-    deadline = time.monotonic() + 30
-    while not any(path.stat().st_size > TWO_CHUNKS_BYTES for path in log.glob("*.open")) and time.monotonic() < deadline:
-        time.sleep(0.005)
+    until_chunks_are_written(tmp_path / "gyrofleet-data" / "log")
     first.kill()
     first.wait()
     assert source.poll() is None, "the source was to be caught in the middle"
@@ -127,10 +132,7 @@ def test_an_interrupted_import_is_completed_by_giving_it_again(
 ) -> None:
     path = table(tmp_path / "a.parquet", 3_000_000)
     source = spawn("import", path, "--unit", "U1")
-    log = tmp_path / "gyrofleet-data" / "log"
-    deadline = time.monotonic() + 60
-    while not any(path.stat().st_size > TWO_CHUNKS_BYTES for path in log.glob("*.open")) and time.monotonic() < deadline:
-        time.sleep(0.005)
+    until_chunks_are_written(tmp_path / "gyrofleet-data" / "log")
     source.send_signal(fault)
     source.communicate(timeout=60)
     assert source.returncode == (130 if fault == signal.SIGINT else -signal.SIGKILL)
@@ -188,10 +190,7 @@ def test_a_recorder_that_is_stopped_while_samples_come_ends_at_once_and_goes_on_
 ) -> None:
     first = recorder(spawn, endpoint)
     source = spawn("import", table(tmp_path / "a.parquet", 4_000_000), "--unit", "U1", "--connect", endpoint, "--json")
-    log = tmp_path / "gyrofleet-data" / "log"
-    deadline = time.monotonic() + 30
-    while not any(path.stat().st_size > TWO_CHUNKS_BYTES for path in log.glob("*.open")) and time.monotonic() < deadline:
-        time.sleep(0.005)
+    until_chunks_are_written(tmp_path / "gyrofleet-data" / "log")
     began = time.monotonic()
     stopped(first)
     assert time.monotonic() - began < 10
