@@ -93,7 +93,7 @@ def annex_a(catalog: Catalog, unit: str) -> list[AnnexRow]:
 def _row(number: int, characteristic: Characteristic, rows: list[Row], began: dict[str, int]) -> AnnexRow:
     if not rows:
         needs = metrics()[characteristic.metric].header.needs
-        return AnnexRow(number, characteristic, (), f"not measured: it needs {needs}")
+        return AnnexRow(number, characteristic, (), f"no completed step gives it: it needs {needs}")
 
     def when(row: Row) -> int:
         return max((began.get(run, 0) for run in row["runs"] or [row["run"]]), default=0)

@@ -1,5 +1,6 @@
 """Noise to start from where nobody declares it: a unit's own Allan fits, and the scatter of its bias over runs."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -43,7 +44,8 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
     off by more than a quarter do not count, nor do runs in which the unit was turned: their Allan deviation is that of
     the motion, a million times the noise. The turn-on scatter is that of the runs' constants by least squares
     (1.4826 times the median distance from the median); of a single run it is not known, and the bias instability is
-    taken in its place.
+    taken in its place. Flicker and random walk are seen at long averaging times only, where a short run shows its
+    effects: they are taken from the runs at least half as long as the longest of those whose fits count.
     """
     unit, signal = runs[0].unit, runs[0].signal
     if runs[0].unit_of_measure != ANGULAR_RATE_UNIT:
@@ -63,13 +65,20 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
         {"unit": unit, "signal": signal},
     )
     fits = {str(run): msgspec.json.decode(text) for run, text in rows if text and run in names - turned}
-    usable = [fit for fit in fits.values() if fit is not None and fit.get("misfit", 0.0) <= MOST_MISFIT]
+    usable = {run: fit for run, fit in fits.items() if fit is not None and fit.get("misfit", 0.0) <= MOST_MISFIT}
     if not usable:
         return NoEstimate(
             f"unit {unit}, signal {signal}: none of {len(names - turned)} runs has an Allan fit that describes it; "
             "noise is estimated from these runs alone, or give --noise"
         )
-    white, flicker, walk = (float(np.quantile([_value(fit[key]) for fit in usable], _QUANTILE)) for key in _KEYS)
+    lengths_s = _lengths_s(runs)
+    longest_s = max(lengths_s[run] for run in usable)
+    long = [fit for run, fit in usable.items() if lengths_s[run] >= longest_s / 2]
+    fits_of = (list(usable.values()), long, long)
+    white, flicker, walk = (
+        float(np.quantile([_value(fit[key]) for fit in those], _QUANTILE))
+        for key, those in zip(_KEYS, fits_of, strict=True)
+    )
     return with_turn_on(GivenNoise(white, flicker, walk, None), runs, model)
 
 
@@ -97,6 +106,15 @@ def _names(run: RunBlocks) -> tuple[str, ...]:
     """The run, and the run that it is a power-on of."""
     whole = run.run.rpartition("#")[0]
     return (run.run, whole) if whole else (run.run,)
+
+
+def _lengths_s(runs: Sequence[RunBlocks]) -> dict[str, float]:
+    """Length of each run, and of each run that power-ons are of."""
+    found: dict[str, float] = defaultdict(float)
+    for run in runs:
+        for name in _names(run):
+            found[name] += run.value.size * run.block_s
+    return found
 
 
 def _is_turned(run: RunBlocks) -> bool:

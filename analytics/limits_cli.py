@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 from rich.table import Table
 
-from stream.console import notes, print_json, reporting, results, store_option
+from stream.console import counted, notes, print_json, reporting, results, store_option
 
 if TYPE_CHECKING:
     from analytics.specification import SpecificationLimit
@@ -124,12 +124,12 @@ def history(folder: Path, *, as_json: bool) -> None:
         print_json([{"sha256": link.hash, "document": link.document} for link in links])
         return
     table = Table(header_style="bold")
-    for title in ("entered", "action", "specification", "by", "reason", ""):
+    for title in ("entered", "action", "specification", "by", "reason", "earlier runs"):
         table.add_column(title, overflow="fold")
     for link in links:
         each = link.document
         what = link.label if each.name else ""
-        rejudged = "judges all anew" if each.rejudges else ""
+        rejudged = "judged anew" if each.rejudges else "keep their verdicts"
         words = (told_moment(each.t_ns) or "", each.action.value, what, each.by, each.reason, rejudged)
         table.add_row(*words)
     results().print(table if links else _NONE)
@@ -221,7 +221,7 @@ def _enter(
             {"specification": found.name, "revision": found.revision, "limits": len(found.limits), "new": is_new}
         )
         return
-    what = f"{_counted(len(found.limits), 'limit')}, {_counted(len(found.products), 'product')}"
+    what = f"{counted(len(found.limits), 'limit')}, {counted(len(found.products), 'product')}"
     results().print(f"{found.label}: {what} {'kept' if is_new else 'are there already'}", markup=False)
     if rejudges or (is_new and len(stored_specifications(store)) > 1):
         _tell_rejudged(rejudges=rejudges)
@@ -244,10 +244,6 @@ def _entry(document: "SpecificationEntered") -> dict[str, str]:
     from analytics.specification_dates import told_moment
 
     return {"entered": told_moment(document.t_ns) or "", "by": document.by, "reason": document.reason}
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _told(period: "Period") -> dict[str, object]:

@@ -9,7 +9,7 @@ import click
 from rich.table import Table
 
 from analytics.limits_cli import warn_of_copies
-from stream.console import notes, print_json, progress_bar, reporting, results, store_option, styled
+from stream.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
 from stream.errors import BadInput
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _SHOWN_ROWS = 500
 _SHOWN_REASONS = 5
+_NOTHING = 'no characteristic is of what was asked for; `gyrofleet sql "from unit_runs"` has what was tested when'
 _LANGUAGES = click.Choice(["en", "zh"])
 
 language_option = click.option(
@@ -84,6 +85,8 @@ def metrics(
         write_xlsx(rows, xlsx_path, language)
     for path in filter(None, (csv_path, xlsx_path)):
         notes().print(f"{len(rows):,} rows written to {path}", markup=False)
+    if not rows and (csv_path is not None or xlsx_path is not None):
+        notes().print(_NOTHING, markup=False)
     if as_json:
         print_json(rows)
     elif csv_path is None and xlsx_path is None:
@@ -139,7 +142,7 @@ def tell_annex(rows: "Sequence[AnnexRow]", unit: str, language: str, *, as_json:
 def _tell_unused(unused: "Sequence[tuple[str, int, str]]") -> None:
     """Say which steps no characteristic rests on; their reasons, and how many of how many units."""
     for reason, steps, units in unused[:_SHOWN_REASONS]:
-        notes().print(f"not judged: {steps} steps of {units}: {reason}", soft_wrap=True, markup=False)
+        notes().print(f"not judged: {counted(steps, 'step')} of {units}: {reason}", soft_wrap=True, markup=False)
     if len(unused) > _SHOWN_REASONS:
         more = len(unused) - _SHOWN_REASONS
         notes().print(f'... and {more} reasons more; `gyrofleet sql "from unused_steps"` has all', markup=False)
@@ -148,9 +151,7 @@ def _tell_unused(unused: "Sequence[tuple[str, int, str]]") -> None:
 def _tell(table: Table, count: int) -> None:
     console = results()
     if count == 0:
-        console.print(
-            'no characteristic is of what was asked for; `gyrofleet sql "from unit_runs"` has what was tested when'
-        )
+        console.print(_NOTHING)
         return
     console.print(table)
     shown = min(count, _SHOWN_ROWS)

@@ -100,13 +100,21 @@ def unused_steps(catalog: Catalog, asked: Selection) -> list[tuple[str, int, str
         if names:
             conditions.append(f"list_contains(${column}, {column})")
             given[column] = list(names)
+    if asked.lots:
+        conditions.append("(unit, run) in (select (unit, run) from unit_runs where list_contains($lot, lot))")
+        given["lot"] = list(asked.lots)
+    if asked.since_ns is not None:
+        conditions.append(
+            "(unit, run) in (select (unit, run) from unit_runs where date_known and t_start_ns >= $since)"
+        )
+        given["since"] = asked.since_ns
     found = catalog.rows(
         "select reason, count(*), list(distinct unit order by unit) from unused_steps "  # noqa: S608
         f"where {' and '.join(conditions)} group by reason order by count(*) desc, reason",
         given or None,
     )
     return [
-        (str(reason), int(steps), ", ".join(units) if len(units) <= _FEW_UNITS else f"{len(units)} units")
+        (str(reason), int(steps), ", ".join(units) if len(units) <= _FEW_UNITS else f"{len(units):,} units")
         for reason, steps, units in found
     ]
 

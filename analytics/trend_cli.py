@@ -141,11 +141,12 @@ def _tell(found: "Trend", language: str) -> None:
 
 
 def _chart_table(found: "Trend", language: str) -> Table:
-    from analytics.metrics_table import told_unit
+    from analytics.metrics_table import name_of, told_unit
     from analytics.trends.words import Refused
 
     unit = told_unit(found.series.unit_of_measure)
-    title = f"{found.series.metric} / {unit}" if unit else found.series.metric
+    name = name_of(found.series.metric, language) if language == "zh" else found.series.metric
+    title = f"{name} / {unit}" if unit else name
     table = Table(title=title, title_justify="left", header_style="bold")
     table.add_column(found.by or "")
     for title in _TITLES[language]:

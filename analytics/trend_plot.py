@@ -137,9 +137,10 @@ def _draw_limits(axes: Axes, chart: Chart, limits: IndividualsChart, t: np.ndarr
     for sigmas, style in ((1, (0, (1, 4))), (2, (0, (3, 4)))):
         for sign in (-1, 1):
             axes.axhline(limits.centre + sign * sigmas * limits.sigma, color=FLEET, linewidth=0.6, linestyle=style)
-    for side, text in ((limits.lower, "-3σ"), (limits.upper, "+3σ")):
+    lower = f"-3σ {limits.lower:.4g}" if limits.lower else "-3σ < 0"
+    for side, text in ((limits.lower, lower), (limits.upper, f"+3σ {limits.upper:.4g}")):
         axes.axhline(side, color=_ALARM, linewidth=0.9, linestyle=(0, (6, 3)))
-        _write_at(axes, side, f"{text} {side:.4g}", _ALARM)
+        _write_at(axes, side, text, _ALARM)
     _write_at(axes, limits.centre, f"{limits.centre:.4g}", _CENTRE)
     if limits.baseline < chart.series.value.size:
         axes.axvline(t[limits.baseline - 1], color=_CENTRE, linewidth=0.7, linestyle=(0, (2, 2)))

@@ -224,7 +224,8 @@ def _noise(
     found = declared_noise(catalog, runs, model)
     if isinstance(found, NoEstimate):
         return None, found.reason, False
-    return found, "the unit's own Allan fits", False
+    several = "; turn-on scatter estimated from these runs" if len(runs) > 1 else ""
+    return found, f"the unit's own Allan fits{several}", False
 
 
 def units_with(catalog: Catalog, signal: str) -> list[str]:

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from analytics.metrics_cli import language_option, opened_catalog
-from stream.console import notes, print_json, reporting, results, store_option, styled
+from stream.console import counted, notes, print_json, reporting, results, store_option, styled
 from stream.errors import BadInput
 
 if TYPE_CHECKING:
@@ -71,6 +71,14 @@ def _tell(found: "Verdicts", shares: list[dict[str, Any]], by: str | None, langu
     console = results()
     if by:
         console.print(_yield_table(shares, by, language))
+        without = sum(row["no_data"] for row in shares)
+        if without:
+            of = sum(row["units"] for row in shares)
+            console.print(
+                f"The yield is of units that were judged: {without} of {of} are NO_DATA and not in it"
+                if language == "en"
+                else f"合格率仅统计已判定的产品：{of} 个中有 {without} 个无数据，未计入"
+            )
     else:
         console.print(_unit_table(found.units[:_SHOWN], language))
         if with_values:
@@ -79,7 +87,7 @@ def _tell(found: "Verdicts", shares: list[dict[str, Any]], by: str | None, langu
         said = ", ".join(f"{n} {_told_verdict(name, language)}" for name, n in sorted(counts.items()))
         more = f" (the first {_SHOWN} shown; --json gives all)" if len(found.units) > _SHOWN else ""
         console.print(
-            f"{len(found.units)} units: {said}{more}"
+            f"{counted(len(found.units), 'unit')}: {said}{more}"
             if language == "en"
             else f"{len(found.units)} 个产品: {said}{more}"
         )

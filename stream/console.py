@@ -117,6 +117,17 @@ def json_text(value: Any) -> str:
     return _json.encode(value).decode()
 
 
+def counted(number: int, what: str) -> str:
+    """A number of things in words.
+
+    Examples
+    --------
+    >>> counted(1, "unit"), counted(2000, "unit")
+    ('1 unit', '2,000 units')
+    """
+    return f"{number:,} {what}{'' if number == 1 else 's'}"
+
+
 def print_json(value: Any) -> None:
     """Print one JSON document on a line of its own."""
     click.echo(json_text(value))

@@ -107,6 +107,8 @@ _SENTENCES: Final[Mapping[str, str]] = {
     "as given": "用户给定",
     "as given; turn-on scatter estimated from these runs": "用户给定；逐次启动散布由这些试验估计",
     "the unit's own Allan fits": "产品自身的Allan拟合",
+    "the unit's own Allan fits; turn-on scatter estimated from these runs":
+        "产品自身的Allan拟合；逐次启动散布由这些试验估计",
     # notes on the reduction
     "signal {name} never changes {where}, as of an output that is dead or stuck: leave such runs out with --run":
         "信号{name}{where}从不变化，如同输出失效或卡死：用--run略去这些试验",

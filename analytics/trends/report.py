@@ -6,6 +6,7 @@ from analytics.metrics.registry import metrics
 from analytics.trends.between_stations import Comparison, Difference, Pairs
 from analytics.trends.capability import Capability
 from analytics.trends.change_points import ChangePoint, Changes
+from analytics.trends.chart_chance import wild_point_chance
 from analytics.trends.control_chart import IndividualsChart
 from analytics.trends.drift import Drift
 from analytics.trends.nelson_rules import RULES
@@ -111,9 +112,13 @@ def _wild(chart: Chart, limits: IndividualsChart, point: int) -> Words:
     z = chart.z[point]
     where = f"{series.unit[point]}, {moment(series, point)}"
     centre = figures(limits.centre, limits.sigma)
+    chance = wild_point_chance(chart.charted)
+    n = chart.charted.size
     return Words(
-        f"a wild point ({where}): {value} {series.unit_of_measure}, {z:+.1f} sigma from the centre {centre}.",
-        f"异常点（{where}）：{value} {series.unit_of_measure}，距中心线 {centre} 为 {z:+.1f}σ。",
+        f"a wild point ({where}): {value} {series.unit_of_measure}, {z:+.1f} sigma from the centre {centre}; of {n} "
+        f"normal values the farthest is so far with a probability of {chance:.2g} at most (Grubbs).",
+        f"异常点（{where}）：{value} {series.unit_of_measure}，距中心线 {centre} 为 {z:+.1f}σ；{n} 个正态值中最远者"
+        f"达到此距离的概率至多为 {chance:.2g}（Grubbs 检验）。",
     )
 
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from analytics.metrics.names import check_metrics
+from analytics.metrics.registry import metrics
 from storage.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 from stream.errors import NotFound
@@ -119,6 +120,12 @@ class Series:
     others: tuple[Variant, ...]
     without_value: int
     dated: bool
+
+    @property
+    def is_magnitude(self) -> bool:
+        """Whether these values cannot be negative, as deviations and sizes of effects cannot."""
+        known = metrics().get(self.metric)
+        return known is not None and known.header.better == "lower" and bool((self.value >= 0).all())
 
     def where(self, chosen: Iterable[int]) -> "Series":
         """Only some of the values, by their numbers."""

@@ -52,7 +52,7 @@ class Chart(NamedTuple):
     is_adjusted : bool
         Whether these differ.
     limits : IndividualsChart or Refused
-        Centre and control limits.
+        Centre and control limits; none below zero of what cannot be negative.
     z : array of shape (points,)
         Distances from the centre in sigma; empty where there are no limits.
     signals : dict of list of int
@@ -295,6 +295,8 @@ def _chart(part: _Part, charts: int, baseline: int | None, spread: Spread) -> Ch
     )
     if isinstance(limits, Refused):
         return empty
+    if part.series.is_magnitude:
+        empty = empty._replace(limits=limits._replace(lower=max(limits.lower, 0.0)))
     z = (values - limits.centre) / limits.sigma
     flags = rule_flags(z)
     counts = flags.sum(axis=-1)

@@ -396,6 +396,26 @@ def test_noise_comes_from_the_allan_fits_of_the_unit(tested: TestedUnits) -> Non
         assert "give --noise" in none.reason
 
 
+def test_flicker_and_walk_come_from_long_runs(tested: TestedUnits) -> None:
+    """The long averages of short runs show their effects."""
+    rng = np.random.default_rng(9)
+    for run, samples, walk in (("r1", 1000, 5.0), ("r2", 1000, 6.0), ("r3", 1000, 7.0), ("r4", 9000, 0.1)):
+        tested.run(run)
+        tested.samples(run, "U1", "rate", rng.normal(0.0, 1.0, samples), t0_ns=START_NS)
+        keys = ("angle_random_walk", "bias_instability", "rate_random_walk")
+        fit: dict[str, Any] = {
+            key: {"value": value, "observable": True, "lo": 0.0, "hi": 9.0}
+            for key, value in zip(keys, (0.02, walk, walk), strict=True)
+        }
+        tested.document(
+            NoiseFitted(run=run, t_ns=START_NS, unit="U1", signal="rate", coefficients=fit | {"misfit": 0.0})
+        )
+    with tested.catalog() as catalog:
+        noise = declared_noise(catalog, BlockReducer(catalog, "rate").reduce("U1").runs, ErrorModel.parse("bias"))
+    assert not isinstance(noise, NoEstimate)
+    np.testing.assert_allclose([noise.N, noise.B, noise.K], [0.02, 0.1, 0.1])
+
+
 def test_allan_fits_of_runs_in_which_the_unit_was_turned_do_not_count(tested: TestedUnits) -> None:
     """They are of the motion: white noise of 15 deg/sqrt(h) would hide everything."""
     rng = np.random.default_rng(8)

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from scipy.stats import binom
+from scipy.stats import t as student
 
 from analytics.metrics.evaluation import COLUMNS, define_views
 from analytics.specification_store import add_specification
@@ -231,6 +232,20 @@ def test_a_unit_that_drifts_is_named_among_others(told: Told) -> None:
     assert "per day" in said
     assert [chart.name for chart in trend.charts if chart.in_control is False] == ["U07"]
     assert "of one unit" not in said  # capability is of a process; of many charts it is passed over
+
+
+def test_a_wild_point_stands_with_its_chance_and_a_deviation_has_no_limit_below_zero(told: Told) -> None:
+    values = np.abs(np.random.default_rng(20260747).normal(0.05, 0.02, 40))
+    values[20] = 0.6
+    catalog = told(_rows(values, metric="bias_stability"))
+    trend = trend_of(read_series(catalog, "bias_stability", Choice()))
+    rest = np.delete(values, 20)
+    t = (values[20] - rest.mean()) / (rest.std(ddof=1) * np.sqrt(40 / 39))  # Grubbs by the studentized deleted residual
+    assert f"with a probability of {min(1.0, 80 * student.sf(t, 38)):.2g} at most (Grubbs)" in _english(trend)
+    (chart,) = trend.charts
+    assert not isinstance(chart.limits, Refused)
+    assert chart.limits.centre < 3 * chart.limits.sigma
+    assert chart.limits.lower == 0.0
 
 
 def test_nothing_stands_out_in_noise() -> None:

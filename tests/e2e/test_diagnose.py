@@ -83,7 +83,7 @@ def test_a_planted_effect_is_found_and_the_document_has_its_parts(gyrofleet: Cal
     before, after, floor = (found["error"][part]["rms_300s"] for part in ("before", "after", "floor"))
     assert after < 0.8 * before
     assert after < 1.1 * floor
-    assert found["noise_source"] == "the unit's own Allan fits"
+    assert found["noise_source"] == "the unit's own Allan fits; turn-on scatter estimated from these runs"
     assert found["noise"]["declared"]["N"] == pytest.approx(0.01, rel=0.3)
 
 

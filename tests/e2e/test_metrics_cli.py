@@ -180,6 +180,12 @@ def test_that_nothing_is_of_what_was_asked_for_is_said(ask: Ask) -> None:
     assert ask("metrics", "--since", "2030-01-01").stdout.startswith("no characteristic is of what was asked for")
 
 
+def test_an_empty_workbook_is_not_written_without_a_word(ask: Ask, tmp_path: Path) -> None:
+    told = ask("metrics", "--since", "2030-01-01", "--xlsx", tmp_path / "m.xlsx").stderr
+    assert "0 rows written" in told
+    assert "no characteristic is of what was asked for" in " ".join(told.split())
+
+
 def test_annex_a_has_its_24_rows_whatever_was_measured(ask: Ask) -> None:
     told = json.loads(ask("metrics", "--annex-a", "FOG-0002", "--json").stdout)
     rows = told["rows"]
@@ -190,7 +196,7 @@ def test_annex_a_has_its_24_rows_whatever_was_measured(ask: Ask) -> None:
     assert all(each["standard"] == "JJF2014" for row in rows for each in row["results"])
     assert rows[13]["results"][0]["lo"] < 5.0 < rows[13]["results"][0]["hi"]
     assert {each["parameters"]["average_s"] for each in rows[14]["results"]} == {1, 10, 100}
-    assert rows[21]["reason"].startswith("not measured: it needs ")
+    assert rows[21]["reason"].startswith("no completed step gives it: it needs ")
     shown = ask("metrics", "--annex-a", "FOG-0002", "--lang", "zh").stdout
     assert "7.2.5" in shown  # a row without a value has its clause too
     assert "校准项目" in shown
@@ -210,6 +216,8 @@ def test_verdicts_by_unit_and_by_station(specified: Ask) -> None:
     assert told["warnings"] == []
     (bench,) = json.loads(specified("verdicts", "--by", "station", "--json").stdout)["yield"]
     assert (bench["name"], bench["units"], bench["passed"], bench["yield"]) == ("bench-1", 3, 1, 0.5)
+    shown = " ".join(specified("verdicts", "--by", "station").stdout.split())
+    assert "The yield is of units that were judged: 1 of 3 are NO_DATA and not in it" in shown
     specified("verdicts", "--fail-on-fail", code=3)
     specified("verdicts", "--fail-on-fail", "--unit", "FOG-0001")
     shown = specified("verdicts", "--lang", "zh").stdout

@@ -94,7 +94,7 @@ def test_a_signal_that_is_not_taken_for_an_output_is_said(ask: Callable[..., Res
     assert [row["unit"] for row in rows] == ["U-COUNT", "U-OUT"]
     assert rows[1]["reason"].startswith("signal output in mV is not taken for the output of a gyro: call it rate")
     told = ask("metrics", "--unit", "U-OUT")
-    assert "not judged: 1 steps of U-OUT: signal output in mV" in told.stderr
+    assert "not judged: 1 step of U-OUT: signal output in mV" in told.stderr
     assert "not judged" not in ask("metrics", "--unit", "U-DPS").stderr
 
 

@@ -19,6 +19,7 @@ select o.unit, o.signal, o.run, o."index", o."procedure", o.step, o.position, o.
       || 'rate_x, rate_y, rate_z'
     else 'no characteristic is made of a step of procedure ' || coalesce(o."procedure", '(not given)')
       || coalesce(', position ' || o.position, '')
+      || coalesce(', phase ' || o.phase, '')
       || case when o.rate_command <> 0 then ', at a rate' else '' end
   end as reason
 from output o
