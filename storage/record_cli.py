@@ -104,6 +104,11 @@ def record(
                 progress.look()
             if not as_json:
                 console.print("stopping: writing what has arrived, sources keep the rest")
+            recorder.end()
+            if not as_json and not no_lake and recorder.failure is None:
+                console.print(
+                    "the log is complete; the lake follows. Ctrl-C again leaves it to the next command", soft_wrap=True
+                )
     _tell_counts(recorder, as_json=as_json)
 
 

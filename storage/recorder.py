@@ -119,6 +119,14 @@ class Recorder:
         """What it has done."""
         return self._intake.counts
 
+    def end(self) -> None:
+        """Write what has arrived and seal: then the log is complete, while the lake may follow (`close`)."""
+        self._service.close()
+        with self._state:
+            self._closing = True
+            self._state.notify_all()
+        self._writer.join()
+
     def close(self) -> None:
         """Write what has arrived, seal, bring everything to the lake, and stop.
 
@@ -127,11 +135,7 @@ class Recorder:
         StoreError
             If not everything could be written.
         """
-        self._service.close()
-        with self._state:
-            self._closing = True
-            self._state.notify_all()
-        self._writer.join()
+        self.end()
         if self._builder is not None:
             self._builder.close()
         if self.failure is not None:
