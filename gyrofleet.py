@@ -8,28 +8,28 @@ from typing import NoReturn
 
 import click
 
-from analytics.allan_cli import allan
-from analytics.cli import demo
-from analytics.compensate_cli import compensate
-from analytics.diagnose_cli import diagnose
-from analytics.limits_cli import limits
-from analytics.metrics_cli import metrics
-from analytics.model_cli import model
-from analytics.spectrum_cli import spectrum
-from analytics.trend_cli import trend
-from analytics.verdicts_cli import verdicts
-from ingest.can_cli import can
-from ingest.cli import import_files
-from ingest.enter_cli import check
-from ingest.procedure_cli import procedure
-from ingest.replay_cli import replay
-from ingest.run_cli import run
-from ingest.simulate_cli import simulate
-from storage.cli import sql
-from storage.estimate_cli import estimate
-from storage.lake_cli import lake, rebuild, retain
-from storage.record_cli import record, router
-from storage.verify_cli import recover, verify
+from analytics.commands.allan import allan
+from analytics.commands.compensate import compensate
+from analytics.commands.demo import demo
+from analytics.commands.diagnose import diagnose
+from analytics.commands.limits import limits
+from analytics.commands.metrics import metrics
+from analytics.commands.model import model
+from analytics.commands.spectrum import spectrum
+from analytics.commands.trend import trend
+from analytics.commands.verdicts import verdicts
+from ingest.commands.can import can
+from ingest.commands.check import check
+from ingest.commands.import_files import import_files
+from ingest.commands.procedure import procedure
+from ingest.commands.replay import replay
+from ingest.commands.run import run
+from ingest.commands.simulate import simulate
+from storage.commands.estimate import estimate
+from storage.commands.lake import lake, rebuild, retain
+from storage.commands.record import record, router
+from storage.commands.sql import sql
+from storage.commands.verify import recover, verify
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

@@ -4,18 +4,18 @@ from os import PathLike
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from storage.opened import OpenedStore
-    from storage.sql_door import QueryLimits
+    from storage.sql.door import QueryLimits
+    from storage.sql.opened import OpenedStore
 
 
 def open_store(folder: "str | PathLike[str]", limits: "QueryLimits | None" = None) -> "OpenedStore":
-    """Open a store to ask it in SQL from Python; see `storage.opened.OpenedStore`.
+    """Open a store to ask it in SQL from Python; see `storage.sql.opened.OpenedStore`.
 
     Raises
     ------
     StoreError
         If the folder is no store.
     """
-    from storage.opened import OpenedStore
+    from storage.sql.opened import OpenedStore
 
     return OpenedStore(folder, limits)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from storage.disk import DISK
+from storage.segments.disk import DISK
 from stream.errors import StoreError
 
 STORE_FORMAT = 1
@@ -80,7 +80,7 @@ def identity_of_copy(folder: Path) -> str | None:
 
 def identity_of_segments(folder: Path) -> str | None:
     """Identity of a store as most segments of its log say; None where none says one."""
-    from storage.segment_reader import read_origin
+    from storage.segments.reader import read_origin
 
     found = Counter(origin[0] for path in (folder / "log").glob("*.mcap") if (origin := read_origin(path)) is not None)
     return next((identity for identity, _ in found.most_common(1) if _IDENTITY.fullmatch(identity)), None)

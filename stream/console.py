@@ -239,17 +239,3 @@ def until_stopped() -> Iterator[Stop]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def compile_kernels(*, quiet: bool) -> None:
-    """Make the estimators' machine code ready; says so, for it takes some seconds the first time."""
-    from stream.estimators.base import warm_up
-
-    console = notes()
-    with console.status("making the estimators ready (some seconds, the first time only)") if not quiet else _nothing():
-        warm_up()
-
-
-@contextmanager
-def _nothing() -> Iterator[None]:
-    yield

@@ -24,9 +24,9 @@ _FILES = (None, subprocess.PIPE)
 _PARTS = 23
 # what commands import when they come to it
 _WANTED = (
-    "analytics.metrics.evaluation",
-    "analytics.tracing.diagnosis",
-    "ingest.importer",
+    "analytics.evaluation.evaluation",
+    "analytics.loop.tracing.diagnosis",
+    "ingest.importing.importer",
     "matplotlib.pyplot",
     "scipy.signal",
     "scipy.stats",
@@ -122,7 +122,7 @@ class ForkedProcess(subprocess.Popen[str]):
 
 def _serve(path: str) -> None:
     from gyrofleet import front_door
-    from stream.estimators.base import warm_up
+    from stream.estimators.warm_up import warm_up
 
     for name in _WANTED:
         importlib.import_module(name)

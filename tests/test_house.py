@@ -17,11 +17,11 @@ def test_each_package_has_exactly_one_owner(package: str) -> None:
 @pytest.mark.parametrize(
     ("package", "name"),
     [
-        ("stream", "samples.proto"),
+        ("stream.wire", "samples.proto"),
         ("stream", "py.typed"),
-        ("storage", "schema/10_tables.sql"),
-        ("storage", "schema/20_views.sql"),
-        ("analytics", "demo_limits.toml"),
+        ("storage.sql", "schema/10_tables.sql"),
+        ("storage.sql", "schema/20_views.sql"),
+        ("analytics.demo", "demo_limits.toml"),
     ],
 )
 def test_what_is_not_python_is_shipped_too(package: str, name: str) -> None:

@@ -6,7 +6,7 @@ from itertools import groupby
 from typing import Any
 
 from analytics.calibration.separation import Separation
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 from stream.errors import BadInput
 
 _GROUP = ("run", "unit", "signal", "procedure")

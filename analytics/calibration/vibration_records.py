@@ -10,7 +10,7 @@ import numpy as np
 
 from analytics.calibration.frequency_response import Record, Response, response_of
 from analytics.calibration.sine_fit import LEAST_PER_PERIOD, SineFit, fit_sine
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput, UnknownUnit
 from stream.quantities import conversion, is_angular_rate

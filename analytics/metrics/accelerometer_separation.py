@@ -5,7 +5,7 @@ from typing import Any
 
 from analytics.calibration.separation import AccelerometerReading, Separation, accelerometer_separation
 from analytics.calibration.separation_steps import separation_rows
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 from stream.errors import BadInput, UnknownUnit
 from stream.quantities import conversion
 

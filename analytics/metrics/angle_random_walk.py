@@ -9,8 +9,8 @@ import pyarrow.compute as pc
 
 from analytics.metrics.largest_magnitude import json_text
 from analytics.metrics.limits_of_value import chi_square_limits, deviation_uncertainty
-from storage.catalog import Catalog
-from storage.reading import stored_between
+from storage.sql.catalog import Catalog
+from storage.sql.reading import stored_between
 from stream.batch import FloatArray
 from stream.errors import NotFound
 from stream.estimators.base import NoEstimate

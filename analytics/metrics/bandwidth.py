@@ -16,7 +16,7 @@ from analytics.calibration.vibration_records import (
     unmet,
     vibrations,
 )
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 from stream.errors import BadInput
 
 HEADER = """\

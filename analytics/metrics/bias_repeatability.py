@@ -6,7 +6,7 @@ from typing import Any
 from analytics.metrics.largest_magnitude import json_text
 from analytics.metrics.repeatability import KINDS, Noise, deviation_of, scatters
 from analytics.metrics.variance_components import means_noise, pooled, scatter
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 
 HEADER = """\
 -- id:        bias_repeatability

@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow as pa
 
 from analytics.step_records.series_statistics import AVERAGES_S, LEAST_SHARE, scatter_of_averages
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 
 HEADER = """\
 -- id:        bias_stability_averaged

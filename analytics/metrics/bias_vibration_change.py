@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from analytics.metrics.axis_changes import largest_changes
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 
 HEADER = """\
 -- id:        bias_vibration_change

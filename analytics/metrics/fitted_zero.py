@@ -8,7 +8,7 @@ import numpy as np
 
 from analytics.metrics.largest_magnitude import json_text
 from analytics.metrics.zero_drift import Sequence, Uncertainty, zero_uncertainty
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 
 HEADER = """\
 -- id:        fitted_zero

@@ -5,7 +5,7 @@ from typing import Any
 
 from analytics.calibration.separation import GyroReading, Separation, gyro_separation
 from analytics.calibration.separation_steps import separation_rows
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 
 HEADER = """\
 -- id:        gyro_separation

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 
 from analytics.metrics.header import MetricError, MetricHeader, parse_header
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 
 Compute = Callable[[Catalog], pa.Table | Iterable[Mapping[str, Any]]]
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 
 HEADER = """\
 -- id:        scale_factor

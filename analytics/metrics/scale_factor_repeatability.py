@@ -6,7 +6,7 @@ from typing import Any
 from analytics.metrics.largest_magnitude import json_text
 from analytics.metrics.repeatability import KINDS, deviation_of
 from analytics.metrics.variance_components import Scatter, scatter
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 
 HEADER = """\
 -- id:        scale_factor_repeatability

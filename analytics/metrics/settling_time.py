@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from analytics.metrics.largest_magnitude import json_text
 from analytics.step_records.series_statistics import series_statistics
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 
 # The output stays within its band if it does so at least for this part of the record, at its end.

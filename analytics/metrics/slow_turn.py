@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from analytics.metrics.half_error import Direction, smallest_within_half
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 from stream.batch import FloatArray
 
 _LEAST_DEG = 350.0

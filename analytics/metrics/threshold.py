@@ -6,7 +6,7 @@ from typing import Any
 from analytics.metrics.half_error import direction_of, smallest_within_half
 from analytics.metrics.largest_magnitude import json_text
 from analytics.metrics.slow_turn import turns
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 
 HEADER = """\
 -- id:        threshold

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from analytics.metrics.settling_time import settling_times
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 
 HEADER = """\
 -- id:        warmup_time

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 
 from analytics.step_records.series_statistics import SeriesStatistics, series_statistics
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 
 # A stretch of more samples is reduced from the store's means of 1 s, over the whole seconds within it: the pass over

@@ -10,7 +10,7 @@ import pyarrow as pa
 from analytics.step_records import FOLDER
 from analytics.step_records.kept_file import read_kept, write_kept
 from analytics.step_records.reduction import COLUMNS, reduce_run
-from storage.catalog import Catalog, NotKept
+from storage.sql.catalog import Catalog, NotKept
 
 FILE = "steps.parquet"
 # Rises when a record would come out otherwise than it did.

@@ -11,7 +11,7 @@ import numpy as np
 
 from analytics.metrics.names import check_metrics
 from analytics.metrics.registry import metrics
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 from stream.errors import NotFound
 

@@ -1,8 +1,8 @@
 """The limits of the products' specifications that hold for a series."""
 
-from analytics.specification import SpecificationLimit
-from analytics.specification_periods import ordered_periods
-from analytics.specification_store import stored_specifications
+from analytics.specifications.entering import stored_specifications
+from analytics.specifications.periods import ordered_periods
+from analytics.specifications.specification import SpecificationLimit
 from analytics.trends.series import Series, parameter_text
 from analytics.trends.trend import Limits
 from analytics.trends.words import Words

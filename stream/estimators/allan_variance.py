@@ -9,9 +9,9 @@ from stream.batch import FloatArray, IntArray
 from stream.errors import EstimatorError
 from stream.estimators.base import Estimator, NoEstimate, first_finite
 from stream.estimators.confidence import deviation_limits
+from stream.estimators.kernels.pyramid_kernel import PyramidState, begin_at, empty_state, push
+from stream.estimators.kernels.pyramid_merge import merge
 from stream.estimators.noise_exponent import Identified, identify
-from stream.estimators.pyramid_kernel import PyramidState, begin_at, empty_state, push
-from stream.estimators.pyramid_merge import merge
 from stream.events import EstimatePoint
 
 LEVELS = 27

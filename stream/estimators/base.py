@@ -7,12 +7,7 @@ import pkgutil
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar
-from uuid import UUID
 
-import numpy as np
-
-from stream.batch import SampleBatch
-from stream.block_means import BlockMeans
 from stream.estimators.follower import (
     EstimatorState,
     Follower,
@@ -20,7 +15,6 @@ from stream.estimators.follower import (
     contiguous_runs,
     first_finite,
 )
-from stream.estimators.noise_kernel import descend, weighted_least_squares
 from stream.events import EstimatePoint
 
 __all__ = [
@@ -34,7 +28,6 @@ __all__ = [
     "estimator_classes",
     "first_finite",
     "follower_classes",
-    "warm_up",
 ]
 
 _PACKAGE = __name__.rpartition(".")[0]
@@ -107,27 +100,3 @@ def default_followers() -> dict[str, Callable[[], Follower]]:
     """
     others = {cls.key: cls for cls in follower_classes() if not issubclass(cls, Estimator)}
     return {**default_estimators(), **others}
-
-
-def warm_up() -> None:
-    """Compile the machine code of all that follow a signal, or load it where it was compiled before.
-
-    It is kept on disk beside the modules, or in the user's cache directory where that cannot be written; compiling
-    takes some seconds, once an installation.
-    """
-    values = np.array([1.0, np.nan, 2.0, 4.0])
-    times_ns = np.array([0, 1, 5, 6], np.int64) * 10**9
-    regular = SampleBatch("unit", "signal", "run", UUID(int=0), 0, 0, 10**9, "1", values=values)
-    irregular = SampleBatch(
-        "unit", "signal", "run", UUID(int=0), 0, 0, 10**9, "1", values=values, times_ns=times_ns, irregular=True
-    )
-    for factory in default_followers().values():
-        for batch in (regular, irregular):
-            follower = factory()
-            follower.update(batch)
-            follower.merge(follower.successor())
-            follower.estimate()
-    for batch in (regular, irregular):
-        BlockMeans(1.0).push(batch)
-    descend(np.ones((2, 1)), np.ones(2), np.ones(1), np.ones(1, np.bool_))
-    weighted_least_squares(np.ones((2, 1)), np.ones(2), np.ones(2), np.zeros(2), np.ones(1, np.bool_))

@@ -11,7 +11,9 @@ import numpy as np
 from stream.batch import FloatArray, SampleBatch, writable
 from stream.clock import Piece
 from stream.errors import EstimatorError
-from stream.estimators.averages_kernel import (
+from stream.estimators.base import Estimator, NoEstimate, first_finite
+from stream.estimators.confidence import deviation_limits
+from stream.estimators.kernels.averages_kernel import (
     AVERAGES,
     BLOCK,
     COVARIANCE,
@@ -26,9 +28,7 @@ from stream.estimators.averages_kernel import (
     first_slot_of,
     merge_averages,
 )
-from stream.estimators.base import Estimator, NoEstimate, first_finite
-from stream.estimators.confidence import deviation_limits
-from stream.estimators.raw_averages_kernel import take_samples
+from stream.estimators.kernels.raw_averages_kernel import take_samples
 from stream.events import EstimatePoint
 
 LEAST_SHARE = 0.9

@@ -10,8 +10,8 @@ from stream.errors import EstimatorError
 from stream.estimators.base import NoEstimate
 from stream.estimators.bias_stability import LEAST_SHARE
 from stream.estimators.confidence import deviation_limits
-from stream.estimators.noise_fit import Coefficient
-from stream.estimators.noise_model import ANGLE_RANDOM_WALK
+from stream.estimators.noise.noise_fit import Coefficient
+from stream.estimators.noise.noise_model import ANGLE_RANDOM_WALK
 
 MOST_INTERVAL_S = 0.01
 LEAST_MEANS = 10

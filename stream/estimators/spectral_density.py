@@ -11,8 +11,8 @@ from stream.batch import FloatArray
 from stream.errors import EstimatorError
 from stream.estimators.confidence import deviation_limits
 from stream.estimators.follower import Follower, NoEstimate, first_finite
-from stream.estimators.spectral_lines import REACH_BINS, Line, Spectrum, WelchAverage, find_lines, welch_edf
-from stream.estimators.spectral_segments import (
+from stream.estimators.spectrum.spectral_lines import REACH_BINS, Line, Spectrum, WelchAverage, find_lines, welch_edf
+from stream.estimators.spectrum.spectral_segments import (
     PAIRS,
     SEGMENTS,
     START,

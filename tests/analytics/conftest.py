@@ -11,19 +11,19 @@ from uuid import uuid4
 import pyarrow as pa
 import pytest
 
-from analytics.block_checks import Note
-from analytics.block_reduction import BlockReducer, Reduction
-from analytics.metrics.evaluation import define_views, evaluate
+from analytics.evaluation.evaluation import define_views, evaluate
+from analytics.loop.blocks.checks import Note
+from analytics.loop.blocks.reduction import BlockReducer, Reduction
+from analytics.loop.report.remarks_zh import in_chinese
+from analytics.loop.tracing import diagnosis
 from analytics.metrics.registry import metrics
-from analytics.report.remarks_zh import in_chinese
 from analytics.step_records.step_table import step_means
-from analytics.tracing import diagnosis
-from storage.catalog import Catalog
-from storage.event_log import EventLog
-from storage.lake import build_missing, builder_lock
-from storage.mcap_records import EVENTS, SAMPLES, LogRecord
-from storage.sequence import place_of
-from storage.specification_chain import hash_of
+from storage.lake.lake import build_missing, builder_lock
+from storage.log.event_log import EventLog
+from storage.log.sequence import place_of
+from storage.segments.records import EVENTS, SAMPLES, LogRecord
+from storage.specifications.chain import hash_of
+from storage.sql.catalog import Catalog
 from storage.store import Store, WriterLock
 from stream.batch import FloatArray, SampleBatch
 from stream.events import (
@@ -39,7 +39,7 @@ from stream.events import (
     encode_event,
 )
 from stream.identity import Place, event_key, sample_key
-from stream.wire import encode_batch
+from stream.wire.batches import encode_batch
 
 PLACE = Place("plant", "station-1")
 START_NS = 1_763_683_200 * 10**9  # 2025-11-21 00:00 UTC
@@ -233,7 +233,7 @@ def everything_told_is_told_in_chinese(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def known(texts: Iterable[str]) -> None:
         for text in texts:
-            assert in_chinese(text) != text, f"no Chinese in analytics/report/remarks_zh.py for: {text}"
+            assert in_chinese(text) != text, f"no Chinese in analytics/loop/report/remarks_zh.py for: {text}"
 
     def checked(function: Callable[..., Any], told: Callable[[Any], Iterable[str]]) -> Callable[..., Any]:
         def call(*arguments: Any, **options: Any) -> Any:

@@ -14,11 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.text import Text
 
-from analytics import allan_plot, plot_fonts
-from analytics.allan_curve import AllanCurve
-from analytics.allan_marks import limit_marks, spread
-from analytics.allan_plot import plot_allan
-from analytics.limits import demo_limits
+from analytics.curves.allan_curve import AllanCurve
+from analytics.curves.limits import demo_limits
+from analytics.plots import allan_plot, plot_fonts
+from analytics.plots.allan_marks import limit_marks, spread
+from analytics.plots.allan_plot import plot_allan
 from stream.errors import BadInput
 from stream.events import Limit
 

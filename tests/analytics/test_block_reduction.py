@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analytics.block_checks import check_clocks
-from analytics.block_reduction import BlockReducer, Reduction
-from analytics.declared_noise import declared_noise
-from analytics.error_model import ErrorModel
-from storage.catalog import Catalog
-from storage.lake import Lake, builder_lock
-from storage.retention import Rule, apply_rule
+from analytics.loop.blocks.checks import check_clocks
+from analytics.loop.blocks.reduction import BlockReducer, Reduction
+from analytics.loop.model.declared_noise import declared_noise
+from analytics.loop.model.error_model import ErrorModel
+from storage.lake.lake import Lake, builder_lock
+from storage.sql.catalog import Catalog
 from storage.store import Store
+from storage.upkeep.retention import Rule, apply_rule
 from stream.batch import FloatArray
 from stream.errors import BadInput, NotFound
 from stream.estimators.base import NoEstimate

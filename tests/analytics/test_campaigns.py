@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analytics.effects.registry import effects
+from analytics.loop.effects.registry import effects
 from tests.bench.loop_campaign import MISSPECIFIED
 from tests.bench.residual_tracing import run
 from tests.bench.tracing_cases import MODEL, ROWS, SIZES, Case, cases, plantable, standard

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analytics.block_checks import check_runs
-from analytics.block_reduction import BlockReducer
-from analytics.diagnose_cli import noise_of
-from analytics.effects.shape_values import number
-from analytics.error_model import ErrorModel
-from analytics.model_text import parse_model
-from analytics.run_blocks import Channel, RunBlocks
-from analytics.tracing.diagnosis import diagnose
-from analytics.tracing.result import Verdict
-from analytics.unit_diagnosis import diagnose_units
-from analytics.unit_reduction import Question
+from analytics.commands.diagnose import noise_of
+from analytics.loop.blocks.checks import check_runs
+from analytics.loop.blocks.reduction import BlockReducer
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.effects.shape_values import number
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.model_text import parse_model
+from analytics.loop.tracing.diagnosis import diagnose
+from analytics.loop.tracing.result import Verdict
+from analytics.loop.unit_diagnosis import diagnose_units
+from analytics.loop.unit_reduction import Question
 from stream.batch import FloatArray
 from stream.errors import BadInput, NotFound
 from tests.analytics.conftest import TestedUnits

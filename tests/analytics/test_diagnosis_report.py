@@ -14,25 +14,26 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from analytics.block_checks import Note
-from analytics.diagnose_cli import _tell_unit
-from analytics.error_model import ErrorModel
-from analytics.left_out import LeftOut
-from analytics.report.diagnosis_html import report_html, write_report
-from analytics.report.diagnosis_plots import figures_of, write_figures
-from analytics.report.drivers import drawn
-from analytics.report.error_by_driver import bias_over_temperature, scale_factor_over_rate
-from analytics.report.evidence import alternative
-from analytics.report.residual_allan import residual_allan
-from analytics.report.residuals import Residuals, residuals_of
-from analytics.report.sentences import verdict_sentence
-from analytics.report.whitened_spectrum import whitened_spectrum
-from analytics.report.wording import Language, Wording
-from analytics.tracing.diagnosis import diagnose
-from analytics.tracing.fleet import diagnose_fleet, standing
-from analytics.tracing.result import Coefficient, Diagnosis, FoundEffect, NoiseCoefficients, Verdict
-from analytics.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis, held_out_runs
-from analytics.unit_reduction import ReducedUnit
+from analytics.commands.diagnose import _tell_unit
+from analytics.loop.blocks.checks import Note
+from analytics.loop.blocks.left_out import LeftOut
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.report.diagnosis_html import report_html, write_report
+from analytics.loop.report.diagnosis_plots import figures_of, write_figures
+from analytics.loop.report.drivers import drawn
+from analytics.loop.report.error_by_driver import bias_over_temperature, scale_factor_over_rate
+from analytics.loop.report.evidence import alternative
+from analytics.loop.report.residual_allan import residual_allan
+from analytics.loop.report.residuals import Residuals, residuals_of
+from analytics.loop.report.sentences import verdict_sentence
+from analytics.loop.report.whitened_spectrum import whitened_spectrum
+from analytics.loop.report.wording import Language, Wording
+from analytics.loop.tracing.diagnosis import diagnose
+from analytics.loop.tracing.fleet import diagnose_fleet, standing
+from analytics.loop.tracing.result import Coefficient, Diagnosis, FoundEffect, Verdict
+from analytics.loop.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis, held_out_runs
+from analytics.loop.unit_reduction import ReducedUnit
 from stream.errors import BadInput
 from tests.bench.loop_campaign import DECLARED_MODEL, Campaign, Planted
 

@@ -8,8 +8,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from analytics.unit_diagnosis import diagnose_units
-from analytics.unit_reduction import Question
+from analytics.loop.unit_diagnosis import diagnose_units
+from analytics.loop.unit_reduction import Question
 from stream.batch import FloatArray
 from tests.analytics.conftest import SECOND_NS, START_NS, TestedUnits, reduced
 

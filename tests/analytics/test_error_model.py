@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analytics.error_model import ErrorModel, ModelTerm
-from analytics.run_blocks import Channel, RunBlocks
-from analytics.tracing.noise_model import NoiseModel
-from analytics.tracing.result import NoiseCoefficients
-from analytics.whitened_residual import whitened_residual
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.model.error_model import ErrorModel, ModelTerm
+from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.tracing.noise_model import NoiseModel
+from analytics.loop.tracing.whitened_residual import whitened_residual
 from stream.batch import FloatArray
 from stream.errors import BadInput
 
@@ -159,7 +159,7 @@ def test_a_shape_that_is_left_open_is_found(cycled: RunBlocks) -> None:
 
 
 def _shapes(name: str, of: RunBlocks) -> list[dict[str, float]]:
-    from analytics.effects.registry import effect
+    from analytics.loop.effects.registry import effect
 
     return [{key: float(str(value)) for key, value in shape.items()} for shape in effect(name).shapes([of])]
 

@@ -6,15 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analytics.effects.registry import effect
-from analytics.error_model import ErrorModel
-from analytics.report.evidence import alternative
-from analytics.report.sentences import verdict_sentence
-from analytics.report.wording import Wording
-from analytics.run_blocks import Channel, RunBlocks
-from analytics.tracing.diagnosis import diagnose
-from analytics.tracing.partial_channels import partial_channels
-from analytics.tracing.result import NoiseCoefficients, Verdict
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.effects.registry import effect
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.report.evidence import alternative
+from analytics.loop.report.sentences import verdict_sentence
+from analytics.loop.report.wording import Wording
+from analytics.loop.tracing.diagnosis import diagnose
+from analytics.loop.tracing.partial_channels import partial_channels
+from analytics.loop.tracing.result import Verdict
 from stream.batch import FloatArray
 
 BIAS = ErrorModel.parse("rate = bias")

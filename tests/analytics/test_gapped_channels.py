@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analytics.error_model import ErrorModel
-from analytics.run_blocks import HARMONICS, Channel, RunBlocks
-from analytics.tracing.diagnosis import diagnose
-from analytics.tracing.gapped_channels import gapped_channels
-from analytics.tracing.result import NoiseCoefficients, Verdict
+from analytics.loop.blocks.run_blocks import HARMONICS, Channel, RunBlocks
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.tracing.diagnosis import diagnose
+from analytics.loop.tracing.gapped_channels import gapped_channels
+from analytics.loop.tracing.result import Verdict
 from stream.batch import BoolArray, FloatArray
 
 MODEL = ErrorModel.parse("rate = bias")
@@ -104,7 +105,7 @@ def test_each_of_five_channels_that_are_polled_by_themselves_is_looked_at() -> N
 def test_what_no_trace_has_looked_for_is_reported_and_denies_that_nothing_is_missing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("analytics.tracing.partial_channels.MOST_GROUPS", 4)
+    monkeypatch.setattr("analytics.loop.tracing.partial_channels.MOST_GROUPS", 4)
     found = diagnose(polled(alike=False), MODEL, declared_noise=NOISE)
     assert "has gaps in other blocks than" in found.not_tested["magnetic_o"]
     assert found.verdict is Verdict.NOT_ENOUGH_DATA

@@ -7,15 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analytics.error_model import ErrorModel
-from analytics.report.evidence import evidence
-from analytics.report.sentences import verdict_sentence
-from analytics.report.wording import Wording
-from analytics.run_blocks import Channel, RunBlocks
-from analytics.tracing.diagnosis import diagnose
-from analytics.tracing.error_gain import error_gain
-from analytics.tracing.result import Answer, Diagnosis, Holdout, HoldoutSlope, NoiseCoefficients, Verdict
-from analytics.tracing.verdict_checks import holdout_limits
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.report.evidence import evidence
+from analytics.loop.report.sentences import verdict_sentence
+from analytics.loop.report.wording import Wording
+from analytics.loop.tracing.diagnosis import diagnose
+from analytics.loop.tracing.error_gain import error_gain
+from analytics.loop.tracing.result import Answer, Diagnosis, Holdout, HoldoutSlope, Verdict
+from analytics.loop.tracing.verdict_checks import holdout_limits
 from tests.bench.loop_campaign import Campaign, Planted
 
 DECLARED = NoiseCoefficients(N=0.005, B=0.01, K=0.006, turn_on=0.05)

@@ -8,12 +8,12 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from analytics.metrics import evaluation
+from analytics.evaluation import evaluation
 from analytics.step_records import step_table
 from analytics.step_records.kept_file import write_kept
 from analytics.step_records.reduction import reduce_run
-from storage.compaction import compact
-from storage.lake import Lake, builder_lock
+from storage.lake.compaction import compact
+from storage.lake.lake import Lake, builder_lock
 from stream.events import CheckEntered, Verdict
 
 START_NS = 1_763_683_200 * 10**9  # 2025-11-21 00:00 UTC

@@ -10,11 +10,11 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
-from analytics.metrics.kept_check import kept_findings
-from storage.catalog import Catalog
-from storage.recover import recover
+from analytics.evaluation.kept_check import kept_findings
+from storage.check.recover import recover
+from storage.check.verify import verify
+from storage.sql.catalog import Catalog
 from storage.store import Store
-from storage.verify import verify
 from tests.analytics.conftest import TestedUnits
 
 T0_NS = 1_763_683_200 * 10**9

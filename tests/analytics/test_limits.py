@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analytics.limits import (
+from analytics.curves.limits import (
     demo_limits,
     estimator_key,
     judge,
@@ -17,7 +17,7 @@ from analytics.limits import (
     read_limits,
     unit_verdict,
 )
-from ingest.instruments.simulated.gyro import GyroParameters, demo_fleet, unit_batches
+from ingest.simulator.gyro import GyroParameters, demo_fleet, unit_batches
 from stream.errors import BadInput
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.bias_stability import BiasStability

@@ -9,22 +9,21 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from analytics.compensating_sender import CompensatingSender
-from analytics.compensation_worker import CompensationWorker
-from analytics.error_model import ErrorModel, ModelTerm
-from analytics.live_compensation import compensated_epoch
-from analytics.live_compensator import LiveCompensator, Out
-from analytics.live_terms import check_live, live_part, why_not_live
-from analytics.model_registry import ModelRegistry, ModelVersion
-from analytics.model_use import InUse, Stage, activate
-from analytics.tracing.result import NoiseCoefficients
-from storage.event_log import EventLog
-from storage.log_tail import LogTail
-from storage.recorder import Recorder
+from analytics.loop.live.compensating_sender import CompensatingSender
+from analytics.loop.live.compensation_worker import CompensationWorker
+from analytics.loop.live.live_compensation import compensated_epoch
+from analytics.loop.live.live_compensator import LiveCompensator, Out
+from analytics.loop.model.error_model import ErrorModel, ModelTerm
+from analytics.loop.model.live_terms import check_live, live_part, why_not_live
+from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
+from analytics.loop.model.model_use import InUse, Stage, activate
+from analytics.loop.model.noise import NoiseCoefficients
+from storage.log.event_log import EventLog
+from storage.log.tail import LogTail
+from storage.recording.recorder import Recorder
 from storage.store import Store, WriterLock
 from stream.batch import FloatArray, SampleBatch
-from stream.bus import LocalBus
-from stream.delivery import DurablePublisher
+from stream.delivery.publisher import DurablePublisher
 from stream.errors import BadInput
 from stream.events import (
     AnyDocument,
@@ -37,7 +36,8 @@ from stream.events import (
     StreamTotal,
 )
 from stream.identity import Place, event_key, sample_key
-from stream.wire import decode_batch
+from stream.transport.bus import LocalBus
+from stream.wire.batches import decode_batch
 
 PLACE = Place("plant", "bench")
 EPOCH = UUID(int=7)

@@ -9,15 +9,15 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from analytics.specification import parse_specification
+from analytics.specifications.specification import parse_specification
 from analytics.step_records.kept_file import read_kept, write_kept
-from storage.catalog import Catalog
-from storage.mcap_records import SAMPLES, LogRecord
+from storage.segments.records import SAMPLES, LogRecord
+from storage.sql.catalog import Catalog
 from stream.batch import SampleBatch
 from stream.errors import BadInput
 from stream.events import StepEnded, StepStarted, StepWords
 from stream.identity import sample_key
-from stream.wire import encode_batch
+from stream.wire.batches import encode_batch
 from tests.analytics.conftest import PLACE, START_NS, TestedUnits
 
 SECOND_NS = 10**9

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analytics.metrics.evaluation import define_views, evaluate
+from analytics.evaluation.evaluation import define_views, evaluate
 from analytics.metrics.half_error import Direction, smallest_within_half
 from analytics.metrics.registry import metrics
 from analytics.metrics.slow_turn import threshold_in_turn

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from analytics.model_promotion import version_of
-from analytics.model_use import InUse
-from analytics.unit_diagnosis import diagnose_units
-from analytics.unit_reduction import Question
+from analytics.loop.model.model_use import InUse
+from analytics.loop.model_promotion import version_of
+from analytics.loop.unit_diagnosis import diagnose_units
+from analytics.loop.unit_reduction import Question
 from tests.analytics.conftest import START_NS, TestedUnits
 
 DAY_NS = 86_400 * 10**9

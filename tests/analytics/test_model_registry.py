@@ -9,15 +9,15 @@ import msgspec
 import pytest
 from click.testing import CliRunner
 
-from analytics.compensate_cli import compensate
-from analytics.error_model import ErrorModel
-from analytics.model_check import model_findings
-from analytics.model_cli import model
-from analytics.model_registry import ModelRegistry, ModelVersion
-from analytics.model_use import Stage, activate, enter_activations, read_uses, rollback_documents
-from analytics.tracing.result import NoiseCoefficients
+from analytics.commands.compensate import compensate
+from analytics.commands.model import model
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.model_check import model_findings
+from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
+from analytics.loop.model.model_use import Stage, activate, enter_activations, read_uses, rollback_documents
+from analytics.loop.model.noise import NoiseCoefficients
+from storage.check.verify import verify
 from storage.store import Store
-from storage.verify import verify
 from stream.errors import BadInput, NotFound, StoreError
 
 MODEL = ErrorModel.parse("rate = bias + temperature").fitted(

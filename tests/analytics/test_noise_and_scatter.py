@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analytics.declared_noise import with_turn_on
-from analytics.diagnose_cli import noise_of
-from analytics.error_model import ErrorModel
-from analytics.report.sentences import verdict_sentence
-from analytics.report.wording import Wording
-from analytics.run_blocks import Channel, RunBlocks
-from analytics.tracing.diagnosis import diagnose
-from analytics.tracing.result import NoiseCoefficients, Verdict
+from analytics.commands.diagnose import noise_of
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.model.declared_noise import with_turn_on
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.report.sentences import verdict_sentence
+from analytics.loop.report.wording import Wording
+from analytics.loop.tracing.diagnosis import diagnose
+from analytics.loop.tracing.result import Verdict
 from tests.bench.loop_campaign import Campaign
 
 TRUE = NoiseCoefficients(N=0.005, B=0.01, K=0.006, turn_on=0.05)

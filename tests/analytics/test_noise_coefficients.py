@@ -13,17 +13,18 @@ import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from analytics import allan_plot, normalised_walk
-from analytics.allan_curve import AllanCurve
-from analytics.allan_fit_marks import draw_fit
-from analytics.allan_plot import plot_allan
-from analytics.noise_coefficients import NoiseCoefficients, curve_document, noise_coefficients
-from analytics.noise_table import noise_table
-from storage.reading import SignalRecord
+from analytics.curves import normalised_walk
+from analytics.curves.allan_curve import AllanCurve
+from analytics.curves.noise_coefficients import NoiseCoefficients, curve_document, noise_coefficients
+from analytics.curves.noise_table import noise_table
+from analytics.plots import allan_plot
+from analytics.plots.allan_fit_marks import draw_fit
+from analytics.plots.allan_plot import plot_allan
+from storage.sql.reading import SignalRecord
 from stream.batch import FloatArray, SampleBatch
 from stream.estimators.base import NoEstimate
-from stream.estimators.noise_fit import Coefficient, Markov, NoiseFit
-from stream.estimators.noise_model import TERMS
+from stream.estimators.noise.noise_fit import Coefficient, Markov, NoiseFit
+from stream.estimators.noise.noise_model import TERMS
 from stream.estimators.random_walk_normalised import NormalisedRandomWalk, angle_random_walk_normalised
 
 UNITS = {term.key: term.unit_of_measure for term in TERMS}

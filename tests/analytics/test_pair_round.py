@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from analytics.effects.registry import effects_for
-from analytics.run_blocks import RunBlocks
-from analytics.tracing.candidates import candidates_for
-from analytics.tracing.diagnosis import FIRST_TIER, case_of, diagnose
-from analytics.tracing.joint_fit import fit_jointly, nothing_more
-from analytics.tracing.pair_round import best_pair
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.effects.registry import effects_for
+from analytics.loop.tracing.candidates import candidates_for
+from analytics.loop.tracing.diagnosis import FIRST_TIER, case_of, diagnose
+from analytics.loop.tracing.joint_fit import fit_jointly, nothing_more
+from analytics.loop.tracing.pair_round import best_pair
 from stream.batch import FloatArray
 from tests.bench.loop_campaign import Campaign, DenseWhitener, Planted
 from tests.bench.tracing_cases import DECLARED, MODEL

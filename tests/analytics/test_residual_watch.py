@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from analytics.error_model import ErrorModel
-from analytics.model_registry import ModelVersion
-from analytics.residual_watch import STRETCH_S, THRESHOLD, cusum, gains, stretches
-from analytics.run_blocks import Channel, RunBlocks
-from analytics.tracing.result import NoiseCoefficients
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.live.residual_watch import STRETCH_S, THRESHOLD, cusum, gains, stretches
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.model_registry import ModelVersion
+from analytics.loop.model.noise import NoiseCoefficients
 from stream.batch import FloatArray
 from stream.errors import BadInput
 

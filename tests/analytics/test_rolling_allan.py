@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analytics.rolling_allan import RollingAllan, rolling_allan
-from analytics.rolling_plot import plot_rolling
+from analytics.curves.rolling_allan import RollingAllan, rolling_allan
+from analytics.plots.rolling_plot import plot_rolling
 from stream.errors import BadInput, NotFound
 from tests.analytics.conftest import START_NS, TestedUnits
 

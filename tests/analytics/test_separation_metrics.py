@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analytics.specification_store import add_specification
+from analytics.specifications.entering import add_specification
 from storage.store import Store
 
 T0_NS = 1_763_683_200 * 10**9

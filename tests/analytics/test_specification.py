@@ -6,19 +6,19 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from analytics.metrics.evaluation import define_views
-from analytics.specification import parse_specification
-from analytics.specification_periods import NEVER, periods_of
-from analytics.specification_store import (
+from analytics.evaluation.evaluation import define_views
+from analytics.specifications.entering import (
     add_specification,
     specification_named,
     stored_specifications,
 )
+from analytics.specifications.periods import NEVER, periods_of
+from analytics.specifications.specification import parse_specification
 from analytics.step_records.step_table import step_means
-from storage.catalog import Catalog
+from storage.check.verify import verify
 from storage.findings import Severity
+from storage.sql.catalog import Catalog
 from storage.store import Store
-from storage.verify import verify
 from stream.errors import BadInput, NotFound
 
 LIMIT = '[[limit]]\nmetric = "bias"\nupper = 1.0\nunit_of_measure = "deg/h"\n'

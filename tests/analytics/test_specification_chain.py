@@ -10,29 +10,29 @@ import msgspec
 import numpy as np
 import pytest
 
-from analytics.specification_periods import EVER, NEVER, editions_of, in_force
-from analytics.specification_store import (
+from analytics.specifications.entering import (
     add_specification,
     settle_chain,
     stored_specifications,
     withdraw_specification,
 )
-from analytics.verdicts import rows_of, verdicts_of
-from storage.catalog import Catalog
-from storage.event_log import EventLog
+from analytics.specifications.periods import EVER, NEVER, editions_of, in_force
+from analytics.specifications.verdicts import rows_of, verdicts_of
+from storage.check.recover import recover
+from storage.check.verify import verify
 from storage.findings import Severity
-from storage.mcap_records import EVENTS, LogRecord
-from storage.recorder import Recorder
-from storage.recover import recover
-from storage.sequence import place_of
-from storage.specification_chain import Chain, append_document, chain_of, hash_of, read_chain
+from storage.log.event_log import EventLog
+from storage.log.seal import sealed_specification
+from storage.log.sequence import place_of
+from storage.recording.recorder import Recorder
+from storage.segments.records import EVENTS, LogRecord
+from storage.specifications.chain import Chain, append_document, chain_of, hash_of, read_chain
+from storage.sql.catalog import Catalog
 from storage.store import Store, WriterLock
-from storage.store_seal import sealed_specification
-from storage.verify import verify
-from stream.bus import LocalBus
 from stream.errors import BadInput, NotFound
 from stream.events import SpecificationAction, SpecificationEntered, encode_event
 from stream.identity import event_key
+from stream.transport.bus import LocalBus
 from tests.analytics.conftest import PLACE, START_NS, TestedUnits
 
 SECOND_NS = 10**9

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from analytics import spectrum_plot
-from analytics.spectrum import Level, SignalSpectrum, _result, segment_for
-from analytics.spectrum_plot import plot_spectrum
-from storage.reading import SignalRecord
+from analytics.curves.spectrum import Level, SignalSpectrum, _result, segment_for
+from analytics.plots import spectrum_plot
+from analytics.plots.spectrum_plot import plot_spectrum
+from storage.sql.reading import SignalRecord
 from stream.batch import FloatArray, SampleBatch
 from stream.errors import BadInput, NotFound
 from stream.estimators.spectral_density import SpectralDensity

@@ -17,11 +17,11 @@ import pytest
 from click.testing import CliRunner
 
 from storage import open_store
-from storage.catalog import VIEWS, Catalog, layers
-from storage.cli import sql
-from storage.specification_chain import append_document, read_chain
-from storage.sql_columns import column_words, read_words
-from storage.sql_tables import columns_of, examples, export_catalogue, known_tables, told_tables
+from storage.commands.sql import sql
+from storage.specifications.chain import append_document, read_chain
+from storage.sql.catalog import VIEWS, Catalog, layers
+from storage.sql.columns import column_words, read_words
+from storage.sql.tables import columns_of, examples, export_catalogue, known_tables, told_tables
 from storage.store import Store
 from stream.errors import BadInput, NotFound, QueryError
 from stream.events import EstimatePoint, EstimatePublished, SpecificationAction, SpecificationEntered, new_uid

@@ -18,13 +18,13 @@ from scipy import stats
 from analytics.step_records.reduction import MOST_RAW
 from analytics.step_records.series_statistics import series_statistics
 from analytics.step_records.step_table import step_means
-from storage.lake import Lake, builder_lock
-from storage.mcap_records import SAMPLES, LogRecord
+from storage.lake.lake import Lake, builder_lock
+from storage.segments.records import SAMPLES, LogRecord
 from storage.store import Store
 from stream.batch import SampleBatch
 from stream.events import StepEnded, StepStarted, StepWords
 from stream.identity import Place, sample_key
-from stream.wire import encode_batch
+from stream.wire.batches import encode_batch
 
 START_NS = 1_763_683_200 * 10**9  # 2025-11-21 00:00 UTC
 SECOND_NS = 10**9
@@ -234,7 +234,7 @@ _KILLED = """
 import os, signal, sys
 from pathlib import Path
 from analytics.step_records import step_table
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 from storage.store import Store
 
 def die(*_, **__):

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analytics.error_model import ErrorModel
-from analytics.run_blocks import Channel, RunBlocks
-from analytics.tracing.diagnosis import diagnose
-from analytics.tracing.fleet import benjamini_hochberg, diagnose_fleet
-from analytics.tracing.result import Diagnosis, NoiseCoefficients, Verdict
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.tracing.diagnosis import diagnose
+from analytics.loop.tracing.fleet import benjamini_hochberg, diagnose_fleet
+from analytics.loop.tracing.result import Diagnosis, Verdict
 from stream.errors import BadInput
 from tests.bench.loop_campaign import Campaign, Planted
 

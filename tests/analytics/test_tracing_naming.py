@@ -5,18 +5,19 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from analytics.effects.base import Kind, Role
-from analytics.effects.registry import effect
-from analytics.error_model import ErrorModel
-from analytics.tracing.candidates import Candidate
-from analytics.tracing.contenders import Contender
-from analytics.tracing.diagnosis import _of_open_form
-from analytics.tracing.least_squares import fit_of_clusters
-from analytics.tracing.lockbox import Lockbox, _slope
-from analytics.tracing.result import FoundEffect, NoiseCoefficients
-from analytics.tracing.selection import Selected, _as_before
-from analytics.tracing.stack import stacked
-from analytics.tracing.white_variance import record_of
+from analytics.loop.effects.base import Kind, Role
+from analytics.loop.effects.registry import effect
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.tracing.candidates import Candidate
+from analytics.loop.tracing.contenders import Contender
+from analytics.loop.tracing.diagnosis import _of_open_form
+from analytics.loop.tracing.least_squares import fit_of_clusters
+from analytics.loop.tracing.lockbox import Lockbox, _slope
+from analytics.loop.tracing.result import FoundEffect
+from analytics.loop.tracing.selection import Selected, _as_before
+from analytics.loop.tracing.stack import stacked
+from analytics.loop.tracing.white_variance import record_of
 from tests.bench.loop_campaign import Campaign
 
 MODEL = ErrorModel.parse("rate = bias + scale_factor*input_rate + temperature")

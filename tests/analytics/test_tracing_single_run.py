@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analytics.block_reduction import BlockReducer
-from analytics.error_model import ErrorModel
-from analytics.run_blocks import Channel, RunBlocks
-from analytics.tracing.diagnosis import FEWEST_BLOCKS_TO_SPLIT, diagnose
-from analytics.tracing.result import Diagnosis, Verdict
-from storage.catalog import Catalog
+from analytics.loop.blocks.reduction import BlockReducer
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.tracing.diagnosis import FEWEST_BLOCKS_TO_SPLIT, diagnose
+from analytics.loop.tracing.result import Diagnosis, Verdict
+from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.batch import FloatArray
 

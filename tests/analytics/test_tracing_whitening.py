@@ -6,25 +6,25 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analytics.effects.base import Kind
-from analytics.effects.registry import effects_for
-from analytics.error_model import ErrorModel
-from analytics.run_blocks import Channel, RunBlocks
-from analytics.tracing.candidates import candidates_for
-from analytics.tracing.evidence import leave_one_out
-from analytics.tracing.joint_fit import fit_jointly, nothing_more
-from analytics.tracing.jump_scan import jump_column, scan_jumps
-from analytics.tracing.least_squares import solve
-from analytics.tracing.misfit import noise_inflation
-from analytics.tracing.noise_fit import fit_noise
-from analytics.tracing.noise_floor import averages_of, expected_variance
-from analytics.tracing.noise_model import NoiseModel
-from analytics.tracing.record import Record
-from analytics.tracing.result import NoiseCoefficients
-from analytics.tracing.screening import screen
-from analytics.tracing.stack import stacked
-from analytics.tracing.white_variance import record_of
-from analytics.tracing.whitening import Whitener
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.effects.base import Kind
+from analytics.loop.effects.registry import effects_for
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.tracing.candidates import candidates_for
+from analytics.loop.tracing.evidence import leave_one_out
+from analytics.loop.tracing.joint_fit import fit_jointly, nothing_more
+from analytics.loop.tracing.jump_scan import jump_column, scan_jumps
+from analytics.loop.tracing.least_squares import solve
+from analytics.loop.tracing.misfit import noise_inflation
+from analytics.loop.tracing.noise_fit import fit_noise
+from analytics.loop.tracing.noise_floor import averages_of, expected_variance
+from analytics.loop.tracing.noise_model import NoiseModel
+from analytics.loop.tracing.record import Record
+from analytics.loop.tracing.screening import screen
+from analytics.loop.tracing.stack import stacked
+from analytics.loop.tracing.white_variance import record_of
+from analytics.loop.tracing.whitening import Whitener
 from stream.batch import FloatArray, IntArray
 
 NOISE = NoiseCoefficients(N=0.005, B=0.01, K=0.02, turn_on=0.05)

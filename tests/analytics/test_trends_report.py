@@ -12,10 +12,10 @@ import pytest
 from scipy.stats import binom
 from scipy.stats import t as student
 
-from analytics.metrics.evaluation import COLUMNS, define_views
-from analytics.specification_store import add_specification
+from analytics.evaluation.evaluation import COLUMNS, define_views
+from analytics.plots.trend_plot import plot_trend
+from analytics.specifications.entering import add_specification
 from analytics.step_records.step_table import step_means
-from analytics.trend_plot import plot_trend
 from analytics.trends.capability import Capability
 from analytics.trends.document import document
 from analytics.trends.report import sentences, stands_out
@@ -23,7 +23,7 @@ from analytics.trends.series import Choice, Series, Variant, read_series
 from analytics.trends.specified import specified_limits
 from analytics.trends.trend import Limits, Trend, trend_of
 from analytics.trends.words import Refused
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.console import json_text
 from stream.errors import BadInput, NotFound

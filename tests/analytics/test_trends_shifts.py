@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 from scipy.stats import binom
 
-from analytics import trend_plot
+from analytics.plots import trend_plot
 from analytics.trends.level_shifts import LevelShifts, level_shifts
 from analytics.trends.report import sentences, stands_out
 from analytics.trends.session_model import Noise, SessionModel, unit_ratio

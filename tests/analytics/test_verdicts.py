@@ -9,14 +9,14 @@ import pyarrow as pa
 import pytest
 from scipy import stats
 
-from analytics.metrics.evaluation import COLUMNS, define_views
-from analytics.metrics.layer import define_tables
+from analytics.evaluation.evaluation import COLUMNS, define_views
+from analytics.evaluation.layer import define_tables
 from analytics.metrics.registry import metrics
-from analytics.specification_store import add_specification
+from analytics.specifications.entering import add_specification
+from analytics.specifications.verdicts import rows_of, verdicts_of, yield_by
 from analytics.step_records.step_table import step_means
-from analytics.verdicts import rows_of, verdicts_of, yield_by
-from ingest.entered import Entry, check_entered, enter
-from storage.catalog import Catalog
+from ingest.importing.entered import Entry, check_entered, enter
+from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import NotFound
 from stream.events import Verdict

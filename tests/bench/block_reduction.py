@@ -21,17 +21,17 @@ from uuid import UUID
 
 import numpy as np
 
-from analytics.block_reduction import BlockReducer
-from storage.catalog import Catalog
-from storage.compaction import compact
-from storage.event_log import EventLog
-from storage.lake import Lake, build_missing, builder_lock
-from storage.mcap_records import SAMPLES, LogRecord
-from storage.sequence import place_of
+from analytics.loop.blocks.reduction import BlockReducer
+from storage.lake.compaction import compact
+from storage.lake.lake import Lake, build_missing, builder_lock
+from storage.log.event_log import EventLog
+from storage.log.sequence import place_of
+from storage.segments.records import SAMPLES, LogRecord
+from storage.sql.catalog import Catalog
 from storage.store import Store, WriterLock
 from stream.batch import FloatArray, SampleBatch
 from stream.identity import Place, sample_key
-from stream.wire import encode_batch
+from stream.wire.batches import encode_batch
 
 PLACE = Place("plant", "chamber-1")
 DAY_S = 86_400

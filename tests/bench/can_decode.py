@@ -14,10 +14,10 @@ from uuid import UUID
 import cantools
 import numpy as np
 
-from ingest.instruments.can_decode import FrameBytes, MessageLayout
-from ingest.instruments.can_frames import FrameBlock
-from ingest.instruments.can_mapping import automatic_plan
-from ingest.instruments.can_stream import CanDecoder
+from ingest.can.decode import FrameBytes, MessageLayout
+from ingest.can.frames import FrameBlock
+from ingest.can.mapping import automatic_plan
+from ingest.can.stream import CanDecoder
 
 DBC = Path(__file__).parents[1] / "ingest" / "can_bench.dbc"
 BLOCK = 10_000

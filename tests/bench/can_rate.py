@@ -143,14 +143,14 @@ def virtual(how: str, offer_per_s: float, seconds: float) -> tuple[int, float]:
 
 def source(how: str, endpoint: str, folder: str, offer_per_s: float, seconds: float) -> None:
     """Receive, decode and send on; prints what was counted."""
-    from ingest.instruments.can_bus import CanBus, CanBusOptions
-    from ingest.instruments.can_mapping import load_mapping
-    from ingest.instruments.can_stream import CanDecoder
+    from ingest.can.bus.bus import CanBus, CanBusOptions
+    from ingest.can.mapping import load_mapping
+    from ingest.can.stream import CanDecoder
     from ingest.station_clock import StationClock
     from stream.batch import SampleBatch
-    from stream.delivery import DurablePublisher
+    from stream.delivery.publisher import DurablePublisher
     from stream.identity import Place, sample_key
-    from stream.zenoh_bus import ZenohBus
+    from stream.transport.zenoh_bus import ZenohBus
 
     database, path = mapping(Path(folder))
     plan = load_mapping(path, [database])

@@ -24,8 +24,8 @@ from scipy.signal import lfilter
 from stream.batch import FloatArray, SampleBatch
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
-from stream.estimators.noise_fit import Coefficient, fit_noise
-from stream.estimators.noise_model import TERMS, term_columns
+from stream.estimators.noise.noise_fit import Coefficient, fit_noise
+from stream.estimators.noise.noise_model import TERMS, term_columns
 from stream.events import EstimatePoint
 
 

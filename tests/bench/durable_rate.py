@@ -31,10 +31,10 @@ HERE = Path(__file__).resolve()
 def source(endpoint: str, batch: int, signals: int, seconds: float, offer_per_s: float, *, plain: bool) -> None:
     """Send for so long, at most so many samples a second; prints how much and how fast."""
     from stream.batch import SampleBatch
-    from stream.delivery import DurablePublisher
+    from stream.delivery.publisher import DurablePublisher
     from stream.identity import Place, sample_key
-    from stream.wire import encode_batch
-    from stream.zenoh_bus import ZenohBus
+    from stream.transport.zenoh_bus import ZenohBus
+    from stream.wire.batches import encode_batch
 
     rng = np.random.default_rng(1)
     pool = np.round(rng.normal(0, 50, (max(64, POOL * 1000 // batch // 8), batch))).astype(np.int32)
@@ -70,11 +70,11 @@ def source(endpoint: str, batch: int, signals: int, seconds: float, offer_per_s:
 
 def estimator(endpoint: str, store: str, *, spectrum: bool) -> None:
     """Keep the estimators of every signal; for every line on standard input, say when that many samples were seen."""
-    from storage.log_tail import LogTail
+    from storage.log.tail import LogTail
     from storage.store import Store
-    from stream.delivery import DurablePublisher
-    from stream.worker import EstimationWorker
-    from stream.zenoh_bus import ZenohBus
+    from stream.delivery.publisher import DurablePublisher
+    from stream.transport.zenoh_bus import ZenohBus
+    from stream.worker.worker import EstimationWorker
 
     with ZenohBus(connect=[endpoint]) as bus, DurablePublisher(bus) as publisher:
         worker = EstimationWorker(

@@ -28,8 +28,9 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from stream.batch import FloatArray, SampleBatch
 from stream.estimators.allan_variance import AllanDeviation
-from stream.estimators.base import NoEstimate, default_followers, warm_up
+from stream.estimators.base import NoEstimate, default_followers
 from stream.estimators.follower import Follower
+from stream.estimators.warm_up import warm_up
 from stream.events import EstimatePoint
 
 EPOCH = UUID(int=1)

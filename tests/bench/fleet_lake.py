@@ -15,13 +15,13 @@ import pyarrow as pa
 from analytics.step_records import step_table
 from analytics.step_records.reduction import COLUMNS
 from analytics.step_records.series_statistics import SeriesStatistics, series_statistics
-from storage.catalog import Catalog
-from storage.gathered import GatheredChannel
-from storage.lake import Lake, builder_lock
-from storage.lake_manifest import Part, PartFile, write_part
-from storage.lake_tables import CHANNEL_COLUMNS, EVENT_COLUMNS, ROLLUP_COLUMNS, part_writers
-from storage.rollups import merge, rollup_table
-from storage.segment_part import BuiltPart, Drops, channel_id
+from storage.lake.channel_buffer import GatheredChannel
+from storage.lake.lake import Lake, builder_lock
+from storage.lake.part import BuiltPart, Drops, channel_id
+from storage.lake.rollups import merge, rollup_table
+from storage.lake.tables import CHANNEL_COLUMNS, EVENT_COLUMNS, ROLLUP_COLUMNS, part_writers
+from storage.manifests.lake import Part, PartFile, write_part
+from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.batch import SampleBatch
 from stream.events import AnyDocument, PowerOn, RunStarted, StepEnded, StepStarted, StepWords, UnitMounted

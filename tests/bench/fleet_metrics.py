@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 
-from analytics.metrics.evaluation import define_views, evaluate
+from analytics.evaluation.evaluation import define_views, evaluate
 from analytics.metrics.registry import metrics
 from analytics.step_records import reduction
 from analytics.step_records.step_table import step_means
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 from storage.store import Store
 from tests.bench.fleet_lake import Fleet, write_raw_day
 

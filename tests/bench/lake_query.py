@@ -20,17 +20,17 @@ from uuid import UUID
 
 import numpy as np
 
-from storage.catalog import Catalog
-from storage.compaction import compact
-from storage.event_log import EventLog
-from storage.lake import Lake, build_missing, builder_lock, parts
-from storage.mcap_records import EVENTS, SAMPLES, LogRecord
-from storage.sequence import place_of
+from storage.lake.compaction import compact
+from storage.lake.lake import Lake, build_missing, builder_lock, parts
+from storage.log.event_log import EventLog
+from storage.log.sequence import place_of
+from storage.segments.records import EVENTS, SAMPLES, LogRecord
+from storage.sql.catalog import Catalog
 from storage.store import Store, WriterLock
 from stream.batch import SampleBatch
 from stream.events import RunEnded, RunStarted, encode_event
 from stream.identity import Place, event_key, sample_key
-from stream.wire import encode_batch
+from stream.wire.batches import encode_batch
 
 PLACE = Place("plant", "chamber-1")
 DAY_NS = 86_400 * 10**9

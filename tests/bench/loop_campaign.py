@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analytics.effects.base import Shape
-from analytics.effects.registry import effect
-from analytics.run_blocks import HARMONICS, Channel, RunBlocks
+from analytics.loop.blocks.run_blocks import HARMONICS, Channel, RunBlocks
+from analytics.loop.effects.base import Shape
+from analytics.loop.effects.registry import effect
 from stream.batch import FloatArray, IntArray
 from tests.bench.loop_drives import TYPES, UNITS, drive
 from tests.bench.loop_noise import MISSPECIFIED, DenseWhitener, Noise, synthesise

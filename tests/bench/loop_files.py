@@ -26,8 +26,8 @@ import numpy as np
 import polars as pl
 from click.testing import CliRunner
 
-from analytics.effects.registry import effect
-from analytics.run_blocks import RunBlocks
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.effects.registry import effect
 from stream.errors import GyrofleetError
 from tests.bench.loop_campaign import DECLARED_MODEL, Campaign
 from tests.bench.tracing_cases import DECLARED, Case, built, cases

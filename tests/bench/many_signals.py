@@ -20,9 +20,9 @@ from uuid import uuid4
 import numpy as np
 
 from stream.batch import SampleBatch
-from stream.delivery import DurablePublisher
+from stream.delivery.publisher import DurablePublisher
 from stream.identity import Place, sample_key
-from stream.zenoh_bus import ZenohBus
+from stream.transport.zenoh_bus import ZenohBus
 
 ENDPOINT = "tcp/127.0.0.1:17449"
 _SIGNALS_OF_UNIT = 20

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from analytics.metrics.evaluation import define_views, evaluate
+from analytics.evaluation.evaluation import define_views, evaluate
 from analytics.metrics.registry import metrics
 from analytics.step_records.series_statistics import series_statistics
 from analytics.step_records.step_table import step_means
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.batch import FloatArray
 

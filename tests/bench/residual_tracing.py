@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from analytics.effects.registry import effects_for
-from analytics.tracing.candidates import candidates_for
-from analytics.tracing.diagnosis import FIRST_TIER, case_of, diagnose
-from analytics.tracing.screening import screen
+from analytics.loop.effects.registry import effects_for
+from analytics.loop.tracing.candidates import candidates_for
+from analytics.loop.tracing.diagnosis import FIRST_TIER, case_of, diagnose
+from analytics.loop.tracing.screening import screen
 from tests.bench.loop_campaign import Campaign
 from tests.bench.tracing_cases import DECLARED, MODEL, ROWS, SIZES, Case, cases
 from tests.bench.tracing_outcomes import traced

@@ -8,8 +8,8 @@ import time
 
 import numpy as np
 
-from ingest.instruments.simulated.physics.mounting import TableEnvironment
-from ingest.instruments.simulated.physics.plan import Plan, parse_plan
+from ingest.simulator.physics.mounting import TableEnvironment
+from ingest.simulator.physics.plan import Plan, parse_plan
 from stream.batch import FloatArray, IntArray
 
 TYPICAL = {

@@ -10,11 +10,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from analytics.effects.base import Kind, Role, Shape
-from analytics.effects.registry import effect, effects
-from analytics.error_model import ErrorModel
-from analytics.run_blocks import RunBlocks
-from analytics.tracing.result import NoiseCoefficients
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.effects.base import Kind, Role, Shape
+from analytics.loop.effects.registry import effect, effects
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.noise import NoiseCoefficients
 from stream.batch import FloatArray
 from tests.bench.loop_campaign import DECLARED_MODEL, MISSPECIFIED, Campaign, DenseWhitener, Planted
 

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from analytics.effects.registry import effect
-from analytics.model_registry import ModelVersion
-from analytics.residual_watch import THRESHOLD, cusum, stretches
-from analytics.run_blocks import RunBlocks
-from analytics.tracing.diagnosis import diagnose
-from analytics.tracing.result import Diagnosis, FoundEffect, Verdict
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.effects.registry import effect
+from analytics.loop.live.residual_watch import THRESHOLD, cusum, stretches
+from analytics.loop.model.model_registry import ModelVersion
+from analytics.loop.tracing.diagnosis import diagnose
+from analytics.loop.tracing.result import Diagnosis, FoundEffect, Verdict
 from tests.bench.tracing_cases import DECLARED, MODEL, OUTSIDE, Built, Case, built
 from tests.bench.tracing_peers import peers
 

@@ -12,11 +12,11 @@ import numpy as np
 from numba import njit
 from scipy import stats
 
-from analytics.effects.registry import effects_for
-from analytics.error_model import ErrorModel
-from analytics.run_blocks import RunBlocks
-from analytics.tracing.candidates import candidates_for
-from analytics.tracing.diagnosis import FIRST_TIER, case_of
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.effects.registry import effects_for
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.tracing.candidates import candidates_for
+from analytics.loop.tracing.diagnosis import FIRST_TIER, case_of
 from stream.batch import BoolArray, FloatArray, IntArray
 
 PEERS = ("stepwise p<0.01", "stepwise Bonferroni", "Newey-West p<0.01", "BIC", "LassoCV")

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from analytics.effects.base import Role
-from analytics.effects.registry import effect
+from analytics.loop.effects.base import Role
+from analytics.loop.effects.registry import effect
 from tests.bench.tracing_peers import PEERS
 
 Line = dict[str, Any]

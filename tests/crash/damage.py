@@ -19,22 +19,22 @@ from uuid import UUID
 
 import numpy as np
 
-from storage.catalog import Catalog
-from storage.event_log import EventLog
-from storage.lake import build_missing, builder_lock
-from storage.log_tail import LogTail
-from storage.mcap_records import SAMPLES
-from storage.recorder import Recorder
-from storage.recover import recover
-from storage.segment_reader import SegmentScan
+from storage.check.recover import recover
+from storage.check.verify import CHECKPOINT, verify
+from storage.lake.lake import build_missing, builder_lock
+from storage.log.event_log import EventLog
+from storage.log.tail import LogTail
+from storage.recording.recorder import Recorder
+from storage.segments.reader import SegmentScan
+from storage.segments.records import SAMPLES
+from storage.sql.catalog import Catalog
 from storage.store import Store
-from storage.verify import CHECKPOINT, verify
 from stream.batch import SampleBatch
-from stream.bus import LocalBus
-from stream.delivery import DurablePublisher
+from stream.delivery.publisher import DurablePublisher
 from stream.events import RunStarted
 from stream.identity import Place, event_key, sample_key
-from stream.worker import EstimationWorker
+from stream.transport.bus import LocalBus
+from stream.worker.worker import EstimationWorker
 
 PLACE = Place("plant", "bench")
 N = 200

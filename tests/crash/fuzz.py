@@ -30,28 +30,28 @@ from uuid import UUID
 
 import numpy as np
 
-from storage.catalog import Catalog
-from storage.event_log import EventLog
-from storage.intake import MAX_REJECT_BYTES
-from storage.lake import build_missing, builder_lock
-from storage.log_tail import LogTail
-from storage.mcap_records import REJECTED
-from storage.recorder import Recorder
-from storage.segment_reader import SegmentScan
+from storage.check.verify import verify
+from storage.lake.lake import build_missing, builder_lock
+from storage.log.event_log import EventLog
+from storage.log.tail import LogTail
+from storage.recording.intake import MAX_REJECT_BYTES
+from storage.recording.recorder import Recorder
+from storage.segments.reader import SegmentScan
+from storage.segments.records import REJECTED
+from storage.sql.catalog import Catalog
 from storage.store import Store, WriterLock
-from storage.verify import verify
-from stream import samples_pb2
 from stream.batch import SampleBatch
 from stream.bounds import MAX_MESSAGE_BYTES
-from stream.bus import Bus, LocalBus
-from stream.delivery import DurablePublisher
+from stream.delivery.publisher import DurablePublisher
 from stream.errors import BusError, GyrofleetError
-from stream.event_sense import decode_received
 from stream.events import NoteAdded, RunEnded, RunStarted, StreamTotal, encode_event
 from stream.identity import EVERYTHING, Place, SampleKey, estimate_key, event_key, parse_key, sample_key
-from stream.wire import decode_batch, encode_batch
-from stream.worker import EstimationWorker
-from stream.zenoh_bus import ZenohBus
+from stream.transport.bus import Bus, LocalBus
+from stream.transport.zenoh_bus import ZenohBus
+from stream.wire import samples_pb2
+from stream.wire.batches import decode_batch, encode_batch
+from stream.wire.event_validation import decode_received
+from stream.worker.worker import EstimationWorker
 
 PLACE = Place("plant", "bench")
 GOOD = sample_key(PLACE, "GOOD", "rate")

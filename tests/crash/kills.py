@@ -23,9 +23,9 @@ from typing import Any
 
 import duckdb
 
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 from storage.store import Store
-from stream.console import compile_kernels
+from stream.worker.compile_kernels import compile_kernels
 
 ROLES = ("router", "record", "lake", "estimate", "run")
 READY = {"router": "routing", "record": '"recording"', "lake": "building", "estimate": "estimating"}

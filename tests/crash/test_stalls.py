@@ -15,7 +15,7 @@ UNITS = 2
 SPEED = 75  # 150,000 samples a second
 SLOW = """
 import sys, threading, time
-from stream.zenoh_bus import ZenohBus
+from stream.transport.zenoh_bus import ZenohBus
 seen = 0
 def slow(key, payload):
     global seen

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from ingest.run_cli import run
-from storage.catalog import Catalog
+from ingest.commands.run import run
+from storage.check.verify import verify
+from storage.sql.catalog import Catalog
 from storage.store import Store
-from storage.verify import verify
 from tests.forked_commands import CommandServer
 
 

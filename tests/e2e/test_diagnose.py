@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
-from analytics.diagnose_cli import diagnose
+from analytics.commands.diagnose import diagnose
 from gyrofleet import main
 from tests import browser
 

@@ -12,28 +12,28 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from analytics.compensating_sender import CompensatingSender
-from analytics.demo_loop import DECLARED_MODEL, send_cycle
-from analytics.error_model import ErrorModel
-from analytics.live_compensator import LiveCompensator
-from analytics.model_cli import model
-from analytics.model_registry import ModelRegistry, ModelVersion
-from analytics.model_use import Stage, activate, read_uses
-from analytics.residual_watch import watch_store
-from analytics.tracing.result import NoiseCoefficients
-from ingest.instruments.simulated import cycle_runs
-from ingest.instruments.simulated.gyro import GyroParameters
-from ingest.pipeline import EmbeddedPipeline
-from storage.catalog import Catalog
-from storage.log_tail import LogTail
+from analytics.commands.model import model
+from analytics.demo.demo_loop import DECLARED_MODEL, send_cycle
+from analytics.loop.live.compensating_sender import CompensatingSender
+from analytics.loop.live.live_compensator import LiveCompensator
+from analytics.loop.live.residual_watch import watch_store
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
+from analytics.loop.model.model_use import Stage, activate, read_uses
+from analytics.loop.model.noise import NoiseCoefficients
+from ingest.run.pipeline import EmbeddedPipeline
+from ingest.simulator import cycle_runs
+from ingest.simulator.gyro import GyroParameters
+from storage.check.verify import verify
+from storage.log.tail import LogTail
+from storage.sql.catalog import Catalog
 from storage.store import Store
-from storage.verify import verify
 from stream.batch import SampleBatch
-from stream.delivery import DurablePublisher
+from stream.delivery.publisher import DurablePublisher
 from stream.events import AnyDocument, ModelActivated, ResidualWatched, RunEnded, RunStarted, StreamTotal
 from stream.identity import Place, event_key, sample_key
-from stream.wire import decode_batch
-from stream.zenoh_bus import ZenohBus
+from stream.transport.zenoh_bus import ZenohBus
+from stream.wire.batches import decode_batch
 
 PLACE = Place("plant", "bench")
 UNIT = cycle_runs.ODD_UNIT

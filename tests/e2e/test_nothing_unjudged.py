@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from analytics.metrics.evaluation import define_views
+from analytics.evaluation.evaluation import define_views
 from analytics.step_records.step_table import step_means
 from gyrofleet import main
-from ingest.procedure_file import ready_names
-from storage.catalog import Catalog
+from ingest.procedures.file import ready_names
+from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.quantities import conversion
 

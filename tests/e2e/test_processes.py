@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from storage.mcap_records import CHUNK_BYTES
+from storage.segments.records import CHUNK_BYTES
 from stream.estimators.base import default_estimators
 
 Spawn = Callable[..., subprocess.Popen[str]]

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from storage import open_store
-from storage.sql_door import QueryLimits, SqlDoor
+from storage.sql.door import QueryLimits, SqlDoor
 from storage.store import Store
 from stream.errors import QueryError
 from tests.storage import sql_corpus
@@ -196,7 +196,7 @@ def test_the_process_ends_with_who_asks(folder: Path) -> None:
     script = """
 import sys
 from pathlib import Path
-from storage.sql_door import SqlDoor
+from storage.sql.door import SqlDoor
 from storage.store import Store
 with SqlDoor(Store.open(Path(sys.argv[1]))) as door:
     door.ask("select 1").read_all()

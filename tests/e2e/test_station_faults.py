@@ -9,11 +9,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from storage.disk import Disk, Space
-from storage.event_log import EventLog
-from storage.recorder import Recorder
+from storage.log.event_log import EventLog
+from storage.recording.recorder import Recorder
+from storage.segments.disk import Disk, Space
 from storage.store import Store
-from stream.zenoh_bus import ZenohBus
+from stream.transport.zenoh_bus import ZenohBus
 
 Bench = Any
 Kept = Any

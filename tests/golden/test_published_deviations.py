@@ -10,8 +10,8 @@ import pytest
 from stream.batch import FloatArray, SampleBatch
 from stream.estimators.base import NoEstimate
 from stream.estimators.confidence import deviation_limits, edf
-from stream.estimators.deviation_forms import Deviation
-from stream.estimators.full_overlap import FullOverlap
+from stream.estimators.full_overlap.deviation_forms import Deviation
+from stream.estimators.full_overlap.full_overlap import FullOverlap
 from stream.events import EstimatePoint
 
 REFERENCE = Path(__file__).parents[2].parent / "shared" / "reference"

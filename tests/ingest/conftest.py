@@ -13,11 +13,11 @@ import polars as pl
 import pytest
 from can.interfaces.virtual import VirtualBus
 
-from ingest.instruments.can_bus import CanBus, CanBusOptions
-from ingest.instruments.can_frames import FrameBlock
-from ingest.instruments.table_file import TableFile
-from ingest.instruments.table_rows import BadRow
+from ingest.can.bus.bus import CanBus, CanBusOptions
+from ingest.can.frames import FrameBlock
 from ingest.station_clock import StationClock
+from ingest.tables.file import TableFile
+from ingest.tables.rows import BadRow
 from stream.batch import SampleBatch
 from stream.events import StepEnded, StepStarted
 

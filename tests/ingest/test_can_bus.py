@@ -14,11 +14,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from ingest.instruments.can_bus import CanBus, CanBusOptions
-from ingest.instruments.can_bus_open import filter_in_interface
-from ingest.instruments.can_frames import EXTENDED
-from ingest.instruments.can_mapping import automatic_plan
-from ingest.instruments.can_stream import CanDecoder
+from ingest.can.bus.bus import CanBus, CanBusOptions
+from ingest.can.bus.open import filter_in_interface
+from ingest.can.frames import EXTENDED
+from ingest.can.mapping import automatic_plan
+from ingest.can.stream import CanDecoder
 from ingest.station_clock import StationClock
 from stream.errors import InstrumentError
 

@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ingest.instruments.can_bus import CanBusOptions
-from ingest.instruments.can_bus_clock import ReceiveClock
-from ingest.instruments.can_bus_columns import kernel_columns, message_columns
-from ingest.instruments.can_bus_intake import SocketIntake
-from ingest.instruments.can_frames import EXTENDED
+from ingest.can.bus.bus import CanBusOptions
+from ingest.can.bus.clock import ReceiveClock
+from ingest.can.bus.columns import kernel_columns, message_columns
+from ingest.can.bus.intake import SocketIntake
+from ingest.can.frames import EXTENDED
 from ingest.station_clock import StationClock
 
 MakeBench = Callable[..., Any]
@@ -154,7 +154,7 @@ def test_a_bus_off_that_an_error_frame_tells_of_is_reported_and_the_socket_lives
         opened.append(receiving.getsockname())
         return SocketIntake(options, clock, receiving, Owner()), None
 
-    monkeypatch.setattr("ingest.instruments.can_bus.open_intake", open_socket)
+    monkeypatch.setattr("ingest.can.bus.bus.open_intake", open_socket)
     bench = bus_bench("can0", "socketcan")
     with bench.bus, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.sendto(kernel_frame(0x20000004, bytes([0, 0x20, 0, 0, 0, 0, 0, 0])), opened[0])

@@ -9,7 +9,7 @@ import can
 import can.interfaces
 import pytest
 
-from ingest.instruments.can_frames import FrameBlock
+from ingest.can.frames import FrameBlock
 from stream.batch import SampleBatch
 from stream.errors import InstrumentError
 

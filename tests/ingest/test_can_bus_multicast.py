@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from can.interfaces.udp_multicast.bus import GeneralPurposeUdpMulticastBus
 
-from ingest.instruments.can_frames import EXTENDED
+from ingest.can.frames import EXTENDED
 
 MakeBench = Callable[..., Any]
 MakeFrame = Callable[..., can.Message]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ingest.instruments.can_counters import ForwardTimes, FrameCounter
+from ingest.can.counters import ForwardTimes, FrameCounter
 
 INTERVAL_NS = 1_000_000
 

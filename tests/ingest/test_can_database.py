@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ingest.instruments.can_database import load_messages
+from ingest.can.database import load_messages
 from stream.errors import BadInput
 
 GOOD = (

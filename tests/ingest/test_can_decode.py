@@ -10,7 +10,7 @@ from cantools.database.conversion import BaseConversion
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ingest.instruments.can_decode import BitField, FrameBytes, MessageLayout
+from ingest.can.decode import BitField, FrameBytes, MessageLayout
 
 EXACT_BITS = 53
 FRAMES = 24

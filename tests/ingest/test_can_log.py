@@ -9,8 +9,8 @@ import can
 import numpy as np
 import pytest
 
-from ingest.instruments.can_frames import EXTENDED
-from ingest.instruments.can_log import CanLog
+from ingest.can.frames import EXTENDED
+from ingest.can.log import CanLog
 from stream.errors import BadInput
 
 START_S = 1_700_000_000.25

@@ -6,10 +6,10 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from ingest.instruments.can_checksum import crc8_sae_j1850
-from ingest.instruments.can_frames import Frame, frame_block
-from ingest.instruments.can_mapping import CanPlan, automatic_plan, load_mapping
-from ingest.instruments.can_stream import CanDecoder
+from ingest.can.checksum import crc8_sae_j1850
+from ingest.can.frames import Frame, frame_block
+from ingest.can.mapping import CanPlan, automatic_plan, load_mapping
+from ingest.can.stream import CanDecoder
 from stream.batch import SampleBatch
 from stream.errors import BadInput
 from stream.quantities import check_unit

@@ -11,8 +11,8 @@ import cantools
 import numpy as np
 import pytest
 
-from ingest.can_import import CanLogFile
-from ingest.instruments.can_mapping import automatic_plan
+from ingest.can.log_file import CanLogFile
+from ingest.can.mapping import automatic_plan
 from stream.batch import SampleBatch
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from ingest.entered import Entry, check_entered, enter
-from storage.catalog import Catalog
+from ingest.importing.entered import Entry, check_entered, enter
+from storage.check.verify import verify
+from storage.sql.catalog import Catalog
 from storage.store import Store, WriterLock
-from storage.verify import verify
 from stream.errors import BadInput, StoreError
 from stream.events import Verdict
 

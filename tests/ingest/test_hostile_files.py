@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from analytics.limits import parse_limits
-from ingest.instruments.can_database import load_messages
-from ingest.instruments.can_decode import MessageLayout
-from ingest.instruments.can_log import CanLog
-from ingest.instruments.frame_layout import decode_layout
-from ingest.procedure_file import parse_procedure
-from ingest.station import load_station
+from analytics.curves.limits import parse_limits
+from ingest.can.database import load_messages
+from ingest.can.decode import MessageLayout
+from ingest.can.log import CanLog
+from ingest.procedures.file import parse_procedure
+from ingest.serial.frame_layout import decode_layout
+from ingest.station.station import load_station
 from stream.errors import BadInput
 
 DEEP = ["a = " + "[" * 50_000, "a = " + "{b = " * 5000, "a." * 100_000 + "b = 1", "a = " + "9" * 5000, "a = \udcff"]

@@ -10,23 +10,23 @@ import numpy as np
 import polars as pl
 import pytest
 
-from ingest.file_sending import CheckedFile, FileImport
-from ingest.importer import import_files
-from ingest.instruments.table_columns import TableOptions
-from ingest.instruments.table_file import TableFile
-from ingest.run_path import Elsewhere, path_to
-from storage.catalog import Catalog
-from storage.event_log import EventLog
-from storage.knowledge import CatalogKnowledge
-from storage.recorder import Recorder
-from storage.recorder_client import HeldClaim, RecorderClient, is_recorded
+from ingest.importing.file_sending import CheckedFile, FileImport
+from ingest.importing.importer import import_files
+from ingest.run.run_path import Elsewhere, path_to
+from ingest.tables.columns import TableOptions
+from ingest.tables.file import TableFile
+from storage.log.event_log import EventLog
+from storage.recording.client import HeldClaim, RecorderClient, is_recorded
+from storage.recording.knowledge import CatalogKnowledge
+from storage.recording.recorder import Recorder
+from storage.sql.catalog import Catalog
 from storage.store import Store, WriterLock
-from stream.bus import LocalBus
+from stream.delivery.spool import Spool
 from stream.errors import BadInput, DeliveryError, StoreError
 from stream.identity import Place
-from stream.requests import MOST_ROWS
-from stream.spool import Spool
-from stream.zenoh_bus import ZenohBus
+from stream.transport.bus import LocalBus
+from stream.transport.zenoh_bus import ZenohBus
+from stream.wire.requests import MOST_ROWS
 
 PLACE = Place("local", "files")
 
@@ -133,7 +133,7 @@ def test_a_claim_is_for_one_source_and_ends_with_it(tmp_path: Path) -> None:
 
 def test_a_far_recorder_knows_what_its_lake_knows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     imported(table(tmp_path / "a.parquet", 0, 2500), tmp_path / "store", None)
-    monkeypatch.setattr("storage.recorder_service.MOST_ROWS", 1000)
+    monkeypatch.setattr("storage.recording.service.MOST_ROWS", 1000)
     assert MOST_ROWS > 1000
     store, bus = Store.open(tmp_path / "store"), LocalBus()
     with Recorder(store, bus, EventLog(store)), Catalog(store) as catalog:
@@ -177,7 +177,7 @@ def test_a_store_is_known_by_its_recorder_and_not_by_its_address(tmp_path: Path,
 def test_files_in_the_log_that_are_not_the_stores_keep_no_import_waiting(
     tmp_path: Path, endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("storage.recorder._SETTLE_S", 10.0)
+    monkeypatch.setattr("storage.recording.recorder._SETTLE_S", 10.0)
     with recording(tmp_path / "store", endpoint):
         imported(table(tmp_path / "a.parquet", 0, 3000), tmp_path / "store", endpoint)
         (segment, *_) = sorted((tmp_path / "store" / "log").glob("*.mcap"))

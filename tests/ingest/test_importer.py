@@ -6,14 +6,14 @@ import numpy as np
 import polars as pl
 import pytest
 
-from ingest.file_sending import CheckedFile, FileImport
-from ingest.importer import import_files
-from ingest.instruments.table_columns import TableOptions
-from ingest.instruments.table_file import TableFile
-from ingest.pipeline import EmbeddedPipeline
-from storage.catalog import Catalog
+from ingest.importing.file_sending import CheckedFile, FileImport
+from ingest.importing.importer import import_files
+from ingest.run.pipeline import EmbeddedPipeline
+from ingest.tables.columns import TableOptions
+from ingest.tables.file import TableFile
+from storage.sql.catalog import Catalog
 from storage.store import Store
-from stream.delivery import DurablePublisher
+from stream.delivery.publisher import DurablePublisher
 from stream.events import AnyDocument, RunEnded, RunStarted
 from stream.identity import Place, event_key
 

@@ -9,13 +9,13 @@ import pytest
 
 from ingest.instruments.base import Instrument, instrument_kinds
 from ingest.instruments.scpi_instrument import ScpiInstrument
-from ingest.instruments.simulated.scpi_chamber import SimulatedChamber
-from ingest.instruments.simulated.scpi_device import Fault, SimulatedDevice
-from ingest.instruments.simulated.scpi_rate_table import SimulatedRateTable
-from ingest.instruments.simulated.scpi_server import ScpiServer
-from ingest.instruments.simulated.scpi_supply import SimulatedSupply
-from ingest.instruments.simulated.scpi_vibration_table import SimulatedVibrationTable
-from ingest.instruments.simulated.scpi_voltmeter import SimulatedVoltmeter
+from ingest.simulator.scpi.chamber import SimulatedChamber
+from ingest.simulator.scpi.device import Fault, SimulatedDevice
+from ingest.simulator.scpi.rate_table import SimulatedRateTable
+from ingest.simulator.scpi.server import ScpiServer
+from ingest.simulator.scpi.supply import SimulatedSupply
+from ingest.simulator.scpi.vibration_table import SimulatedVibrationTable
+from ingest.simulator.scpi.voltmeter import SimulatedVoltmeter
 from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError
 

@@ -5,15 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ingest.live_run import LiveRun
-from ingest.live_source import PowerUp, SimulatedStation, station_units
-from ingest.run_state import RunParameters
-from stream.acknowledgement import StreamId
+from ingest.run.live_run import LiveRun
+from ingest.run.live_source import PowerUp, SimulatedStation, station_units
+from ingest.run.run_state import RunParameters
 from stream.batch import SampleBatch
+from stream.delivery.spool import Spool
 from stream.errors import BadInput, StoreError
 from stream.events import AnyDocument, PowerOn, RunEnded, RunResumed, RunStarted, StepEnded, StepStarted
-from stream.spool import Spool
-from stream.wire import encode_batch
+from stream.wire.acknowledgement import StreamId
+from stream.wire.batches import encode_batch
 
 SECOND = 10**9
 

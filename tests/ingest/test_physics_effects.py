@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ingest.instruments.simulated.physics.bias import Bias, Jumps, Line, Step, WarmUp
-from ingest.instruments.simulated.physics.environment import Environment, PiecewiseEnvironment, StaticEnvironment
-from ingest.instruments.simulated.physics.gyro_model import GyroModelParameters, SimulatedGyroModel
-from ingest.instruments.simulated.physics.misalignment import Misalignment
-from ingest.instruments.simulated.physics.scale import Ripple, Scale
-from ingest.instruments.simulated.physics.thermal import Hysteresis, TemperatureRate, Thermal
+from ingest.simulator.physics.bias import Bias, Jumps, Line, Step, WarmUp
+from ingest.simulator.physics.environment import Environment, PiecewiseEnvironment, StaticEnvironment
+from ingest.simulator.physics.gyro_model import GyroModelParameters, SimulatedGyroModel
+from ingest.simulator.physics.misalignment import Misalignment
+from ingest.simulator.physics.scale import Ripple, Scale
+from ingest.simulator.physics.thermal import Hysteresis, TemperatureRate, Thermal
 from stream.batch import FloatArray
 
 SECOND_NS = 1_000_000_000

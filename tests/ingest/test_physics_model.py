@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ingest.instruments.simulated.physics.bias import Bias, Jumps, Line, Step, WarmUp
-from ingest.instruments.simulated.physics.dynamics import DeadZone, Dynamics
-from ingest.instruments.simulated.physics.environment import PiecewiseEnvironment, StaticEnvironment
-from ingest.instruments.simulated.physics.gyro_model import GyroModelParameters, SimulatedGyroModel
-from ingest.instruments.simulated.physics.misalignment import Misalignment
-from ingest.instruments.simulated.physics.mounting import TableEnvironment
-from ingest.instruments.simulated.physics.noise import Markov, Noise
-from ingest.instruments.simulated.physics.readout import Fault, Readout, Samples, StartUp
-from ingest.instruments.simulated.physics.scale import Ripple, Scale
-from ingest.instruments.simulated.physics.thermal import Hysteresis, TemperatureRate, Thermal
+from ingest.simulator.physics.bias import Bias, Jumps, Line, Step, WarmUp
+from ingest.simulator.physics.dynamics import DeadZone, Dynamics
+from ingest.simulator.physics.environment import PiecewiseEnvironment, StaticEnvironment
+from ingest.simulator.physics.gyro_model import GyroModelParameters, SimulatedGyroModel
+from ingest.simulator.physics.misalignment import Misalignment
+from ingest.simulator.physics.mounting import TableEnvironment
+from ingest.simulator.physics.noise import Markov, Noise
+from ingest.simulator.physics.readout import Fault, Readout, Samples, StartUp
+from ingest.simulator.physics.scale import Ripple, Scale
+from ingest.simulator.physics.thermal import Hysteresis, TemperatureRate, Thermal
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput
 

@@ -7,9 +7,9 @@ import allantools
 import numpy as np
 import pytest
 
-from ingest.instruments.simulated.physics.gyro_model import GyroModelParameters, SimulatedGyroModel
-from ingest.instruments.simulated.physics.noise import Markov, Noise
-from ingest.instruments.simulated.physics.scale import Scale
+from ingest.simulator.physics.gyro_model import GyroModelParameters, SimulatedGyroModel
+from ingest.simulator.physics.noise import Markov, Noise
+from ingest.simulator.physics.scale import Scale
 from stream.batch import FloatArray
 
 FLOOR = math.sqrt(2 * math.log(2) / math.pi)

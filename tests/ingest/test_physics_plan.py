@@ -10,10 +10,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from ingest.instruments.simulated.physics.environment import StaticEnvironment
-from ingest.instruments.simulated.physics.gyro_model import GyroModelParameters
-from ingest.instruments.simulated.physics.plan import Plan, load_plan, parse_plan
-from ingest.instruments.simulated.physics.truth import truth, write_truth
+from ingest.simulator.physics.environment import StaticEnvironment
+from ingest.simulator.physics.gyro_model import GyroModelParameters
+from ingest.simulator.physics.plan import Plan, load_plan, parse_plan
+from ingest.simulator.physics.truth import truth, write_truth
 from stream.errors import BadInput
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -257,7 +257,7 @@ def test_nothing_but_the_simulation_reads_the_truth() -> None:
 
 
 def test_the_physics_knows_nothing_of_analytics_or_estimators() -> None:
-    for path in (ROOT / "ingest/instruments/simulated/physics").glob("*.py"):
+    for path in (ROOT / "ingest/simulator/physics").glob("*.py"):
         text = path.read_text(encoding="utf-8")
         assert "analytics." not in text
         assert "stream.estimators" not in text

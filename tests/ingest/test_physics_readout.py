@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ingest.instruments.simulated.physics.bias import Bias
-from ingest.instruments.simulated.physics.dynamics import DeadZone, Dynamics
-from ingest.instruments.simulated.physics.environment import Environment, PiecewiseEnvironment, StaticEnvironment
-from ingest.instruments.simulated.physics.gyro_model import GyroModelParameters, SimulatedGyroModel
-from ingest.instruments.simulated.physics.noise import Noise
-from ingest.instruments.simulated.physics.readout import Fault, Readout, Samples, StartUp
-from ingest.instruments.simulated.physics.scale import Scale
+from ingest.simulator.physics.bias import Bias
+from ingest.simulator.physics.dynamics import DeadZone, Dynamics
+from ingest.simulator.physics.environment import Environment, PiecewiseEnvironment, StaticEnvironment
+from ingest.simulator.physics.gyro_model import GyroModelParameters, SimulatedGyroModel
+from ingest.simulator.physics.noise import Noise
+from ingest.simulator.physics.readout import Fault, Readout, Samples, StartUp
+from ingest.simulator.physics.scale import Scale
 from stream.batch import BoolArray, FloatArray, IntArray
 
 INTERVAL_NS = 1_000_000

@@ -8,18 +8,18 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from ingest import pipeline as pipeline_module
-from ingest.pipeline import EmbeddedPipeline
-from storage.catalog import Catalog
-from storage.segment_writer import SegmentWriter
-from stream import worker as worker_module
+from ingest.run import pipeline as pipeline_module
+from ingest.run.pipeline import EmbeddedPipeline
+from storage.log.writer import SegmentWriter
+from storage.sql.catalog import Catalog
 from stream.batch import SampleBatch
-from stream.delivery import DurablePublisher
+from stream.delivery.publisher import DurablePublisher
 from stream.estimators.bias_stability import BiasStability
 from stream.events import RunEnded
 from stream.identity import Place, event_key, sample_key
-from stream.worker import EstimationWorker
-from stream.zenoh_bus import ZenohBus
+from stream.transport.zenoh_bus import ZenohBus
+from stream.worker import worker as worker_module
+from stream.worker.worker import EstimationWorker
 
 PLACE = Place("plant", "bench")
 KEY = sample_key(PLACE, "U1", "rate")

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from ingest import preflight as preflight_file
-from ingest.pipeline import EmbeddedPipeline
-from ingest.preflight import Preflight, preflight
-from ingest.station import Station, load_station
-from ingest.station_sources import StationSources
-from storage.disk import Disk, Space
+from ingest.run.pipeline import EmbeddedPipeline
+from ingest.station import preflight as preflight_file
+from ingest.station.preflight import Preflight, preflight
+from ingest.station.sources import StationSources
+from ingest.station.station import Station, load_station
+from storage.segments.disk import Disk, Space
 from stream.errors import InstrumentError
 from stream.events import RunEnded, RunStarted
 from stream.identity import Place, event_key

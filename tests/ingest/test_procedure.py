@@ -7,8 +7,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from ingest.procedure import SETTINGS, PlannedStep, StationRates, load_procedure, ready_names
-from ingest.procedure_file import read_procedure
+from ingest.procedures.file import read_procedure
+from ingest.procedures.procedure import SETTINGS, PlannedStep, StationRates, load_procedure, ready_names
 from stream.errors import BadInput
 from stream.events import StepStarted, decode_event, encode_event
 from stream.identity import check_name

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from ingest.procedure import load_procedure, ready_names
-from ingest.procedure_cli import procedure
+from ingest.commands.procedure import procedure
+from ingest.procedures.procedure import load_procedure, ready_names
 
 
 def run(*arguments: object, code: int = 0) -> str:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ingest.procedure_series import (
+from ingest.procedures.series import (
     linear_series,
     log_series,
     preferred_below,

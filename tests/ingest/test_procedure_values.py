@@ -6,7 +6,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from ingest.procedure_values import Variables, number_of, text_of
+from ingest.procedures.values import Variables, number_of, text_of
 from stream.errors import BadInput
 
 WHERE = "f.toml: $.step[0].record_s"

@@ -7,10 +7,10 @@ from pathlib import Path
 import msgspec
 
 from ingest.instruments.base import Instrument
-from ingest.instruments.simulated.scpi_device import SimulatedDevice
-from ingest.instruments.simulated.scpi_server import ScpiServer
-from ingest.procedure import load_procedure
-from ingest.station import load_station
+from ingest.procedures.procedure import load_procedure
+from ingest.simulator.scpi.device import SimulatedDevice
+from ingest.simulator.scpi.server import ScpiServer
+from ingest.station.station import load_station
 from ingest.station_clock import StationClock
 
 README = Path(__file__).parents[2] / "README.md"

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from ingest.instruments.simulated.station_files import write_station
-from ingest.run_cli import run
+from ingest.commands.run import run
+from ingest.simulator.station_files import write_station
 
 Refused = Callable[..., str]
 

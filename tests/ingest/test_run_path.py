@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from ingest.operator_console import ConsoleOperator
-from ingest.run_path import TroubleWatch, check_spool_name
-from stream import spool as spool_module
-from stream.acknowledgement import encode_acknowledgement
+from ingest.run.run_path import TroubleWatch, check_spool_name
+from ingest.station.operator_console import ConsoleOperator
 from stream.batch import SampleBatch
-from stream.bus import LocalBus
 from stream.console import Stop
-from stream.delivery import DurablePublisher
+from stream.delivery import spool as spool_module
+from stream.delivery.publisher import DurablePublisher
+from stream.delivery.spool import Spool
 from stream.errors import BadInput
 from stream.identity import ACKNOWLEDGEMENT_KEY, Place, sample_key
-from stream.spool import Spool
+from stream.transport.bus import LocalBus
+from stream.wire.acknowledgement import encode_acknowledgement
 
 KEY = sample_key(Place("plant", "bench"), "U1", "rate")
 

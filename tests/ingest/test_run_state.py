@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from ingest.run_state import RunParameters, begin_run, read_run, write_run
+from ingest.run.run_state import RunParameters, begin_run, read_run, write_run
 from stream.errors import BadInput
 
 PARAMETERS = RunParameters(

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from ingest.instruments.base import Instrument, Options, Reading
-from ingest.instruments.simulated.scpi_chamber import SimulatedChamber
-from ingest.instruments.simulated.scpi_server import ScpiServer
-from ingest.instruments.simulated.scpi_vibration_table import SimulatedVibrationTable
 from ingest.instruments.temperature_chamber import TemperatureChamber, TemperatureChamberOptions
 from ingest.instruments.vibration_table import VibrationTable, VibrationTableOptions
-from ingest.sampling import Sampler
+from ingest.simulator.scpi.chamber import SimulatedChamber
+from ingest.simulator.scpi.server import ScpiServer
+from ingest.simulator.scpi.vibration_table import SimulatedVibrationTable
+from ingest.station.sampling import Sampler
 from ingest.station_clock import StationClock
 from stream.batch import SampleBatch
 from stream.errors import DeliveryError

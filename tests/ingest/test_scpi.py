@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from ingest.instruments.scpi import ScpiConnection, ScpiOptions
-from ingest.instruments.simulated.scpi_chamber import SimulatedChamber
-from ingest.instruments.simulated.scpi_device import Fault, SimulatedDevice
-from ingest.instruments.simulated.scpi_server import ScpiServer
+from ingest.simulator.scpi.chamber import SimulatedChamber
+from ingest.simulator.scpi.device import Fault, SimulatedDevice
+from ingest.simulator.scpi.server import ScpiServer
 from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError
 

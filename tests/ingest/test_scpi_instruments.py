@@ -8,15 +8,15 @@ import pytest
 from ingest.instruments.power_supply import PowerSupply, PowerSupplyOptions
 from ingest.instruments.rate_table import RateTable, RateTableOptions
 from ingest.instruments.scpi_instrument import ScpiInstrument
-from ingest.instruments.simulated.scpi_chamber import SimulatedChamber
-from ingest.instruments.simulated.scpi_device import SimulatedDevice
-from ingest.instruments.simulated.scpi_rate_table import SimulatedRateTable
-from ingest.instruments.simulated.scpi_server import ScpiServer
-from ingest.instruments.simulated.scpi_vibration_table import SimulatedVibrationTable
-from ingest.instruments.simulated.scpi_voltmeter import SimulatedVoltmeter
 from ingest.instruments.temperature_chamber import TemperatureChamber, TemperatureChamberOptions
 from ingest.instruments.vibration_table import VibrationTable, VibrationTableOptions
 from ingest.instruments.voltmeter import Voltmeter, VoltmeterOptions
+from ingest.simulator.scpi.chamber import SimulatedChamber
+from ingest.simulator.scpi.device import SimulatedDevice
+from ingest.simulator.scpi.rate_table import SimulatedRateTable
+from ingest.simulator.scpi.server import ScpiServer
+from ingest.simulator.scpi.vibration_table import SimulatedVibrationTable
+from ingest.simulator.scpi.voltmeter import SimulatedVoltmeter
 from ingest.station_clock import StationClock
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput, InstrumentError

@@ -18,10 +18,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ingest.instruments.frame_checksum import checksums
-from ingest.instruments.frame_layout import FrameLayout, decode_layout, load_layout
-from ingest.instruments.serial_frames import SerialFrames
-from ingest.instruments.serial_line import SerialLine
+from ingest.serial.frame_checksum import checksums
+from ingest.serial.frame_layout import FrameLayout, decode_layout, load_layout
+from ingest.serial.serial_frames import SerialFrames
+from ingest.serial.serial_line import SerialLine
 from ingest.station_clock import StationClock
 from stream.batch import SampleBatch
 from stream.errors import BadInput, InstrumentError

@@ -10,14 +10,14 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ingest.instruments.simulated.chamber import ChamberParameters
-from ingest.instruments.simulated.gyro import (
+from ingest.simulator.chamber import ChamberParameters
+from ingest.simulator.gyro import (
     GyroParameters,
     SimulatedGyro,
     demo_fleet,
     unit_batches,
 )
-from ingest.instruments.simulated.noise import GaussMarkovSum, flicker_noise, rate_random_walk
+from ingest.simulator.noise import GaussMarkovSum, flicker_noise, rate_random_walk
 from stream.batch import FloatArray
 from stream.errors import BadInput
 

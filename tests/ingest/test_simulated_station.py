@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ingest.instruments.simulated.gyro_bus import GyroBus
-from ingest.instruments.simulated.physics.gyro_model import SimulatedGyroModel
-from ingest.instruments.simulated.physics.mounting import TableEnvironment
-from ingest.instruments.simulated.physics.plan import parse_plan
-from ingest.instruments.simulated.scpi_chamber import SimulatedChamber
-from ingest.instruments.simulated.scpi_device import SimulatedDevice
-from ingest.instruments.simulated.scpi_rate_table import SimulatedRateTable
-from ingest.instruments.simulated.scpi_supply import SimulatedSupply
-from ingest.instruments.simulated.station_roles import power_ons_so_far
-from ingest.instruments.simulated.world import World, WorldServer
+from ingest.simulator.gyro_bus import GyroBus
+from ingest.simulator.physics.gyro_model import SimulatedGyroModel
+from ingest.simulator.physics.mounting import TableEnvironment
+from ingest.simulator.physics.plan import parse_plan
+from ingest.simulator.scpi.chamber import SimulatedChamber
+from ingest.simulator.scpi.device import SimulatedDevice
+from ingest.simulator.scpi.rate_table import SimulatedRateTable
+from ingest.simulator.scpi.supply import SimulatedSupply
+from ingest.simulator.station_roles import power_ons_so_far
+from ingest.simulator.world import World, WorldServer
 from ingest.station_clock import StationClock
 from stream.errors import InstrumentError
 

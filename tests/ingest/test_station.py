@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from ingest.instruments.simulated.station_files import write_station
-from ingest.station import Station, load_station
+from ingest.simulator.station_files import write_station
+from ingest.station.station import Station, load_station
 from stream.errors import BadInput
 
 

@@ -8,16 +8,18 @@ from typing import Any, ClassVar
 
 import pytest
 
-from ingest import station_log, station_run
 from ingest.instruments.base import Instrument, Options, Reading
-from ingest.procedure import PlannedStep, load_procedure
-from ingest.run_steps import goes_on_at
-from ingest.station import ClockTable, SlotTable, Station, StationTable
+from ingest.procedures.procedure import PlannedStep, load_procedure
+from ingest.procedures.run_steps import goes_on_at
+from ingest.station import log as station_log
+from ingest.station import run as station_run
+from ingest.station.log import RunLog
+from ingest.station.run import RunStopped, StationRun
+from ingest.station.run_state import StationRunState, write_station_run
+from ingest.station.station import ClockTable, SlotTable, Station, StationTable
 from ingest.station_clock import StationClock
-from ingest.station_log import RunLog
-from ingest.station_run import RunStopped, StationRun
-from ingest.station_run_state import StationRunState, write_station_run
 from stream.batch import SampleBatch
+from stream.delivery.spool import Spool
 from stream.errors import InstrumentError
 from stream.events import (
     AnyDocument,
@@ -30,7 +32,6 @@ from stream.events import (
     StepStarted,
     StepWords,
 )
-from stream.spool import Spool
 
 UNIT = "FOG-1"
 

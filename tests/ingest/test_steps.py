@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from ingest.instruments.table_columns import TableOptions
-from ingest.instruments.table_file import TableFile
-from ingest.steps import StepTracker, WordColumn, word_column
+from ingest.tables.columns import TableOptions
+from ingest.tables.file import TableFile
+from ingest.tables.steps import StepTracker, WordColumn, word_column
 from stream.batch import SampleBatch
 from stream.errors import BadInput
 from stream.events import StepEnded, StepStarted, StepWords

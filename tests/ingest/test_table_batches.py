@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ingest.instruments.table_batches import Batcher, BatchHead
-from ingest.instruments.table_grid import MEDIAN_INTERVALS, Sampling, SamplingGrid
+from ingest.tables.batches import Batcher, BatchHead
+from ingest.tables.grid import MEDIAN_INTERVALS, Sampling, SamplingGrid
 from stream.batch import IntArray, SampleBatch
 
 INTERVALS = st.lists(st.sampled_from([10, 10, 10, 10, 11, 9, 13, 20, 100, 1005]), min_size=0, max_size=80)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ingest.instruments.table_columns import TableOptions, read_header
+from ingest.tables.columns import TableOptions, read_header
 from stream.errors import BadInput, UnknownUnit
 
 G1 = TableOptions(unit="G1")

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ingest.instruments.csv_chunks import CsvTable
-from ingest.instruments.csv_lines import LineReader
-from ingest.instruments.table_columns import TableOptions, read_header
-from ingest.instruments.table_file import TableFile
-from ingest.instruments.table_rows import BadRow, BadRows, CellBlock
+from ingest.tables.columns import TableOptions, read_header
+from ingest.tables.csv_chunks import CsvTable
+from ingest.tables.csv_lines import LineReader
+from ingest.tables.file import TableFile
+from ingest.tables.rows import BadRow, BadRows, CellBlock
 from stream.errors import BadInput
 
 Tool = Callable[..., Any]

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ingest.instruments.table_columns import TableOptions
-from ingest.instruments.table_file import TableFile
+from ingest.tables.columns import TableOptions
+from ingest.tables.file import TableFile
 from stream.batch import IntArray, SampleBatch
 from stream.errors import BadInput
 

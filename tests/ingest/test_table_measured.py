@@ -8,8 +8,8 @@ from typing import Any
 import polars as pl
 import pytest
 
-from ingest.instruments.table_columns import TableOptions
-from ingest.instruments.table_file import TableFile
+from ingest.tables.columns import TableOptions
+from ingest.tables.file import TableFile
 from stream.batch import SampleBatch
 from stream.errors import BadInput
 from stream.events import StepStarted

@@ -12,10 +12,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from ingest.instruments.parquet_chunks import ParquetTable
-from ingest.instruments.table_columns import TableOptions
-from ingest.instruments.table_file import TableFile
-from ingest.instruments.table_rows import BadRows
+from ingest.tables.columns import TableOptions
+from ingest.tables.file import TableFile
+from ingest.tables.parquet_chunks import ParquetTable
+from ingest.tables.rows import BadRows
 from stream.batch import SampleBatch
 from stream.errors import BadInput
 

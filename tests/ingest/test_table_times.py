@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ingest.instruments.table_times import (
+from ingest.tables.times import (
     MAX_NS,
     UTC_FROM_NS,
     RunClock,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ingest.units_file import UnitEntry, assigned, load_units, mounted_documents, parse_units, read_units
+from ingest.station.units_file import UnitEntry, assigned, load_units, mounted_documents, parse_units, read_units
 from stream.errors import BadInput
 from stream.events import decode_event, encode_event
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from ingest.instruments.simulated.station_files import write_station
 from ingest.instruments.visa_resource import resource_trouble
-from ingest.station import load_station
+from ingest.simulator.station_files import write_station
+from ingest.station.station import load_station
 from stream.errors import BadInput
 
 

@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from analytics.effects.base import Effect, Kind, Role, Shape
-from analytics.effects.coefficient_units import coefficient_unit, parameter_unit
-from analytics.effects.registry import effect, effects, effects_for, unavailable_effects
-from analytics.run_blocks import Channel, RunBlocks
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.effects.base import Effect, Kind, Role, Shape
+from analytics.loop.effects.coefficient_units import coefficient_unit, parameter_unit
+from analytics.loop.effects.registry import effect, effects, effects_for, unavailable_effects
 from stream.batch import FloatArray
 from stream.errors import BadInput
 from stream.quantities import check_unit

@@ -19,10 +19,11 @@ from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import EstimatorError
 from stream.estimators import snapshot as snapshot_module
 from stream.estimators.allan_variance import AllanDeviation
-from stream.estimators.base import Follower, NoEstimate, default_followers, follower_classes, warm_up
+from stream.estimators.base import Follower, NoEstimate, default_followers, follower_classes
 from stream.estimators.snapshot import SNAPSHOT_VERSION, restore, take_snapshot
 from stream.estimators.spectral_density import SpectralDensity
-from stream.estimators.spectral_lines import Spectrum
+from stream.estimators.spectrum.spectral_lines import Spectrum
+from stream.estimators.warm_up import warm_up
 from stream.events import EstimatePoint
 
 DT_NS = 100_000_000

@@ -16,9 +16,9 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from analytics.metrics.evaluation import COLUMNS
+from analytics.evaluation.evaluation import COLUMNS
 from analytics.metrics.registry import metrics
-from analytics.specification_store import add_specification
+from analytics.specifications.entering import add_specification
 from storage.store import Store
 from stream.quantities import check_unit
 from tests.bench.metric_coverage import CHECKS, covered

@@ -7,15 +7,15 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from storage.event_log import EventLog
-from storage.lake import build_missing, builder_lock
-from storage.mcap_records import EVENTS, SAMPLES, LogRecord
-from storage.sequence import place_of
+from storage.lake.lake import build_missing, builder_lock
+from storage.log.event_log import EventLog
+from storage.log.sequence import place_of
+from storage.segments.records import EVENTS, SAMPLES, LogRecord
 from storage.store import Store, WriterLock
 from stream.batch import SampleBatch
 from stream.events import AnyDocument, encode_event
 from stream.identity import Place, event_key, sample_key
-from stream.wire import encode_batch
+from stream.wire.batches import encode_batch
 
 PLACE = Place("plant", "chamber-1")
 DAY_NS = 86_400 * 10**9

@@ -10,28 +10,28 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from storage.catalog import Catalog
-from storage.event_log import EventLog
-from storage.intake import MAX_REJECT_BYTES
-from storage.mcap_records import EVENTS, REJECTED, SAMPLES, LogRecord
-from storage.quarantine import QUARANTINED
-from storage.recorder import Recorder
-from storage.recover import recover
-from storage.rollups import roll_up
-from storage.segment_reader import read_segment
-from storage.sequence import place_of
+from storage.check.recover import recover
+from storage.check.verify import verify
+from storage.lake.quarantine import QUARANTINED
+from storage.lake.rollups import roll_up
+from storage.log.event_log import EventLog
+from storage.log.sequence import place_of
+from storage.recording.intake import MAX_REJECT_BYTES
+from storage.recording.recorder import Recorder
+from storage.segments.reader import read_segment
+from storage.segments.records import EVENTS, REJECTED, SAMPLES, LogRecord
+from storage.sql.catalog import Catalog
 from storage.store import Store
-from storage.verify import verify
-from stream import samples_pb2
 from stream.batch import SampleBatch
 from stream.bounds import MAX_KEY_CHARS, MAX_MESSAGE_BYTES
-from stream.bus import LocalBus
-from stream.delivery import DurablePublisher
+from stream.delivery.publisher import DurablePublisher
 from stream.errors import BadInput, WireError
 from stream.events import NoteAdded, RunResumed, StepStarted, StepWords
 from stream.identity import Place, event_key, sample_key
-from stream.wire import encode_batch
-from stream.worker import EstimationWorker
+from stream.transport.bus import LocalBus
+from stream.wire import samples_pb2
+from stream.wire.batches import encode_batch
+from stream.worker.worker import EstimationWorker
 
 PLACE = Place("plant", "chamber-1")
 HOSTILE = sample_key(PLACE, "BAD", "rate")

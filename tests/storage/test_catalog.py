@@ -8,18 +8,18 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from storage.catalog import VIEWS, Catalog
-from storage.event_log import EventLog
-from storage.lake import parts
-from storage.reading import find_signal, read_signal, stored_between
-from storage.recorder import Recorder
+from storage.lake.lake import parts
+from storage.log.event_log import EventLog
+from storage.recording.recorder import Recorder
+from storage.sql.catalog import VIEWS, Catalog
+from storage.sql.reading import find_signal, read_signal, stored_between
 from storage.store import Store
 from stream.batch import SampleBatch
-from stream.bus import LocalBus
-from stream.delivery import DurablePublisher
+from stream.delivery.publisher import DurablePublisher
 from stream.errors import NotFound, QueryError, StoreError
 from stream.events import PowerOn, RunEnded, RunStarted, StepEnded, StepStarted, StepWords
 from stream.identity import Place, event_key, sample_key
+from stream.transport.bus import LocalBus
 
 PLACE = Place("plant", "bench")
 _VALUES = np.arange(2000) * 0.5 + 1

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from storage import compaction
-from storage.catalog import Catalog
-from storage.compaction import compact, due
-from storage.lake import Lake, builder_lock, parts
-from storage.lake_check import lake_problems
-from storage.lake_manifest import Manifest, Part, PartFile, read_manifest
-from storage.lake_switch import left_aside
-from storage.reading import find_signal, read_signal
-from storage.rebuild import rebuild
+from storage.check.verify_lake import lake_problems
+from storage.lake import compaction
+from storage.lake.compaction import compact, due
+from storage.lake.lake import Lake, builder_lock, parts
+from storage.lake.rebuild import rebuild
+from storage.manifests.lake import Manifest, Part, PartFile, read_manifest
+from storage.manifests.lake_switch import left_aside
+from storage.sql.catalog import Catalog
+from storage.sql.reading import find_signal, read_signal
 from storage.store import Store
 from stream.errors import StoreError
 from stream.events import EstimatePoint, EstimatePublished, NoteAdded

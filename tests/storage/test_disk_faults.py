@@ -11,16 +11,16 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from storage.disk import Disk, OpenFile
-from storage.event_log import EventLog
-from storage.mcap_records import SAMPLES, LogRecord
-from storage.segment_reader import read_segment
-from storage.sequence import place_of
+from storage.log.event_log import EventLog
+from storage.log.sequence import place_of
+from storage.segments.disk import Disk, OpenFile
+from storage.segments.reader import read_segment
+from storage.segments.records import SAMPLES, LogRecord
 from storage.store import Store
 from stream.batch import SampleBatch
-from stream.delivery import StreamId
+from stream.delivery.publisher import StreamId
 from stream.identity import Place, sample_key
-from stream.wire import decode_batch, encode_batch
+from stream.wire.batches import decode_batch, encode_batch
 
 PLACE = Place("plant", "bench")
 UNITS = ("U1", "U2")

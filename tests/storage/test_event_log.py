@@ -10,18 +10,25 @@ import pytest
 from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader, make_reader
 
-from storage.event_log import EventLog
-from storage.log_manifest import FIRST, ManifestWriter, SegmentEntry, manifest_path, read_log_manifest, rewrite_manifest
-from storage.mcap_records import CHUNK, CHUNK_BYTES, EVENTS, FRAME, SAMPLES, LogRecord
-from storage.recovery import salvage_segment, take_in
-from storage.segment_reader import SegmentScan, read_marks, read_segment
-from storage.sequence import SequenceCheck, place_of
+from storage.log.event_log import EventLog
+from storage.log.recovery import salvage_segment, take_in
+from storage.log.sequence import SequenceCheck, place_of
+from storage.manifests.log import (
+    FIRST,
+    ManifestWriter,
+    SegmentEntry,
+    manifest_path,
+    read_log_manifest,
+    rewrite_manifest,
+)
+from storage.segments.reader import SegmentScan, read_marks, read_segment
+from storage.segments.records import CHUNK, CHUNK_BYTES, EVENTS, FRAME, SAMPLES, LogRecord
 from storage.store import Store
 from stream.batch import SampleBatch
 from stream.errors import StoreError
 from stream.events import NoteAdded, RunEnded, encode_event
 from stream.identity import Place, event_key, sample_key
-from stream.wire import decode_batch, encode_batch
+from stream.wire.batches import decode_batch, encode_batch
 
 PLACE = Place("plant", "bench")
 

@@ -6,26 +6,26 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from storage.catalog import Catalog
-from storage.event_log import EventLog
-from storage.lake import Lake, builder_lock
-from storage.lake_manifest import read_manifest
-from storage.mcap_records import REJECTED
-from storage.recorder import Recorder
-from storage.retention import Rule, apply_rule
-from storage.segment_reader import read_segment
+from storage.lake.lake import Lake, builder_lock
+from storage.log.event_log import EventLog
+from storage.log.notes import noted
+from storage.log.seal import is_sealed, sealed
+from storage.manifests.lake import read_manifest
+from storage.recording.recorder import Recorder
+from storage.segments.reader import read_segment
+from storage.segments.records import REJECTED
+from storage.sql.catalog import Catalog
 from storage.store import Store
-from storage.store_notes import noted
-from storage.store_seal import is_sealed, sealed
-from stream.acknowledgement import StreamPosition, decode_acknowledgement, encode_acknowledgement
+from storage.upkeep.retention import Rule, apply_rule
 from stream.batch import SampleBatch
-from stream.bus import LocalBus
-from stream.delivery import DurablePublisher
+from stream.delivery.publisher import DurablePublisher
+from stream.delivery.spool import Spool
 from stream.errors import DeliveryError
 from stream.events import RAW_ROWS_DROPPED, StoreNoted, encode_event
 from stream.identity import ACKNOWLEDGEMENT_KEY, Place, event_key, sample_key
-from stream.spool import Spool
-from stream.wire import encode_batch
+from stream.transport.bus import LocalBus
+from stream.wire.acknowledgement import StreamPosition, decode_acknowledgement, encode_acknowledgement
+from stream.wire.batches import encode_batch
 
 PLACE = Place("plant", "bench")
 KEY = sample_key(PLACE, "U1", "rate")

@@ -6,7 +6,7 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from storage.catalog import Catalog
+from storage.sql.catalog import Catalog
 from stream.batch import SampleBatch
 from tests.storage.conftest import START_NS, Filler
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from storage.catalog import Catalog
-from storage.lake import Lake, LakeBusy, build_missing, builder_lock, parts
-from storage.lake_check import lake_problems, mend
-from storage.lake_manifest import MANIFEST, PART, LakeManifestDamaged, read_manifest, write_manifest
-from storage.segment_part import build_part
+from storage.check.verify_lake import lake_problems, mend
+from storage.lake.lake import Lake, LakeBusy, build_missing, builder_lock, parts
+from storage.lake.part import build_part
+from storage.manifests.lake import MANIFEST, PART, LakeManifestDamaged, read_manifest, write_manifest
+from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import StoreError
 from tests.storage.conftest import Filler

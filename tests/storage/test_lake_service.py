@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from storage.catalog import Catalog
-from storage.gathered import counts_columns
-from storage.lake import builder_lock, parts
-from storage.rollups import joined, roll_up
+from storage.lake.channel_buffer import counts_columns
+from storage.lake.lake import builder_lock, parts
+from storage.lake.rollups import joined, roll_up
+from storage.sql.catalog import Catalog
 from stream.batch import SampleBatch
 from tests.conftest import Outcome
 from tests.storage.conftest import START_NS, Filler

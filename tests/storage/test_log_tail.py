@@ -7,18 +7,18 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from storage.event_log import EventLog
-from storage.log_manifest import manifest_path
-from storage.log_runs import first_to_read
-from storage.log_tail import LogTail, records_of
-from storage.mcap_records import EVENTS, SAMPLES, LogRecord
-from storage.sequence import place_of
+from storage.log.event_log import EventLog
+from storage.log.runs import first_to_read
+from storage.log.sequence import place_of
+from storage.log.tail import LogTail, records_of
+from storage.manifests.log import manifest_path
+from storage.segments.records import EVENTS, SAMPLES, LogRecord
 from storage.store import Store, WriterLock
 from stream.batch import SampleBatch
-from stream.delivery import StreamId
+from stream.delivery.publisher import StreamId
 from stream.events import AnyDocument, EstimatePublished, RunEnded, RunStarted, SpectralLinesFound, encode_event
 from stream.identity import Place, estimate_key, event_key, sample_key
-from stream.wire import decode_batch, encode_batch
+from stream.wire.batches import decode_batch, encode_batch
 
 PLACE = Place("plant", "bench")
 KEY = sample_key(PLACE, "U1", "rate")

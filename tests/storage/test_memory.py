@@ -8,23 +8,23 @@ import numpy as np
 import pytest
 import zstandard
 
-from storage.event_log import EventLog
-from storage.intake import MAX_REJECT_BYTES
-from storage.lake import build_missing, builder_lock
-from storage.mcap_records import REJECTED
-from storage.recorder import Recorder
-from storage.recover import recover
-from storage.segment_reader import read_segment
+from storage.check.recover import recover
+from storage.check.verify import verify
+from storage.lake.lake import build_missing, builder_lock
+from storage.log.event_log import EventLog
+from storage.recording.intake import MAX_REJECT_BYTES
+from storage.recording.recorder import Recorder
+from storage.segments.reader import read_segment
+from storage.segments.records import REJECTED
 from storage.store import Store
-from storage.verify import verify
 from stream.batch import SampleBatch
 from stream.bounds import MAX_MESSAGE_BYTES
-from stream.bus import LocalBus
-from stream.delivery import DurablePublisher
+from stream.delivery.publisher import DurablePublisher
 from stream.errors import OutOfMemory, StoreError
 from stream.identity import Place, sample_key
-from stream.worker import EstimationWorker
-from stream.zenoh_bus import ZenohBus
+from stream.transport.bus import LocalBus
+from stream.transport.zenoh_bus import ZenohBus
+from stream.worker.worker import EstimationWorker
 
 PLACE = Place("plant", "bench")
 KEY = sample_key(PLACE, "U1", "rate")
@@ -45,8 +45,8 @@ def filled(folder: Path) -> Store:
 
 @pytest.mark.parametrize("size", [0, 48_000])
 def test_a_flood_of_long_keys_fills_no_queue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int) -> None:
-    monkeypatch.setattr("storage.recorder._ROOM_PATIENCE_S", 0.0)
-    monkeypatch.setattr("storage.recorder._QUEUE_BYTES", 1 << 20)
+    monkeypatch.setattr("storage.recording.recorder._ROOM_PATIENCE_S", 0.0)
+    monkeypatch.setattr("storage.recording.recorder._QUEUE_BYTES", 1 << 20)
     bus = LocalBus()
     store = Store.create(tmp_path)
     # as one that is far behind
@@ -64,7 +64,7 @@ def test_a_flood_of_long_keys_fills_no_queue(tmp_path: Path, monkeypatch: pytest
 
 
 def test_the_estimators_queue_counts_keys_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stream.worker._MOST_BYTES", 1 << 20)
+    monkeypatch.setattr("stream.worker.worker._MOST_BYTES", 1 << 20)
     monkeypatch.setattr(EstimationWorker, "_work", lambda worker: not worker._closing)
     bus = LocalBus()
     with DurablePublisher(bus) as publisher:
@@ -76,8 +76,8 @@ def test_the_estimators_queue_counts_keys_too(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_rejected_messages_take_bounded_room_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("storage.intake._REJECTS_BYTES", 10 * MAX_REJECT_BYTES)
-    monkeypatch.setattr("storage.intake._REJECTS_BYTES_PER_S", 1)
+    monkeypatch.setattr("storage.recording.intake._REJECTS_BYTES", 10 * MAX_REJECT_BYTES)
+    monkeypatch.setattr("storage.recording.intake._REJECTS_BYTES_PER_S", 1)
     store, bus = Store.create(tmp_path), LocalBus()
     rng = np.random.default_rng(1)
     with Recorder(store, bus, EventLog(store)) as recorder:

@@ -12,20 +12,20 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from storage.catalog import Catalog
-from storage.disk import Disk, OpenFile, Space
-from storage.event_log import EventLog
-from storage.mcap_records import EVENTS, PREVIEW, REJECTED, SAMPLES
-from storage.recorder import Recorder
-from storage.segment_reader import SegmentScan, read_marks, read_segment
+from storage.log.event_log import EventLog
+from storage.recording.recorder import Recorder
+from storage.segments.disk import Disk, OpenFile, Space
+from storage.segments.reader import SegmentScan, read_marks, read_segment
+from storage.segments.records import EVENTS, PREVIEW, REJECTED, SAMPLES
+from storage.sql.catalog import Catalog
 from storage.store import Store, WriterLock
 from stream.batch import SampleBatch
-from stream.bus import LocalBus
-from stream.delivery import DurablePublisher, decode_acknowledgement
+from stream.delivery.publisher import DurablePublisher, decode_acknowledgement
 from stream.errors import DeliveryError, StoreError
 from stream.events import NoteAdded, RunEnded, RunStarted
 from stream.identity import ACKNOWLEDGEMENT_KEY, Place, event_key, sample_key
-from stream.wire import decode_batch, encode_batch
+from stream.transport.bus import LocalBus
+from stream.wire.batches import decode_batch, encode_batch
 
 PLACE = Place("plant", "bench")
 KEY = sample_key(PLACE, "U1", "rate")
@@ -388,7 +388,7 @@ class FailsOnce(Disk):
 def test_what_came_when_the_disk_failed_does_not_keep_others_from_settling(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("storage.recorder._SETTLE_S", 10.0)
+    monkeypatch.setattr("storage.recording.recorder._SETTLE_S", 10.0)
     store, bus, disk = Store.create(tmp_path), LocalBus(), FailsOnce()
     with (
         Recorder(store, bus, EventLog(store, disk=disk), sync_interval_s=0.01, disk=disk) as recorder,

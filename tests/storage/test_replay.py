@@ -9,21 +9,21 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from ingest.pipeline import EmbeddedPipeline
-from ingest.replaying import Pace, compared, interval_s, sent_into
-from storage.event_log import EventLog
-from storage.recorder import Recorder
-from storage.replay import StoredMessage, StoredRun
+from ingest.run.pipeline import EmbeddedPipeline
+from ingest.run.replaying import Pace, compared, interval_s, sent_into
+from storage.log.event_log import EventLog
+from storage.log.replay import StoredMessage, StoredRun
+from storage.recording.recorder import Recorder
 from storage.store import Store, WriterLock
 from stream.batch import SampleBatch
-from stream.bus import LocalBus
-from stream.delivery import DurablePublisher, Sender
+from stream.delivery.publisher import DurablePublisher, Sender
 from stream.errors import BadInput, NotFound
 from stream.estimators.base import Estimator, default_estimators
 from stream.estimators.bias_stability import BiasStability
 from stream.events import Limit, LimitsApplied, RunEnded, RunStarted
 from stream.identity import Place, event_key, sample_key
-from stream.worker import EstimationWorker
+from stream.transport.bus import LocalBus
+from stream.worker.worker import EstimationWorker
 
 PLACE = Place("plant", "bench")
 EVENTS = event_key(PLACE)

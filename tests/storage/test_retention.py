@@ -11,27 +11,27 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from storage.catalog import Catalog
-from storage.compaction import compact
-from storage.event_log import EventLog
-from storage.lake import Lake, builder_lock, parts
-from storage.lake_check import lake_problems
-from storage.lake_manifest import read_manifest
-from storage.reading import find_signal, read_signal, stored_between
-from storage.rebuild import rebuild
-from storage.recorder import Recorder
-from storage.recover import recover
-from storage.retention import Rule, apply_rule, parse_age, parse_size, would_drop
-from storage.segment_reader import read_segment
+from storage.check.recover import recover
+from storage.check.verify import verify
+from storage.check.verify_lake import lake_problems
+from storage.lake.compaction import compact
+from storage.lake.lake import Lake, builder_lock, parts
+from storage.lake.rebuild import rebuild
+from storage.log.event_log import EventLog
+from storage.log.notes import is_own
+from storage.log.notes import noted as noted_now
+from storage.manifests.lake import read_manifest
+from storage.recording.recorder import Recorder
+from storage.segments.reader import read_segment
+from storage.sql.catalog import Catalog
+from storage.sql.reading import find_signal, read_signal, stored_between
 from storage.store import Store
-from storage.store_notes import is_own
-from storage.store_notes import noted as noted_now
-from storage.verify import verify
-from stream.bus import LocalBus
-from stream.delivery import DurablePublisher
+from storage.upkeep.retention import Rule, apply_rule, parse_age, parse_size, would_drop
+from stream.delivery.publisher import DurablePublisher
 from stream.errors import BadInput, DeliveryError, GyrofleetError, NotFound
 from stream.events import RAW_ROWS_DROPPED, RunEnded, StoreNoted, StreamTotal, decode_event
 from stream.identity import event_key
+from stream.transport.bus import LocalBus
 from tests.conftest import Outcome
 from tests.storage.conftest import DAY_NS, PLACE, START_NS, Filler
 from tests.storage.test_compaction import LATER_NS, assert_same, export

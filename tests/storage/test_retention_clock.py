@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from storage.catalog import Catalog
-from storage.compaction import compact
-from storage.lake import Lake, build_missing, builder_lock
-from storage.lake_check import lake_problems
-from storage.lake_manifest import read_manifest
-from storage.rebuild import rebuild
-from storage.retention import Rule, apply_rule, restore_raw
-from storage.retention_clock import RetentionPaused, trust_clock
+from storage.check.verify import verify
+from storage.check.verify_lake import lake_problems
+from storage.lake.compaction import compact
+from storage.lake.lake import Lake, build_missing, builder_lock
+from storage.lake.rebuild import rebuild
+from storage.manifests.lake import read_manifest
+from storage.sql.catalog import Catalog
 from storage.store import Store
-from storage.verify import verify
+from storage.upkeep.retention import Rule, apply_rule, restore_raw
+from storage.upkeep.retention_clock import RetentionPaused, trust_clock
 from tests.conftest import Outcome
 from tests.storage.conftest import DAY_NS, START_NS, Filler
 from tests.storage.test_compaction import LATER_NS, export
@@ -30,8 +30,8 @@ class Machine:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.machine_ns, self.boot = 10**12, "first"
-        monkeypatch.setattr("storage.retention_clock._machine_ns", lambda: self.machine_ns)
-        monkeypatch.setattr("storage.retention_clock._boot", lambda: self.boot)
+        monkeypatch.setattr("storage.upkeep.retention_clock._machine_ns", lambda: self.machine_ns)
+        monkeypatch.setattr("storage.upkeep.retention_clock._boot", lambda: self.boot)
 
 
 @pytest.fixture

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from storage.recover import recover
+from storage.check.recover import recover
+from storage.check.verify import verify
 from storage.store import Store, WriterLock
-from storage.verify import verify
 from stream.errors import StoreError
 from tests.storage.conftest import START_NS, Filler
 

@@ -6,18 +6,18 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from storage.disk import DISK
-from storage.event_log import EventLog
-from storage.mcap_records import SAMPLES, LogRecord
-from storage.recover import recover
-from storage.segment_reader import read_segment
-from storage.sequence import place_of
+from storage.check.recover import recover
+from storage.check.verify import verify
+from storage.log.event_log import EventLog
+from storage.log.sequence import place_of
+from storage.segments.disk import DISK
+from storage.segments.reader import read_segment
+from storage.segments.records import SAMPLES, LogRecord
 from storage.store import Store, WriterLock, writer_is_active
-from storage.verify import verify
 from stream.batch import SampleBatch
 from stream.errors import StoreError
 from stream.identity import Place, sample_key
-from stream.wire import decode_batch, encode_batch
+from stream.wire.batches import decode_batch, encode_batch
 
 PLACE = Place("plant", "bench")
 
@@ -108,7 +108,7 @@ def test_a_copy_that_was_sealed_already_is_moved_aside(tmp_path: Path) -> None:
 @pytest.mark.parametrize("has_flag", [True, False])
 def test_a_name_that_is_taken_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_flag: bool) -> None:
     if not has_flag:
-        monkeypatch.setattr("storage.disk._library", object())
+        monkeypatch.setattr("storage.segments.disk._library", object())
     a, b = tmp_path / "a", tmp_path / "b"
     a.write_text("a")
     b.write_text("b")

@@ -3,7 +3,7 @@
 import shutil
 from typing import Any
 
-from storage.catalog import VIEWS, Catalog
+from storage.sql.catalog import VIEWS, Catalog
 from stream.events import RunStarted, UnitMounted
 from tests.storage.conftest import START_NS, Filler
 

@@ -11,20 +11,20 @@ import msgspec
 import numpy as np
 import pytest
 
-from storage.catalog import Catalog
-from storage.event_log import EventLog
-from storage.lake import Lake, build_missing, builder_lock
-from storage.lake_manifest import MANIFEST, LakeManifestDamaged, Replaced, read_manifest
-from storage.log_files import sealed_segments, unknown_files
-from storage.log_manifest import manifest_path, read_log_manifest
-from storage.recorder import Recorder
-from storage.recover import recover
+from storage.check.recover import recover
+from storage.check.verify import verify
+from storage.lake.lake import Lake, build_missing, builder_lock
+from storage.log.event_log import EventLog
+from storage.log.files import sealed_segments, unknown_files
+from storage.manifests.lake import MANIFEST, LakeManifestDamaged, Replaced, read_manifest
+from storage.manifests.log import manifest_path, read_log_manifest
+from storage.recording.recorder import Recorder
+from storage.sql.catalog import Catalog
 from storage.store import Store
-from storage.verify import verify
 from stream.batch import SampleBatch
-from stream.bus import LocalBus
-from stream.delivery import DurablePublisher
+from stream.delivery.publisher import DurablePublisher
 from stream.identity import Place, sample_key
+from stream.transport.bus import LocalBus
 
 KEY = sample_key(Place("plant", "bench"), "U1", "rate")
 

@@ -11,25 +11,25 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from storage.disk import Disk
-from storage.event_log import EventLog
-from storage.lake import Lake, builder_lock, parts
-from storage.log_manifest import read_log_manifest
-from storage.mcap_records import EVENTS
-from storage.rebuild import rebuild
-from storage.recorder import Recorder
-from storage.recover import recover
-from storage.retention import Rule, apply_rule
-from storage.segment_reader import SegmentScan
+from storage.check.recover import recover
+from storage.check.verify import lake_findings, verify
+from storage.check.verify_log import verify_log
+from storage.lake.lake import Lake, builder_lock, parts
+from storage.lake.rebuild import rebuild
+from storage.log.event_log import EventLog
+from storage.manifests.log import read_log_manifest
+from storage.recording.recorder import Recorder
+from storage.segments.disk import Disk
+from storage.segments.reader import SegmentScan
+from storage.segments.records import EVENTS
 from storage.store import Store, WriterLock
-from storage.verify import lake_findings, verify
-from storage.verify_log import verify_log
+from storage.upkeep.retention import Rule, apply_rule
 from stream.batch import SampleBatch
-from stream.bus import LocalBus
-from stream.delivery import DurablePublisher
+from stream.delivery.publisher import DurablePublisher
 from stream.errors import StoreError
 from stream.events import RunEnded, StoreNoted, StreamTotal, decode_event
 from stream.identity import Place, event_key, sample_key
+from stream.transport.bus import LocalBus
 
 PLACE = Place("plant", "bench")
 KEY = sample_key(PLACE, "U1", "rate")

@@ -8,18 +8,18 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-import stream.worker
-from storage.event_log import EventLog
-from storage.log_tail import LogTail
-from storage.recorder import Recorder
+import stream.worker.worker
+from storage.log.event_log import EventLog
+from storage.log.tail import LogTail
+from storage.recording.recorder import Recorder
 from storage.store import Store, WriterLock, recorder_endpoint, writer_endpoint
 from stream.batch import SampleBatch
-from stream.bus import LocalBus
-from stream.delivery import DurablePublisher
+from stream.delivery.publisher import DurablePublisher
 from stream.events import AnyDocument, EstimatePublished, RunEnded, StreamTotal, encode_event
 from stream.identity import Place, event_key, sample_key
-from stream.wire import encode_batch
-from stream.worker import EstimationWorker
+from stream.transport.bus import LocalBus
+from stream.wire.batches import encode_batch
+from stream.worker.worker import EstimationWorker
 
 PLACE = Place("plant", "bench")
 KEY = sample_key(PLACE, "U1", "rate")
@@ -75,8 +75,8 @@ class Bench:
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    monkeypatch.setattr(stream.worker, "_PATIENCE_S", 0.1)
-    monkeypatch.setattr(stream.worker, "_LOOK_AGAIN_S", 0.2)
+    monkeypatch.setattr(stream.worker.worker, "_PATIENCE_S", 0.1)
+    monkeypatch.setattr(stream.worker.worker, "_LOOK_AGAIN_S", 0.2)
     bench = Bench(tmp_path / "store")
     yield bench
     bench.close()
@@ -111,7 +111,7 @@ def test_an_end_that_was_not_heard_is_found_in_the_log(bench: Bench) -> None:
 def test_the_end_of_a_run_whose_samples_are_lost_does_not_wait_for_ever(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stream.held_ends._LOST_AFTER_S", 0.5)
+    monkeypatch.setattr("stream.worker.held_ends._LOST_AFTER_S", 0.5)
     for bus in (bench.heard, bench.recorded):
         bus.publish(KEY, batch(0))
         bus.publish(event_key(PLACE), end(2 * N))

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from stream.batch import SampleBatch
-from stream.batch_encoder import BatchEncoder
-from stream.wire import encode_batch
+from stream.wire.batches import encode_batch
+from stream.wire.encoder import BatchEncoder
 
 floats = st.floats(width=64, allow_nan=True, allow_infinity=True)
 

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stream.batch import SampleBatch
-from stream.block_means import BlockMeans
 from stream.errors import BadInput
+from stream.estimators.block_means import BlockMeans
 
 RNG = np.random.default_rng(3)
 N = 2000

@@ -11,10 +11,7 @@ import numpy as np
 import pytest
 
 from stream.batch import SampleBatch
-from stream.bus import LocalBus
-from stream.checkpoint import CHECKPOINT_VERSION, Checkpoint, generations, read_checkpoint, write_checkpoint
-from stream.delivery import DurablePublisher, StreamId, StreamPosition, encode_acknowledgement
-from stream.early_decisions import EarlyDecisions
+from stream.delivery.publisher import DurablePublisher, StreamId, StreamPosition, encode_acknowledgement
 from stream.errors import CheckpointDamaged, EstimatorError
 from stream.estimators.allan_variance import overlapping_allan_variance
 from stream.estimators.bias_stability import BiasStability
@@ -39,8 +36,11 @@ from stream.identity import (
     parse_key,
     sample_key,
 )
-from stream.wire import decode_batch, encode_batch
-from stream.worker import EstimationWorker
+from stream.transport.bus import LocalBus
+from stream.wire.batches import decode_batch, encode_batch
+from stream.worker.checkpoint import CHECKPOINT_VERSION, Checkpoint, generations, read_checkpoint, write_checkpoint
+from stream.worker.early_decisions import EarlyDecisions
+from stream.worker.worker import EstimationWorker
 
 PLACE = Place("plant", "bench")
 KEY = sample_key(PLACE, "U1", "rate")
@@ -239,7 +239,7 @@ def test_any_flipped_byte_cut_or_zeroed_block_of_a_checkpoint_is_seen(tmp_path: 
 def test_a_checkpoint_of_a_newer_gyrofleet_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "c"
     with monkeypatch.context() as newer:
-        newer.setattr("stream.checkpoint.CHECKPOINT_VERSION", CHECKPOINT_VERSION + 1)
+        newer.setattr("stream.worker.checkpoint.CHECKPOINT_VERSION", CHECKPOINT_VERSION + 1)
         write_checkpoint(path, Checkpoint("memory", [], [], [], []))
     with pytest.raises(EstimatorError, match="use the one that wrote it"):
         run(path, [STARTS[:1]])

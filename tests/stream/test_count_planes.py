@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from stream.count_planes import join_counts, split_counts
+from stream.wire.count_planes import join_counts, split_counts
 
 near_borders = st.sampled_from([1 << 7, 1 << 15, 1 << 23, 1 << 31]).flatmap(
     lambda border: st.sampled_from([border - 1, border, border + 1, -border, -border - 1, -border + 1])

@@ -16,8 +16,15 @@ from hypothesis import given, settings
 from stream.batch import FloatArray, SampleBatch
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
-from stream.estimators.decision import AllanDecision, BiasStabilityDecision, Decision, DecisionPlan, Outcome, Rule
-from stream.estimators.decision_bounds import (
+from stream.estimators.decision.decision import (
+    AllanDecision,
+    BiasStabilityDecision,
+    Decision,
+    DecisionPlan,
+    Outcome,
+    Rule,
+)
+from stream.estimators.decision.decision_bounds import (
     AVERAGES,
     LOOKS,
     PROMISES,

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 
 from stream.errors import EstimatorError
-from stream.estimators.decision import AllanDecision, DecisionPlan
-from stream.estimators.decision_bounds import (
+from stream.estimators.decision.decision import AllanDecision, DecisionPlan
+from stream.estimators.decision.decision_bounds import (
     AVERAGES,
     NO_BOUNDS,
     PROMISES,
@@ -20,7 +20,7 @@ from stream.estimators.decision_bounds import (
     column_edf,
     simulated_ratios,
 )
-from stream.estimators.decision_plan import ROUNDING
+from stream.estimators.decision.decision_plan import ROUNDING
 from stream.events import EstimatePoint
 
 

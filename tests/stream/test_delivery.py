@@ -12,18 +12,18 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from stream import spool as spool_module
-from stream.acknowledgement import StreamId, StreamPosition, encode_acknowledgement
 from stream.batch import SampleBatch
-from stream.bus import LocalBus
-from stream.delivery import DurablePublisher
+from stream.delivery import spool as spool_module
+from stream.delivery.outbox import Outbox
+from stream.delivery.outgoing import Held
+from stream.delivery.publisher import DurablePublisher
+from stream.delivery.spool import Spool
 from stream.errors import DeliveryError, WireError
 from stream.events import NoteAdded, RunEnded, StreamTotal, decode_event
 from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING, Place, event_key, sample_key
-from stream.outbox import Outbox
-from stream.outgoing import Held
-from stream.spool import Spool
-from stream.wire import decode_batch, encode_batch
+from stream.transport.bus import LocalBus
+from stream.wire.acknowledgement import StreamId, StreamPosition, encode_acknowledgement
+from stream.wire.batches import decode_batch, encode_batch
 
 PLACE = Place("plant", "bench")
 KEY = sample_key(PLACE, "U1", "rate")

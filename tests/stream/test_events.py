@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from stream import events
 from stream.errors import WireError
-from stream.event_sense import decode_received
 from stream.events import (
     AnyDocument,
     EstimatePoint,
@@ -21,6 +20,7 @@ from stream.events import (
     StoreNoted,
     StreamTotal,
 )
+from stream.wire.event_validation import decode_received
 
 KINDS = typing.get_args(AnyDocument)
 text = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)

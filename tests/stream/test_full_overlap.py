@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from stream.batch import FloatArray, SampleBatch
 from stream.errors import EstimatorError
-from stream.estimators import deviation_forms, prefix_record
 from stream.estimators.allan_variance import LEAST_SHARE, AllanDeviation
 from stream.estimators.base import NoEstimate
 from stream.estimators.confidence import least_edf
-from stream.estimators.deviation_forms import Deviation
-from stream.estimators.full_overlap import FullOverlap, averaging_factors
+from stream.estimators.full_overlap import deviation_forms, prefix_record
+from stream.estimators.full_overlap.deviation_forms import Deviation
+from stream.estimators.full_overlap.full_overlap import FullOverlap, averaging_factors
 from stream.events import EstimatePoint
 
 DT_NS = 10_000_000

@@ -8,10 +8,10 @@ import pytest
 
 from stream.batch import FloatArray, SampleBatch
 from stream.errors import EstimatorError
-from stream.estimators import prefix_record
 from stream.estimators.base import NoEstimate
-from stream.estimators.deviation_forms import Deviation
-from stream.estimators.full_overlap import FullOverlap
+from stream.estimators.full_overlap import prefix_record
+from stream.estimators.full_overlap.deviation_forms import Deviation
+from stream.estimators.full_overlap.full_overlap import FullOverlap
 
 DT_NS = 10_000_000
 

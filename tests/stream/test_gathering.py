@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stream.batch import SampleBatch
-from stream.estimation import Estimation
 from stream.estimators.base import default_estimators
 from stream.events import (
     AnyDocument,
@@ -22,10 +21,11 @@ from stream.events import (
     SpectralLinesFound,
     encode_event,
 )
-from stream.gathering import PIECE_SAMPLES, Gathering, GatheringState
 from stream.identity import Place, event_key, sample_key
-from stream.signal_analysis import SignalAnalysis, SignalState, fresh_followers
-from stream.wire import encode_batch, read_wire_batch
+from stream.wire.batches import encode_batch, read_wire_batch
+from stream.worker.estimation import Estimation
+from stream.worker.gathering import PIECE_SAMPLES, Gathering, GatheringState
+from stream.worker.signal_analysis import SignalAnalysis, SignalState, fresh_followers
 
 DT_NS = 10**7
 PLACE = Place("plant", "bench")

@@ -14,10 +14,10 @@ from stream.errors import EstimatorError
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
 from stream.estimators.confidence import least_edf
-from stream.estimators.noise_fit import Coefficient, NoiseFit, fit_noise
-from stream.estimators.noise_likelihood import CurveLikelihood
-from stream.estimators.noise_markov import davies_bound
-from stream.estimators.noise_model import TERMS, correlations, markov_column, term_columns
+from stream.estimators.noise.noise_fit import Coefficient, NoiseFit, fit_noise
+from stream.estimators.noise.noise_likelihood import CurveLikelihood
+from stream.estimators.noise.noise_markov import davies_bound
+from stream.estimators.noise.noise_model import TERMS, correlations, markov_column, term_columns
 from stream.events import EstimatePoint
 
 DAY = (0.35, 0.01, 0.05, 0.078, 0.0432)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from stream.estimators.noise_kernel import nonnegative_least_squares
+from stream.estimators.noise.noise_kernel import nonnegative_least_squares
 
 
 @pytest.mark.parametrize("seed", range(6))

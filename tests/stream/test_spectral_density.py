@@ -17,7 +17,7 @@ from stream.errors import EstimatorError
 from stream.estimators.base import NoEstimate, estimator_classes, follower_classes
 from stream.estimators.snapshot import restore, take_snapshot
 from stream.estimators.spectral_density import SpectralDensity
-from stream.estimators.spectral_lines import Line, Spectrum, hann_window, welch_edf
+from stream.estimators.spectrum.spectral_lines import Line, Spectrum, hann_window, welch_edf
 
 DT_NS = 10_000_000
 RATE_HZ = 100.0

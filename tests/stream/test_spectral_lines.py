@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from stream.batch import FloatArray, SampleBatch
 from stream.estimators.base import NoEstimate
 from stream.estimators.spectral_density import SpectralDensity
-from stream.estimators.spectral_lines import Line, WelchAverage, find_lines, hann_window
+from stream.estimators.spectrum.spectral_lines import Line, WelchAverage, find_lines, hann_window
 
 RATE_HZ = 100.0
 

@@ -14,10 +14,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stream import spool as spool_module
-from stream.acknowledgement import StreamId
-from stream.spool import Spool, SpooledMessage, SpoolError, SpoolFull, held_messages
-from stream.spool_frames import encode_frame, parse_frames
+from stream.delivery import spool as spool_module
+from stream.delivery.spool import Spool, SpooledMessage, SpoolError, SpoolFull, held_messages
+from stream.delivery.spool_frames import encode_frame, parse_frames
+from stream.wire.acknowledgement import StreamId
 
 A, B = StreamId("gyrofleet/p/b/A/rate", "a" * 32), StreamId("gyrofleet/p/b/B/rate", "b" * 32)
 QUIET_S = 3600.0  # no background step comes in between
@@ -146,8 +146,8 @@ def test_damage_is_told_and_costs_what_it_hit(tmp_path: Path, seed: int) -> None
 APPEND = """
 import sys
 from pathlib import Path
-from stream.acknowledgement import StreamId
-from stream.spool import Spool
+from stream.wire.acknowledgement import StreamId
+from stream.delivery.spool import Spool
 stream = StreamId("gyrofleet/p/b/A/rate", "a" * 32)
 spool = Spool(Path(sys.argv[1]), file_bytes=100_000)
 seq = spool.position(stream)

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from stream import samples_pb2
 from stream.batch import SampleBatch
 from stream.errors import BadInput, NewerSchema, WireError
 from stream.events import EVENT_SCHEMA, NoteAdded, decode_event, encode_event
-from stream.wire import SAMPLE_SCHEMA, decode_batch, encode_batch
+from stream.wire import samples_pb2
+from stream.wire.batches import SAMPLE_SCHEMA, decode_batch, encode_batch
 
 names = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=20)
 seconds = 10**9
@@ -103,7 +103,7 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
 
 
 def test_the_generated_module_is_that_of_the_proto_file(tmp_path: Path) -> None:
-    with as_file(files("stream").joinpath("samples.proto")) as proto:
+    with as_file(files("stream.wire").joinpath("samples.proto")) as proto:
         out = tmp_path / "descriptors"
         code = protoc.main(["protoc", f"-I{proto.parent}", f"--descriptor_set_out={out}", str(proto)])
         assert code == 0

@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from stream import samples_pb2
 from stream.batch import SampleBatch
 from stream.errors import BadInput, WireError
-from stream.wire import decode_batch, encode_batch, read_batch_head, read_wire_batch
+from stream.wire import samples_pb2
+from stream.wire.batches import decode_batch, encode_batch, read_batch_head, read_wire_batch
 
 int64s = st.one_of(st.integers(-(2**63), 2**63 - 1), st.integers(-3, 3), st.sampled_from([2**63 - 1, -(2**63)]))
 sizes = st.sampled_from([0, 0, 1, 2, 3])

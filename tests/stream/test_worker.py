@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from stream.batch import SampleBatch
-from stream.bus import LocalBus
-from stream.delivery import DurablePublisher, StreamPosition, encode_acknowledgement
+from stream.delivery.publisher import DurablePublisher, StreamPosition, encode_acknowledgement
 from stream.errors import WireError
 from stream.estimators.base import default_estimators
 from stream.events import AnyDocument, EstimatePublished, RunEnded, decode_event
 from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING, Place, event_key, sample_key
-from stream.wire import encode_batch
-from stream.worker import EstimationWorker
+from stream.transport.bus import LocalBus
+from stream.wire.batches import encode_batch
+from stream.worker.worker import EstimationWorker
 
 PLACE = Place("plant", "bench")
 KEY = sample_key(PLACE, "U1", "rate")

@@ -1,0 +1,265 @@
+"""The command `gyrofleet limits`: the product specifications by which a store judges its units."""
+
+import getpass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from rich.table import Table
+
+from stream.console import counted, notes, print_json, reporting, results, store_option
+
+if TYPE_CHECKING:
+    from analytics.specifications.periods import Period
+    from analytics.specifications.specification import SpecificationLimit
+    from storage.specifications.chain import Chain
+    from storage.store import Store
+    from stream.events import SpecificationEntered
+
+
+_NONE = "no specification; `gyrofleet limits add FILE` adds one"
+_by = click.option("--by", default=None, help="Who does it; by default the user of the system.")
+_rejudge = click.option(
+    "--rejudge", "rejudges", is_flag=True, help="Judge what was recorded before anew, by what holds from now on."
+)
+
+
+@click.group("limits")
+def limits() -> None:
+    """Product specifications: limits of metrics, by revision, and since when they hold.
+
+    They stand in the store's log, with who entered them, when and why; a revision is never changed. A run is judged by
+    the revision that was valid when it began, as it was known when the run was recorded: what is entered later,
+    valid from whenever, changes no verdict given before, unless --rejudge says so.
+
+    \b
+    revision = "B"
+    valid_from = 2026-01-01              # a date counts in UTC; valid_until is optional
+    [product."FOG-70"]                   # numbers of the product that metrics use
+    max_rate_deg_per_s = 300.0
+    [[limit]]
+    metric = "bias_stability_averaged"
+    parameters = { average_s = 100 }     # which of the metric's values; omitted parameters match all values
+    product = "FOG-70"                   # every product if left out
+    upper = 0.05                         # and, or lower
+    unit_of_measure = "deg/h"
+
+    (`gyrofleet allan --limits` takes files of another kind: limits of Allan deviations and of angle random walk.)
+    """  # noqa: D301  click's mark for lines that are not to be joined
+
+
+@limits.command("add")
+@click.argument("file", type=click.Path(path_type=Path))
+@store_option
+@click.option("--reason", default="", help="Why, in free words.")
+@_by
+@_rejudge
+@reporting
+def add(file: Path, folder: Path, reason: str, by: str | None, *, rejudges: bool, as_json: bool) -> None:
+    """Check a specification and enter it into the log as NAME-REVISION; a copy to read is in the folder products."""
+    _enter(file, folder, reason, by, is_revision=False, rejudges=rejudges, as_json=as_json)
+
+
+@limits.command("revise")
+@click.argument("file", type=click.Path(path_type=Path))
+@store_option
+@click.option("--reason", required=True, help="Why, in free words; it stands in the log.")
+@_by
+@_rejudge
+@reporting
+def revise(file: Path, folder: Path, reason: str, by: str | None, *, rejudges: bool, as_json: bool) -> None:
+    """Enter another revision of a specification that is there; it holds from its valid_from on."""
+    _enter(file, folder, reason, by, is_revision=True, rejudges=rejudges, as_json=as_json)
+
+
+@limits.command("withdraw")
+@click.argument("label", metavar="NAME-REVISION")
+@store_option
+@click.option("--reason", required=True, help="Why, in free words; it stands in the log.")
+@_by
+@_rejudge
+@reporting
+def withdraw(label: str, folder: Path, reason: str, by: str | None, *, rejudges: bool, as_json: bool) -> None:
+    """Take a revision out of force; the one before it holds again. Verdicts given by it stay."""
+    from analytics.specifications.entering import withdraw_specification
+    from storage.store import Store
+
+    document = withdraw_specification(Store.open(folder), label, by=_who(by), reason=reason, rejudges=rejudges)
+    if as_json:
+        print_json(document)
+        return
+    results().print(f"{label}: withdrawn by {document.by}: {reason}", markup=False)
+    _tell_rejudged(rejudges=rejudges)
+
+
+@limits.command("settle")
+@store_option
+@click.option("--reason", required=True, help="Why, in free words; it stands in the log.")
+@_by
+@reporting
+def settle(folder: Path, reason: str, by: str | None, *, as_json: bool) -> None:
+    """Accept that specification documents are lost (`gyrofleet verify`): units are judged by those that are there."""
+    from analytics.specifications.entering import settle_chain
+    from storage.store import Store
+
+    breaks = settle_chain(Store.open(folder), by=_who(by), reason=reason)
+    if as_json:
+        print_json({"settled": breaks})
+        return
+    for each in breaks:
+        results().print(f"settled: {each}", markup=False)
+
+
+@limits.command("history")
+@store_option
+@reporting
+def history(folder: Path, *, as_json: bool) -> None:
+    """Who added, revised or withdrew which specification, when and why."""
+    from analytics.specifications.dates import told_moment
+    from storage.specifications.chain import read_chain
+    from storage.store import Store
+
+    links = read_chain(Store.open(folder)).links
+    if as_json:
+        print_json([{"sha256": link.hash, "document": link.document} for link in links])
+        return
+    table = Table(header_style="bold")
+    for title in ("entered", "action", "specification", "by", "reason", "earlier runs"):
+        table.add_column(title, overflow="fold")
+    for link in links:
+        each = link.document
+        what = link.label if each.name else ""
+        rejudged = "judged anew" if each.rejudges else "keep their verdicts"
+        words = (told_moment(each.t_ns) or "", each.action.value, what, each.by, each.reason, rejudged)
+        table.add_row(*words)
+    results().print(table if links else _NONE)
+
+
+@limits.command("list")
+@store_option
+@reporting
+def list_all(folder: Path, *, as_json: bool) -> None:
+    """List the specifications of a store."""
+    from analytics.specifications.periods import in_force, ordered_periods
+    from storage.specifications.chain import read_chain
+    from storage.store import Store
+
+    store = Store.open(folder)
+    chain = read_chain(store)
+    entered = {link.label: link.document for link in chain.links}
+    periods = ordered_periods(in_force(chain.links))
+    if as_json:
+        print_json([_told(each) | _entry(entered[each.specification.label]) for each in periods])
+    else:
+        table = Table(header_style="bold")
+        for title in ("specification", "revision", "valid", "limits", "products", "entered", "by"):
+            table.add_column(title, overflow="fold")
+        for each in periods:
+            found, entry = each.specification, _entry(entered[each.specification.label])
+            counts = (str(len(found.limits)), ", ".join(found.products))
+            words = (found.name, found.revision, each.told, *counts, entry["entered"], entry["by"])
+            table.add_row(*words)
+        results().print(table if periods else _NONE)
+    warn_of_copies(store, chain)
+
+
+@limits.command("show")
+@click.argument("name", metavar="NAME[-REVISION]")
+@store_option
+@click.option("--toml", "as_toml", is_flag=True, help="Print the file as it was added.")
+@click.option("--lang", "language", type=click.Choice(["en", "zh"]), default="en", show_default=True)
+@reporting
+def show(name: str, folder: Path, language: str, *, as_toml: bool, as_json: bool) -> None:
+    """Show the limits of a specification."""
+    from analytics.evaluation.table import name_of
+    from analytics.specifications.entering import specification_named
+    from storage.store import Store
+
+    period, content = specification_named(Store.open(folder), name)
+    found = period.specification
+    if as_toml:
+        click.echo(content.decode(), nl=False)
+        return
+    if as_json:
+        print_json({**_told(period), "limits": [_told_limit(each) for each in found.limits]})
+        return
+    table = Table(title=f"{found.label}, {period.told}", title_justify="left", header_style="bold")
+    titles = ("特性", "限定", "产品", "下限", "上限", "单位")
+    for title in (
+        titles if language == "zh" else ("characteristic", "of", "product", "lower", "upper", "unit of measure")
+    ):
+        table.add_column(title, overflow="fold")
+    for each in found.limits:
+        of = each.subject.removeprefix(each.metric).strip(" ()")
+        numbers = ("" if number is None else f"{number:g}" for number in (each.lower, each.upper))
+        table.add_row(name_of(each.metric, language), of, each.product or "", *numbers, each.unit_of_measure)
+    results().print(table)
+
+
+def warn_of_copies(store: "Store", chain: "Chain | None" = None) -> None:
+    """Say which files in the store's folder of specifications count for nothing, and where the chain is broken."""
+    from storage.specifications.chain import read_chain
+    from storage.specifications.copies import chain_findings, copy_findings
+
+    chain = read_chain(store) if chain is None else chain
+    for each in [*chain_findings(store, chain), *copy_findings(store, chain)]:
+        notes().print(f"warning: {each.where}: {each.what}; {each.remedy}", markup=False, soft_wrap=True)
+
+
+def _enter(
+    file: Path, folder: Path, reason: str, by: str | None, *, is_revision: bool, rejudges: bool, as_json: bool
+) -> None:
+    from analytics.specifications.entering import add_specification, stored_specifications
+    from storage.store import Store
+
+    store = Store.create(folder)
+    found, is_new = add_specification(
+        store, file, by=_who(by), reason=reason, is_revision=is_revision, rejudges=rejudges
+    )
+    if as_json:
+        print_json(
+            {"specification": found.name, "revision": found.revision, "limits": len(found.limits), "new": is_new}
+        )
+        return
+    what = f"{counted(len(found.limits), 'limit')}, {counted(len(found.products), 'product')}"
+    results().print(f"{found.label}: {what} {'kept' if is_new else 'are there already'}", markup=False)
+    if rejudges or (is_new and len(stored_specifications(store)) > 1):
+        _tell_rejudged(rejudges=rejudges)
+
+
+def _tell_rejudged(*, rejudges: bool) -> None:
+    notes().print(
+        "What was recorded before is judged anew."
+        if rejudges
+        else "What was recorded before keeps its verdicts; with --rejudge it would be judged anew.",
+        soft_wrap=True,
+    )
+
+
+def _who(by: str | None) -> str:
+    return by or getpass.getuser()
+
+
+def _entry(document: "SpecificationEntered") -> dict[str, str]:
+    from analytics.specifications.dates import told_moment
+
+    return {"entered": told_moment(document.t_ns) or "", "by": document.by, "reason": document.reason}
+
+
+def _told(period: "Period") -> dict[str, object]:
+    from analytics.specifications.dates import told_moment
+    from analytics.specifications.periods import EVER, NEVER
+
+    found = period.specification
+    return {
+        "specification": found.name,
+        "revision": found.revision,
+        "valid_from": told_moment(None if period.from_ns == EVER else period.from_ns),
+        "valid_until": told_moment(None if period.until_ns == NEVER else period.until_ns),
+        "products": list(found.products),
+        "limit_count": len(found.limits),
+    }
+
+
+def _told_limit(limit: "SpecificationLimit") -> dict[str, object]:
+    return {name: getattr(limit, name) for name in limit.__struct_fields__}

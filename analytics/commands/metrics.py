@@ -1,0 +1,159 @@
+"""The command `gyrofleet metrics`: the characteristics of the standards, of one unit or of all."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from rich.table import Table
+
+from analytics.commands.limits import warn_of_copies
+from stream.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
+from stream.errors import BadInput
+
+if TYPE_CHECKING:
+    from analytics.evaluation.annex_a import AnnexRow
+    from storage.sql.catalog import Catalog
+
+_SHOWN_ROWS = 500
+_SHOWN_REASONS = 5
+_NOTHING = 'no characteristic is of what was asked for; `gyrofleet sql "from unit_runs"` has what was tested when'
+_LANGUAGES = click.Choice(["en", "zh"])
+
+language_option = click.option(
+    "--lang", "language", type=_LANGUAGES, default="en", show_default=True, help="Language of names and titles."
+)
+
+
+@click.command("metrics")
+@store_option
+@click.option("--unit", "units", multiple=True, help="Only this unit; may be given several times, as all of these.")
+@click.option("--lot", "lots", multiple=True, help="Only units of this lot, in runs in which they were of it.")
+@click.option("--run", "runs", multiple=True, help="Only what rests on this run.")
+@click.option("--metric", "ids", multiple=True, help="Only this metric, as bias_stability.")
+@click.option("--standard", "standards", multiple=True, help="Only this standard: GJB2426A, JJF2014, JJF1536.")
+@click.option("--since", help="Only what rests on a run begun then or later: 2026-11-21, or with time and zone.")
+@click.option("--annex-a", "annex_unit", metavar="UNIT", help="The 24 rows of JJF 2014-2022 annex A for this unit.")
+@click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write to this CSV file.")
+@click.option("--xlsx", "xlsx_path", type=click.Path(path_type=Path), help="Write to this workbook.")
+@language_option
+@reporting
+def metrics(
+    folder: Path,
+    units: tuple[str, ...],
+    lots: tuple[str, ...],
+    runs: tuple[str, ...],
+    ids: tuple[str, ...],
+    standards: tuple[str, ...],
+    since: str | None,
+    annex_unit: str | None,
+    csv_path: Path | None,
+    xlsx_path: Path | None,
+    language: str,
+    *,
+    as_json: bool,
+) -> None:
+    """Characteristics of the test standards: value, 95 % interval, clause, or the reason why there is none.
+
+    Runs that have changed since the last time are reduced first. Then values come from what was kept.
+
+    \b
+    gyrofleet metrics --unit FOG-0231
+    gyrofleet metrics --standard GJB2426A --since 2026-11-01 --xlsx november.xlsx
+    gyrofleet metrics --annex-a FOG-0231 --lang zh
+    """  # noqa: D301  click's mark for lines that are not to be joined
+    from analytics.evaluation.annex_a import annex_a
+    from analytics.evaluation.selection import Selection, dated, selected, undated_runs, unused_steps
+    from analytics.evaluation.table import metrics_table, write_csv, write_xlsx
+
+    if annex_unit is not None and (units or lots or runs or ids or standards or since or csv_path or xlsx_path):
+        raise BadInput("--annex-a stands alone, with --lang and --json: it is the unit's last values of JJF 2014-2022")
+    asked = Selection(units, lots, runs, ids, standards, None if since is None else dated(since))
+    with opened_catalog(folder, quiet=as_json) as catalog:
+        if annex_unit is not None:
+            tell_annex(annex_a(catalog, annex_unit), annex_unit, language, as_json=as_json)
+            return
+        rows = selected(catalog, asked)
+        undated = undated_runs(catalog) if since else 0
+        _tell_unused(unused_steps(catalog, asked))
+    if undated:
+        notes().print(f"--since leaves out {undated} runs whose date is not known; import them with --start")
+    if csv_path is not None:
+        write_csv(rows, csv_path, language)
+    if xlsx_path is not None:
+        write_xlsx(rows, xlsx_path, language)
+    for path in filter(None, (csv_path, xlsx_path)):
+        notes().print(f"{len(rows):,} rows written to {path}", markup=False)
+    if not rows and (csv_path is not None or xlsx_path is not None):
+        notes().print(_NOTHING, markup=False)
+    if as_json:
+        print_json(rows)
+    elif csv_path is None and xlsx_path is None:
+        _tell(metrics_table(rows[:_SHOWN_ROWS], language), len(rows))
+
+
+@contextmanager
+def opened_catalog(folder: Path, *, quiet: bool) -> "Iterator[Catalog]":
+    """A store's catalogue that tells on standard error how far the reduction of changed runs is."""
+    from storage.specifications.chain import read_chain
+    from storage.sql.catalog import Catalog
+    from storage.store import Store
+
+    with progress_bar(hidden=quiet) as progress:
+        task = progress.add_task("reducing changed runs", total=None, visible=False)
+
+        def told(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total, visible=done < total)
+
+        with Catalog(Store.open(folder), told=told) as catalog:
+            warn_of_copies(catalog.store, read_chain(catalog.store, catalog))
+            yield catalog
+
+
+def tell_annex(rows: "Sequence[AnnexRow]", unit: str, language: str, *, as_json: bool) -> None:
+    """Print the annex."""
+    from analytics.evaluation.table import interval_of, told_number, told_parameters, told_unit
+
+    if as_json:
+        print_json({"unit": unit, "standard": "JJF2014", "annex": "A", "rows": [row.told() for row in rows]})
+        return
+    in_chinese = language == "zh"
+    table = Table(
+        title=f"JJF 2014-2022 附录 A: {unit}" if in_chinese else f"JJF 2014-2022 annex A: {unit}",
+        title_justify="left",
+        header_style="bold",
+    )
+    for title in ("序号", "校准项目", "校准结果", "95 % 区间", "参数", "条款") if in_chinese else (
+        "no.", "characteristic", "result", "95 % interval", "parameters", "clause"
+    ):  # fmt: skip
+        table.add_column(title, overflow="fold")
+    for row in rows:
+        name = row.characteristic.zh if in_chinese else row.characteristic.en
+        if not row.results:
+            table.add_row(str(row.number), name, styled(row.reason or "", "yellow"), "", "", row.clause)
+        for at, each in enumerate(row.results):
+            value = f"{told_number(each['value'], each['standard_uncertainty'])} {told_unit(each['unit_of_measure'])}"
+            head = ("", "") if at else (str(row.number), name)
+            table.add_row(*head, value.strip(), interval_of(each), told_parameters(each["parameters"]), each["clause"])
+    results().print(table)
+
+
+def _tell_unused(unused: "Sequence[tuple[str, int, str]]") -> None:
+    """Say which steps no characteristic rests on; their reasons, and how many of how many units."""
+    for reason, steps, units in unused[:_SHOWN_REASONS]:
+        notes().print(f"not judged: {counted(steps, 'step')} of {units}: {reason}", soft_wrap=True, markup=False)
+    if len(unused) > _SHOWN_REASONS:
+        more = len(unused) - _SHOWN_REASONS
+        notes().print(f'... and {more} reasons more; `gyrofleet sql "from unused_steps"` has all', markup=False)
+
+
+def _tell(table: Table, count: int) -> None:
+    console = results()
+    if count == 0:
+        console.print(_NOTHING)
+        return
+    console.print(table)
+    shown = min(count, _SHOWN_ROWS)
+    more = "" if shown == count else f", the first {shown} shown; --csv, --xlsx or --json give all"
+    console.print(f"{count:,} row{'' if count == 1 else 's'}{more}")

@@ -1,0 +1,123 @@
+"""The command `gyrofleet spectrum`: power spectral density of a recorded signal and the lines in it."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+import numpy as np
+from rich.table import Table
+
+from stream.console import notes, print_json, reporting, results, store_option
+
+if TYPE_CHECKING:
+    from analytics.curves.spectrum import SignalSpectrum
+
+_NONE = "\N{EN DASH}"
+_HALF_BAND = 10.0**0.05
+_FEW_ROWS = 4
+
+
+@click.command("spectrum")
+@click.option("--unit", required=True, help="Which unit.")
+@click.option("--signal", required=True, help="Which of its signals, as rate or rate_x.")
+@click.option("--run", help="Which run; the one measured last if left out.")
+@store_option
+@click.option("--plot", "plot_path", type=click.Path(path_type=Path), help="Draw the density: FILE.png or FILE.svg.")
+@reporting
+def spectrum(unit: str, signal: str, run: str | None, folder: Path, plot_path: Path | None, *, as_json: bool) -> None:
+    """Power spectral density of a recorded signal and the sinusoidal lines in it, with 95 % confidence limits."""
+    from analytics.curves.spectrum import spectrum_of
+    from storage.sql.catalog import Catalog
+    from storage.store import Store
+
+    with Catalog(Store.open(folder)) as catalog:
+        found = spectrum_of(catalog, unit, signal, run)
+    if plot_path is not None:
+        from analytics.plots.spectrum_plot import plot_spectrum
+
+        plot_spectrum(found, plot_path)
+    if as_json:
+        print_json(found.document())
+        return
+    if found.lines:
+        results().print(_line_table(found))
+    else:
+        results().print(_no_line(found), soft_wrap=True, markup=False)
+    results().print(_level_table(found))
+    if plot_path is not None:
+        notes().print(f"plot: {plot_path}")
+
+
+def _line_table(found: "SignalSpectrum") -> Table:
+    from analytics.curves.spectrum import with_error
+
+    table = Table(
+        title=f"Lines (谱线) of {found.unit} {found.signal}, run {found.run}",
+        title_justify="left",
+        caption=f"{found.confidence * 100:g} % confidence; amplitude is that of the peak. {_tested(found)}",
+        caption_justify="left",
+        header_style="bold",
+    )
+    for title in ("frequency Hz 频率", f"amplitude {found.unit_of_measure} 幅值", "from", "to", "times background"):
+        table.add_column(title, justify="right")
+    for line in found.lines:
+        amplitudes = (line.amplitude, line.amplitude_lo, line.amplitude_hi)
+        frequency = with_error(line.frequency_hz, line.frequency_hi_hz - line.frequency_hz)
+        table.add_row(frequency, *(f"{value:.4g}" for value in amplitudes), f"{line.background_ratio:,.3g}")
+    return table
+
+
+def _no_line(found: "SignalSpectrum") -> str:
+    return f"No line stands out (无显著谱线) of {found.unit} {found.signal}, run {found.run}. {_tested(found)}"
+
+
+def _tested(found: "SignalSpectrum") -> str:
+    return (
+        f"Searched from {found.searched_lo_hz:.4g} to {found.searched_hi_hz:.4g} Hz; "
+        f"of spectra without any line, at most {found.false_alarm_probability * 100:g} % show one"
+    )
+
+
+def _level_table(found: "SignalSpectrum") -> Table:
+    length_s = found.segment_samples * found.sample_interval_s
+    left_out = f", {found.segments_left_out:,} left out for missing samples" if found.segments_left_out else ""
+    table = Table(
+        title=f"Power spectral density (功率谱密度) of {found.unit} {found.signal}, run {found.run}",
+        title_justify="left",
+        caption=f"{found.samples:,} samples every {found.sample_interval_s:g} s, {found.missing:,} missing; "
+        f"resolution {found.bin_width_hz:.4g} Hz: {found.segments:,} segments of {found.segment_samples:,} samples "
+        f"({length_s:g} s){left_out}, half overlapping, Hann window; means over a tenth of a decade, lines left out; "
+        f"limits: {found.confidence * 100:g} % confidence",
+        caption_justify="left",
+        header_style="bold",
+    )
+    titles = ("frequency Hz 频率", f"density {found.psd_unit}", "from", "to", f"line seen from {found.unit_of_measure}")
+    for title in titles:
+        table.add_column(title, justify="right")
+    for frequency_hz in round_frequencies(found.frequency_hz[0], found.frequency_hz[-1]):
+        band = np.array([frequency_hz / _HALF_BAND, frequency_hz * _HALF_BAND])
+        for level in found.levels(band):
+            least = found.least_amplitude(level)
+            values = (f"{value:.4g}" for value in (level.psd, level.lo, level.hi))
+            table.add_row(f"{level.frequency_hz:.3g}", *values, _NONE if least is None else f"{least:.3g}")
+    return table
+
+
+def round_frequencies(low_hz: float, high_hz: float) -> list[float]:
+    """Powers of ten between two frequencies; with their threes where those are few.
+
+    Examples
+    --------
+    >>> round_frequencies(0.006, 100.0)
+    [0.01, 0.1, 1.0, 10.0, 100.0]
+    >>> round_frequencies(0.002, 0.5)
+    [0.003, 0.01, 0.03, 0.1, 0.3]
+    """
+    powers = range(math.floor(math.log10(low_hz)), math.floor(math.log10(high_hz)) + 1)
+    tens = [float(f"1e{power}") for power in powers]
+    decades = [value for value in tens if low_hz <= value <= high_hz]
+    if len(decades) >= _FEW_ROWS:
+        return decades
+    threes = [float(f"{digit}e{power}") for power in powers for digit in (1, 3)]
+    return [value for value in threes if low_hz <= value <= high_hz]

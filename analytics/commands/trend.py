@@ -1,0 +1,180 @@
+"""The command `gyrofleet trend`: a characteristic over time, by unit, lot, station or fixture."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from rich.table import Table
+
+from analytics.commands.metrics import language_option, opened_catalog
+from stream.console import notes, print_json, reporting, results, store_option
+from stream.errors import BadInput
+
+if TYPE_CHECKING:
+    from analytics.trends.trend import Chart, Trend
+
+_NONE = "\N{EN DASH}"
+_SHOWN_ROWS = 40
+_TITLES = {
+    "en": ("points", "centre", "sigma", "lower limit", "upper limit", "state", "rules met (times)"),
+    "zh": ("点数", "中心线", "σ", "下控制限", "上控制限", "状态", "判异准则（次数）"),
+}
+_ALL = {"en": "all units", "zh": "全部样品"}
+_STATES = {
+    "en": {True: "in control", False: "stands out", None: "too few points"},
+    "zh": {True: "受控", False: "异常", None: "点数不足"},
+}
+
+
+@click.command("trend")
+@click.argument("metric")
+@click.option(
+    "--by",
+    type=click.Choice(["unit", "lot", "station", "fixture"]),
+    help="One chart for each; left out, all units stand on one chart with their first values.",
+)
+@store_option
+@click.option("--unit", "units", multiple=True, help="Only this unit; may be given several times.")
+@click.option("--signal", help="Only this signal, as rate_x.")
+@click.option("--lot", help="Only units of this lot.")
+@click.option("--station", help="Only what this station measured.")
+@click.option("--fixture", help="Only what was measured in this fixture.")
+@click.option("--product", help="Only units of this product.")
+@click.option("--standard", help="Only values of this standard: GJB2426A, JJF2014.")
+@click.option("--parameter", "parameters", multiple=True, metavar="NAME=VALUE", help="Which kind, as average_s=100.")
+@click.option("--since", help="Only values measured then or later: 2026-11-21, or with time and zone.")
+@click.option("--baseline", type=click.IntRange(min=8), help="Limits from so many first points; from all if left out.")
+@click.option(
+    "--sigma",
+    "spread",
+    type=click.Choice(["median_moving_range", "moving_range", "deviation"]),
+    default="median_moving_range",
+    show_default=True,
+    help="From what the limits are computed; wild points move the median least.",
+)
+@click.option("--plot", "plot_path", type=click.Path(path_type=Path), help="Draw the charts: FILE.png or FILE.svg.")
+@language_option
+@reporting
+def trend(
+    metric: str,
+    by: str | None,
+    folder: Path,
+    units: tuple[str, ...],
+    signal: str | None,
+    lot: str | None,
+    station: str | None,
+    fixture: str | None,
+    product: str | None,
+    standard: str | None,
+    parameters: tuple[str, ...],
+    since: str | None,
+    baseline: int | None,
+    spread: str,
+    plot_path: Path | None,
+    language: str,
+    *,
+    as_json: bool,
+) -> None:
+    """A characteristic over time: control charts, changes, drift, differences between stations, capability.
+
+    At the end it says in words what stands out: since when, which group differs, by how much with its interval.
+
+    \b
+    gyrofleet trend bias --by station --plot bias.png
+    gyrofleet trend bias_stability_averaged --parameter average_s=100 --since 2026-11-01
+    gyrofleet trend scale_factor --unit FOG-0231 --lang zh
+    """  # noqa: D301  click's mark for lines that are not to be joined
+    from analytics.evaluation.selection import dated, standard_named
+    from analytics.plots.figure_file import check_suffix
+    from analytics.trends.control_chart import Spread
+    from analytics.trends.document import document
+    from analytics.trends.series import Choice, read_series
+    from analytics.trends.specified import specified_limits
+    from analytics.trends.trend import trend_of
+
+    if plot_path is not None:
+        check_suffix(plot_path)
+    choice = Choice(
+        units=units,
+        signal=signal,
+        standard=None if standard is None else standard_named(standard),
+        parameters=_pairs(parameters),
+        lot=lot,
+        station=station,
+        fixture=fixture,
+        product=product,
+        since_ns=None if since is None else dated(since),
+    )
+    with opened_catalog(folder, quiet=as_json) as catalog:
+        series = read_series(catalog, metric, choice)
+        specification = specified_limits(catalog.store, series)
+    found = trend_of(series, by=by, baseline=baseline, spread=Spread(spread), specification=specification)
+    if plot_path is not None:
+        from analytics.plots.trend_plot import plot_trend
+
+        plot_trend(found, plot_path)
+    if as_json:
+        print_json(document(found))
+        return
+    _tell(found, language)
+    if plot_path is not None:
+        notes().print(f"plot: {plot_path}", markup=False)
+
+
+def _pairs(parameters: tuple[str, ...]) -> dict[str, str]:
+    found = {}
+    for text in parameters:
+        name, equals, value = text.partition("=")
+        if not equals or not name or not value:
+            raise BadInput(f"--parameter {text!r} is not like average_s=100")
+        found[name.strip()] = value.strip()
+    return found
+
+
+def _tell(found: "Trend", language: str) -> None:
+    from analytics.trends.report import sentences
+
+    results().print(_chart_table(found, language))
+    results().print()
+    for words in sentences(found):
+        results().print(words.said(language), soft_wrap=True, markup=False)
+
+
+def _chart_table(found: "Trend", language: str) -> Table:
+    from analytics.evaluation.table import name_of, told_unit
+    from analytics.trends.words import Refused
+
+    unit = told_unit(found.series.unit_of_measure)
+    name = name_of(found.series.metric, language) if language == "zh" else found.series.metric
+    title = f"{name} / {unit}" if unit else name
+    table = Table(title=title, title_justify="left", header_style="bold")
+    table.add_column(found.by or "")
+    for title in _TITLES[language]:
+        table.add_column(title, justify="right" if title not in {"state", "状态"} else "left")
+    order = sorted(found.charts, key=lambda chart: (chart.in_control is not False, chart.in_control is None))
+    for chart in order[:_SHOWN_ROWS]:
+        limits = [_NONE] * 4
+        if not isinstance(chart.limits, Refused):
+            limits = _numbers(chart)
+        met = ", ".join(f"{rule} ({chart.counts[rule - 1]})" for rule in chart.signals) or _NONE
+        state = _STATES[language][chart.in_control]
+        table.add_row(chart.name or _ALL[language], str(chart.series.value.size), *limits, state, met)
+    if len(order) > _SHOWN_ROWS:
+        table.caption = f"{len(order) - _SHOWN_ROWS} more; --json has all"
+    return table
+
+
+def _numbers(chart: "Chart") -> list[str]:
+    from analytics.trends.control_chart import IndividualsChart
+    from analytics.trends.words import figures
+
+    limits = chart.limits
+    assert isinstance(limits, IndividualsChart)
+    return [
+        figures(each, limits.sigma / 10) if name != "sigma" else f"{each:.3g}"
+        for name, each in zip(
+            ("centre", "sigma", "lower", "upper"),
+            (limits.centre, limits.sigma, limits.lower, limits.upper),
+            strict=True,
+        )
+    ]

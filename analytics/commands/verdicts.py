@@ -1,0 +1,200 @@
+"""The command `gyrofleet verdicts`: which units are good by their specifications, and what the others fail by."""
+
+import json
+import sys
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from rich.table import Table
+from rich.text import Text
+
+from analytics.commands.metrics import language_option, opened_catalog
+from stream.console import counted, notes, print_json, reporting, results, store_option, styled
+from stream.errors import BadInput
+
+if TYPE_CHECKING:
+    from analytics.specifications.verdicts import Verdicts
+
+_FAILED = 3
+_SHOWN = 200
+_COLOURS = {"PASS": "green", "FAIL": "red", "MARGINAL": "yellow", "NO_DATA": "dim"}
+_ZH_VERDICTS = {"PASS": "合格", "FAIL": "不合格", "MARGINAL": "临界", "NO_DATA": "无数据"}
+_ZH = {
+    "unit": "产品编号", "product": "产品型号", "lot": "批次", "verdict": "判定", "latest": "最近判定",
+    "passed": "合格项", "failed": "不合格项", "marginal": "临界项", "no data": "无数据项", "fails by": "不合格特性",
+    "characteristic": "特性", "signal": "信号", "run": "试验", "value": "数值", "95 % interval": "95 % 区间",
+    "limits": "限值", "standard": "标准", "revision": "规范版本", "reason": "原因", "units": "产品数",
+    "yield": "合格率", "judged": "已判定", "share": "占比", "cumulative": "累计", "station": "试验台",
+    "fixture": "夹具", "day": "日期",
+}  # fmt: skip
+
+
+@click.command("verdicts")
+@store_option
+@click.option("--unit", "units", multiple=True, help="Only this unit, with each of its values; may be repeated.")
+@click.option("--by", type=click.Choice(["lot", "station", "fixture", "day"]), help="Yield of each of these instead.")
+@click.option("--fail-on-fail", is_flag=True, help="End with exit code 3 where a unit fails.")
+@language_option
+@reporting
+def verdicts(
+    folder: Path, units: tuple[str, ...], by: Any, language: str, *, fail_on_fail: bool, as_json: bool
+) -> None:
+    """PASS, FAIL, MARGINAL or NO_DATA by the product specifications (`gyrofleet limits`), and the reasons.
+
+    A value passes or fails only where its whole 95 % interval lies on one side of the limit. Each is judged by the
+    revision that was valid when its run began. A unit's verdict is the worst of its limits.
+    """
+    from analytics.specifications.verdicts import verdicts_of, yield_by
+
+    if by and units:
+        raise BadInput("give --unit or --by, not both: the yield is that of all units")
+    with opened_catalog(folder, quiet=as_json) as catalog:
+        found = verdicts_of(catalog, units, with_values=bool(units) or (as_json and not by))
+        shares = yield_by(catalog, by) if by else []
+    if as_json:
+        rest = {"pareto": found.pareto, "warnings": found.warnings}
+        if by:
+            print_json({"by": by, "yield": shares, **rest})
+        else:
+            told = [row | {"parameters": json.loads(row["parameters"] or "{}")} for row in found.verdicts]
+            print_json({"units": found.units, "verdicts": told, **rest})
+    else:
+        _tell(found, shares, by, language, with_values=bool(units))
+    if fail_on_fail and found.has_failure:
+        sys.exit(_FAILED)
+
+
+def _tell(found: "Verdicts", shares: list[dict[str, Any]], by: str | None, language: str, *, with_values: bool) -> None:
+    console = results()
+    if by:
+        console.print(_yield_table(shares, by, language))
+        without = sum(row["no_data"] for row in shares)
+        if without:
+            of = sum(row["units"] for row in shares)
+            console.print(
+                f"The yield is of units that were judged: {without} of {of} are NO_DATA and not in it"
+                if language == "en"
+                else f"合格率仅统计已判定的产品：{of} 个中有 {without} 个无数据，未计入"
+            )
+    else:
+        console.print(_unit_table(found.units[:_SHOWN], language))
+        if with_values:
+            console.print(_value_table(found.verdicts, language))
+        counts = Counter(row["verdict"] for row in found.units)
+        said = ", ".join(f"{n} {_told_verdict(name, language)}" for name, n in sorted(counts.items()))
+        more = f" (the first {_SHOWN} shown; --json gives all)" if len(found.units) > _SHOWN else ""
+        console.print(
+            f"{counted(len(found.units), 'unit')}: {said}{more}"
+            if language == "en"
+            else f"{len(found.units)} 个产品: {said}{more}"
+        )
+    if found.pareto and not with_values:
+        console.print(_pareto_table(found.pareto, language))
+    for row in found.warnings:
+        reason = row["reason_zh"] if language == "zh" else row["reason"]
+        notes().print(f"warning: unit {row['unit']}: {reason}", markup=False, soft_wrap=True)
+
+
+def _unit_table(units: Iterable[dict[str, Any]], language: str) -> Table:
+    table = _table(
+        ("unit", "product", "lot", "verdict", "latest", "passed", "failed", "marginal", "no data", "reason"), language
+    )
+    for row in units:
+        counts = (str(row[name]) for name in ("passed", "failed", "marginal", "no_data"))
+        why = _told_reasons(row, language) or row["reason"] or ""
+        table.add_row(
+            row["unit"], row["product"], row["lot"], _coloured(row["verdict"], language),
+            _coloured(row["latest_verdict"], language), *counts, why,
+        )  # fmt: skip
+    return table
+
+
+def _told_reasons(row: dict[str, Any], language: str) -> str:
+    """What a unit fails by, what is undecided, and what is lacking."""
+    parts = (("FAIL", row["failures"]), ("MARGINAL", row["undecided"]), ("NO_DATA", row["lacking"]))
+    return "; ".join(
+        f"{_told_verdict(verdict, language)}: {', '.join(_name(metric, language) for metric in which)}"
+        for verdict, which in parts
+        if which
+    )
+
+
+def _value_table(rows: Iterable[dict[str, Any]], language: str) -> Table:
+    from analytics.evaluation.table import told_limits, told_number, told_parameters, told_unit
+
+    table = _table(
+        (
+            "characteristic", "signal", "run", "value", "95 % interval", "limits", "verdict", "standard", "revision",
+            "reason",
+        ),
+        language,
+    )  # fmt: skip
+    for row in rows:
+        half = None if row["lo"] is None else (row["hi"] - row["lo"]) / 4
+        unit = told_unit(row["unit_of_measure"])
+        value = "" if row["value"] is None else f"{told_number(row['value'], half)} {unit}".strip()
+        interval = "" if row["lo"] is None else f"{told_number(row['lo'], half)} .. {told_number(row['hi'], half)}"
+        parameters = told_parameters(json.loads(row["parameters"] or "{}"))
+        label = f"{row['specification']}-{row['revision'] or '?'}" if row["specification"] else ""
+        table.add_row(
+            _name(row["metric"], language) + (f" ({parameters})" if parameters else ""),
+            row["signal"], row["run"] or _several(row["runs"], language), value, interval,
+            f"{told_limits(row)} {unit}".strip(), _coloured(row["verdict"], language), row["standard"], label,
+            row["reason"] or "",
+        )  # fmt: skip
+    return table
+
+
+def _several(runs: Iterable[str], language: str) -> str:
+    """What stands for the run of a value that rests on several."""
+    several = "几次试验合计" if language == "zh" else "over several runs"
+    return several if len(list(runs)) > 1 else ""
+
+
+def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> Table:
+    table = _table((by, "units", "passed", "failed", "marginal", "no data", "yield", "95 % interval"), language)
+    for row in rows:
+        counts = (str(row[name]) for name in ("units", "passed", "failed", "marginal", "no_data"))
+        share = ("", "") if row["yield"] is None else (
+            f"{row['yield']:.1%}", f"{row['yield_lo']:.1%} .. {row['yield_hi']:.1%}"
+        )  # fmt: skip
+        table.add_row("?" if row["name"] is None else row["name"], *counts, *share)
+    return table
+
+
+def _pareto_table(rows: Iterable[dict[str, Any]], language: str) -> Table:
+    table = _table(("fails by", "failed", "marginal", "judged", "share", "cumulative"), language)
+    for row in rows:
+        of = row["subject"].removeprefix(row["metric"])
+        name = row[language] + ("" if row["subject"] == "entered" else of)
+        counts = (str(row[name]) for name in ("failed", "marginal", "judged"))
+        table.add_row(name, *counts, f"{row['share']:.0%}", f"{row['cumulative_share']:.0%}")
+    return table
+
+
+def _table(titles: Iterable[str], language: str) -> Table:
+    table = Table(header_style="bold")
+    for title in titles:
+        table.add_column(_ZH.get(title, title) if language == "zh" else title, overflow="fold")
+    return table
+
+
+def _name(metric: str, language: str) -> str:
+    """A metric's name; an entered check may have a name of its own."""
+    from analytics.evaluation.table import name_of
+    from analytics.metrics.registry import metrics
+
+    if metric in metrics():
+        return name_of(metric, language)
+    return _ZH.get(metric, metric) if language == "zh" else metric
+
+
+def _told_verdict(verdict: str, language: str) -> str:
+    return _ZH_VERDICTS[verdict] if language == "zh" else verdict
+
+
+def _coloured(verdict: str, language: str) -> Text:
+    return styled(_told_verdict(verdict, language), _COLOURS[verdict])

@@ -1,0 +1,1 @@
+"""Curves of recorded signals: Allan deviation, spectrum, and what is fitted to them."""

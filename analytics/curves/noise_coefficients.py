@@ -1,0 +1,186 @@
+"""Noise coefficients of an Allan curve of the store: the fit, its terms, and their JSON."""
+
+import dataclasses
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from analytics.curves.allan_curve import AllanCurve
+from analytics.curves.isolated_outliers import IsolatedOutliers
+from stream.batch import FloatArray
+from stream.estimators.base import NoEstimate
+from stream.estimators.noise.noise_fit import Coefficient, NoiseFit, fit_noise
+from stream.estimators.noise.noise_model import (
+    ANGLE_RANDOM_WALK,
+    MARKOV_NOISE,
+    TERMS,
+    Term,
+    markov_column,
+    term_columns,
+)
+from stream.events import EstimatePoint
+from stream.quantities import ANGULAR_RATE_UNIT
+
+CONFIDENCE = 0.95
+MOST_MISFIT = 0.25
+
+
+@dataclasses.dataclass(frozen=True)
+class FittedTerm:
+    """One term of a fitted model.
+
+    Parameters
+    ----------
+    term : Term
+        Which one: its names, letter and unit.
+    coefficient : Coefficient
+        What the fit says of it.
+    correlation_s : float, optional
+        Correlation time of Markov noise, seconds; None for the others.
+    """
+
+    term: Term
+    coefficient: Coefficient
+    correlation_s: float | None = None
+
+    def variance(self, taus_s: FloatArray) -> FloatArray:
+        """Its part in the fitted Allan variance, (deg/h)**2, at averaging times in seconds."""
+        if self.correlation_s is None:
+            column = term_columns(taus_s)[:, TERMS.index(self.term)]
+        else:
+            column = markov_column(taus_s, self.correlation_s)
+        share: FloatArray = column * (self.coefficient.value / self.term.per_si) ** 2
+        return share
+
+
+@dataclasses.dataclass(frozen=True)
+class NoiseCoefficients:
+    """The noise of one signal: coefficients fitted to its Allan curve, and the other method beside them.
+
+    Parameters
+    ----------
+    fit : NoiseFit
+        The coefficients of IEEE 952.
+    normalised : Coefficient or NoEstimate
+        Angle random walk by normalised bias stability (GJB 2426A-2004 5.12.5.4.1), or why there is none.
+    """
+
+    fit: NoiseFit
+    normalised: Coefficient | NoEstimate
+
+    @property
+    def terms(self) -> tuple[FittedTerm, ...]:
+        """The five terms, and the Markov term where the curve asked for one."""
+        terms = tuple(FittedTerm(term, getattr(self.fit, term.key)) for term in TERMS)
+        markov = self.fit.markov
+        return terms if markov is None else (*terms, FittedTerm(MARKOV_NOISE, markov.amplitude, markov.correlation_s))
+
+    def deviation(self, taus_s: FloatArray) -> FloatArray:
+        """Allan deviation of the fitted model, all terms together, deg/h."""
+        total: FloatArray = np.sqrt(np.sum([term.variance(taus_s) for term in self.terms], axis=0))
+        return total
+
+    @property
+    def describes(self) -> bool:
+        """Whether the model describes the curve at all, so that it is worth drawing."""
+        return self.fit.misfit <= MOST_MISFIT
+
+    def farthest(self, curve: AllanCurve) -> tuple[float, float]:
+        """Where the model departs most from a curve beyond its limits, and by how much: seconds, and model over curve.
+
+        The ratio is 1 where the model lies within the limits everywhere.
+        """
+        columns = zip(
+            curve.tau_s, self.deviation(np.array(curve.tau_s)).tolist(), curve.adev, curve.lo, curve.hi, strict=True
+        )
+        outside = [
+            (tau_s, model / adev) for tau_s, model, adev, lo, hi in columns if not lo <= model <= hi and adev > 0
+        ]
+        return max(outside, key=lambda each: abs(math.log(each[1])), default=(curve.tau_s[0], 1.0))
+
+    def agreeing(self, curve: AllanCurve) -> int:
+        """At how many averaging times of a curve the model lies within the limits of its deviation.
+
+        Limits of the coefficients suppose that the noise is that of the model: far fewer than 95 % say that it is not.
+        """
+        model = self.deviation(np.array(curve.tau_s))
+        return int(np.count_nonzero((np.array(curve.lo) <= model) & (model <= np.array(curve.hi))))
+
+    def document(self) -> dict[str, Any]:
+        """Return the coefficients as they stand in JSON, the limits of each beside its value."""
+        document: dict[str, Any] = {term.key: msgspec.to_builtins(getattr(self.fit, term.key)) for term in TERMS}
+        document["markov"] = msgspec.to_builtins(self.fit.markov)
+        document["angle_random_walk_normalised"] = (
+            {
+                "value": None,
+                "lo": None,
+                "hi": None,
+                "unit_of_measure": ANGLE_RANDOM_WALK.unit_of_measure,
+                "observable": False,
+                "reason": self.normalised.reason,
+            }
+            if isinstance(self.normalised, NoEstimate)
+            else msgspec.to_builtins(self.normalised)
+        )
+        return document
+
+
+def noise_coefficients(curve: AllanCurve, normalised: Coefficient | NoEstimate) -> NoiseCoefficients | NoEstimate:
+    """Fit the noise model of IEEE 952 to an Allan curve.
+
+    Parameters
+    ----------
+    curve : AllanCurve
+        Overlapping Allan deviation of a signal.
+    normalised : Coefficient or NoEstimate
+        Angle random walk of the same signal by the normalised method, see `normalised_walk`.
+
+    Returns
+    -------
+    NoiseCoefficients or NoEstimate
+        NoEstimate where the signal is no angular rate, or the curve too short or zero throughout.
+
+    Examples
+    --------
+    >>> taus = tuple(0.1 * 2.0**k for k in range(16))
+    >>> adev = tuple(60.0 * 0.01 / tau**0.5 for tau in taus)
+    >>> curve = AllanCurve("FOG-1", "rate", "r1", "deg/h", 0.1, 100_000, 0, taus, adev, adev, adev,
+    ...                    tuple(1e4 / tau for tau in taus))
+    >>> found = noise_coefficients(curve, NoEstimate("sample interval of 0.1 s"))
+    >>> round(found.fit.angle_random_walk.value, 6), found.document()["angle_random_walk"]["unit_of_measure"]
+    (0.01, 'deg/sqrt(h)')
+    >>> noise_coefficients(dataclasses.replace(curve, unit_of_measure="degC"), NoEstimate("")).reason[:52]
+    'unit FOG-1, signal rate, run r1: the signal is in de'
+    """
+    who = f"unit {curve.unit}, signal {curve.signal}, run {curve.run}"
+    if curve.unit_of_measure != ANGULAR_RATE_UNIT:
+        return NoEstimate(
+            f"{who}: the signal is in {curve.unit_of_measure}, the noise coefficients of IEEE 952 are those of an "
+            "angular rate; choose a signal in deg/s, deg/h or rad/s"
+        )
+    noises = curve.plausible or ((),) * len(curve.tau_s)
+    columns = zip(curve.tau_s, curve.adev, curve.lo, curve.hi, curve.edf, noises, strict=True)
+    points = [
+        EstimatePoint(tau_s=tau_s, value=y, lo=lo, hi=hi, edf=edf, n=0, plausible=noise)
+        for tau_s, y, lo, hi, edf, noise in columns
+    ]
+    fit = fit_noise(points, confidence=CONFIDENCE)
+    if isinstance(fit, NoEstimate):
+        return NoEstimate(f"{who}: {fit.reason}")
+    return NoiseCoefficients(fit, normalised)
+
+
+def curve_document(
+    curve: AllanCurve, found: NoiseCoefficients | NoEstimate, outliers: IsolatedOutliers | None = None
+) -> dict[str, Any]:
+    """Return a curve and its coefficients, or the reason why there are none, as one JSON document."""
+    return {
+        **curve.document(),
+        "coefficients": None if isinstance(found, NoEstimate) else found.document(),
+        "coefficients_reason": found.reason if isinstance(found, NoEstimate) else None,
+        "misfit": None if isinstance(found, NoEstimate) else found.fit.misfit,
+        "confidence": CONFIDENCE,
+        "outliers": None if outliers is None else dataclasses.asdict(outliers),
+    }

@@ -1,0 +1,152 @@
+"""The Allan deviation of a recorded signal over a window that rolls along: how the noise changes with time."""
+
+import math
+from dataclasses import dataclass
+
+from rich.table import Table
+
+from storage.sql.catalog import Catalog
+from storage.sql.reading import find_signal, read_signal
+from stream.errors import NotFound
+from stream.estimators.allan_variance import AllanDeviation
+from stream.estimators.base import NoEstimate
+from stream.estimators.rolling_window import RollingWindow, WindowEstimate
+
+_SECONDS_PER_HOUR = 3600.0
+_SHOWN_TAUS = 8
+_SHOWN_ROWS = 40
+
+
+@dataclass(frozen=True)
+class RollingAllan:
+    """Dynamic Allan deviation: a row for each window, a column for each averaging time.
+
+    Parameters
+    ----------
+    unit, signal, run : str
+        Whose it is.
+    unit_of_measure : str
+        Of `adev`, `lo` and `hi`.
+    window_s, step_s : float
+        Length of the window and by how much it moves on, seconds.
+    start_h : tuple of float
+        Where each window begins, hours since the first sample.
+    samples, missing : tuple of int
+        Samples in each window, and missing from it.
+    tau_s : tuple of float
+        Averaging times, seconds, rising.
+    adev, lo, hi : tuple of tuple of float or None, shape (windows, taus)
+        Deviation and its 95 % limits; None where a window is too short or has too many gaps.
+    """
+
+    unit: str
+    signal: str
+    run: str
+    unit_of_measure: str
+    window_s: float
+    step_s: float
+    start_h: tuple[float, ...]
+    samples: tuple[int, ...]
+    missing: tuple[int, ...]
+    tau_s: tuple[float, ...]
+    adev: tuple[tuple[float | None, ...], ...]
+    lo: tuple[tuple[float | None, ...], ...]
+    hi: tuple[tuple[float | None, ...], ...]
+
+    def table(self) -> Table:
+        """Rows of windows at some of the averaging times, for the terminal."""
+        every = math.ceil(len(self.tau_s) / _SHOWN_TAUS)
+        columns = range(0, len(self.tau_s), every)
+        rows = range(0, len(self.start_h), math.ceil(len(self.start_h) / _SHOWN_ROWS))
+        is_all = len(rows) == len(self.start_h) and every == 1
+        left_out = f"; --json gives {'the limits' if is_all else 'all windows and times, with limits'}"
+        table = Table(
+            title=f"Rolling Allan deviation (动态 Allan 标准差) of {self.unit} {self.signal}, run {self.run}",
+            title_justify="left",
+            caption=f"{len(self.start_h)} windows of {self.window_s / _SECONDS_PER_HOUR:g} h every "
+            f"{self.step_s / _SECONDS_PER_HOUR:g} h; deviations in {self.unit_of_measure}{left_out}",
+            caption_justify="left",
+            header_style="bold",
+        )
+        table.add_column("from h", justify="right")
+        for column in columns:
+            table.add_column(f"{self.tau_s[column]:g} s", justify="right")
+        for row in rows:
+            cells = [self.adev[row][column] for column in columns]
+            table.add_row(f"{self.start_h[row]:.4g}", *("" if cell is None else f"{cell:.4g}" for cell in cells))
+        return table
+
+
+def rolling_allan(
+    catalog: Catalog,
+    unit: str,
+    signal: str,
+    run: str | None = None,
+    *,
+    window_s: float,
+    step_s: float,
+    points_per_octave: int = 1,
+) -> RollingAllan:
+    """Overlapping Allan deviation of a signal in the store over a rolling window.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        The store.
+    unit, signal : str
+        Which signal.
+    run : str, optional
+        Of which run; where none is named the one measured last of those that fill a window.
+    window_s, step_s : float
+        Length of the window and by how much it moves on, seconds; the window is a whole number of steps.
+    points_per_octave : int
+        1, 2, 4 or 8 averaging times an octave.
+
+    Raises
+    ------
+    NotFound
+        If the store does not hold the signal, or no window of it has an Allan deviation.
+    EstimatorError
+        If the steps do not fill the window.
+    """
+    record = find_signal(catalog, unit, signal, run, at_least_s=window_s)
+    rolling = RollingWindow(lambda: AllanDeviation(points_per_octave), window_s, step_s)
+    windows: list[WindowEstimate] = []
+    first_ns = last_ns = None
+    for batch in read_signal(catalog, record):
+        first_ns = int(batch.time_array.min()) if first_ns is None else first_ns
+        last_ns = batch.last_ns
+        windows += rolling.update(batch)
+    windows += rolling.finish()
+    held = [each for each in windows if not isinstance(each.estimate, NoEstimate)]
+    if not held or first_ns is None or last_ns is None:
+        length_s = 0.0 if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
+        why = next((each.estimate.reason for each in windows if isinstance(each.estimate, NoEstimate)), None)
+        raise NotFound(
+            f"unit {unit}, signal {signal}, run {record.run}: no Allan deviation of a window of {window_s:g} s: "
+            f"{why or f'the record has {length_s:g} s; give a shorter --rolling'}"
+        )
+    curves = [() if isinstance(each.estimate, NoEstimate) else each.estimate for each in windows]
+    taus_s = sorted({point.tau_s for curve in curves for point in curve})
+    by_tau = [{point.tau_s: point for point in curve} for curve in curves]
+    columns = {
+        name: tuple(
+            tuple(getattr(points[tau_s], name) if tau_s in points else None for tau_s in taus_s) for points in by_tau
+        )
+        for name in ("value", "lo", "hi")
+    }
+    return RollingAllan(
+        unit=unit,
+        signal=signal,
+        run=record.run,
+        unit_of_measure=rolling.unit_of_measure,
+        window_s=window_s,
+        step_s=step_s,
+        start_h=tuple((each.start_ns - first_ns) / 1e9 / _SECONDS_PER_HOUR for each in windows),
+        samples=tuple(each.samples for each in windows),
+        missing=tuple(each.missing for each in windows),
+        tau_s=tuple(taus_s),
+        adev=columns["value"],
+        lo=columns["lo"],
+        hi=columns["hi"],
+    )

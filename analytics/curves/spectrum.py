@@ -1,0 +1,285 @@
+"""The power spectral density of a recorded signal, and the sinusoidal lines in it."""
+
+import itertools
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+import scipy.special
+
+from storage.sql.catalog import Catalog
+from storage.sql.reading import SignalRecord, find_signal, read_signal
+from stream.batch import FloatArray
+from stream.errors import BadInput, NotFound
+from stream.estimators.base import NoEstimate
+from stream.estimators.confidence import deviation_limits
+from stream.estimators.spectral_density import FEWEST_SAMPLES, FIRST_BIN, SpectralDensity
+from stream.estimators.spectrum.spectral_lines import GUARD_BINS, Line, background_edf, hann_response
+
+CONFIDENCE = 0.95
+FALSE_ALARM_PROBABILITY = 0.01
+LONGEST_SEGMENT = 65_536
+
+_ENOUGH_SEGMENTS = 8
+_SHORT_SEGMENT = 512
+# correlation of the densities one and two bins apart under the Hann window
+_NEIGHBOURS = (4.0 / 9.0, 1.0 / 36.0)
+
+
+class Level(msgspec.Struct, frozen=True):
+    """Mean density of a band without its lines, and its limits; `frequency_hz` is the geometric mean of its bins."""
+
+    frequency_hz: float
+    psd: float
+    lo: float
+    hi: float
+
+
+@dataclass(frozen=True)
+class SignalSpectrum:
+    """One-sided power spectral density of one signal of one run, with its lines.
+
+    Parameters
+    ----------
+    unit, signal, run : str
+        Whose it is.
+    unit_of_measure : str
+        Of the amplitudes of lines; ``deg/h`` for angular rates.
+    sample_interval_s : float
+        Sample interval of the record, seconds.
+    samples, missing : int
+        Samples in the record, and missing from it.
+    frequency_hz : tuple of float
+        Frequency of every bin, Hz, rising in equal steps.
+    psd, lo, hi : tuple of float
+        Density of every bin and its confidence limits, in `psd_unit`.
+    psd_unit : str
+        ``(deg/h)^2/Hz`` for angular rates.
+    confidence : float
+        Confidence level of all limits.
+    edf : float
+        Equivalent degrees of freedom of a bin.
+    segments, segments_left_out : int
+        Segments averaged, and those left out as a sample is missing from them.
+    segment_samples : int
+        Samples of a segment.
+    bin_width_hz : float
+        Distance of neighbouring bins, Hz.
+    false_alarm_probability : float
+        Most probability that a spectrum without any line shows one.
+    searched_lo_hz, searched_hi_hz : float
+        Band that was searched for lines, Hz: the bins that have neighbours on both sides to be held against.
+    lines : tuple of Line
+        The lines, lowest frequency first.
+
+    Raises
+    ------
+    BadInput
+        If the columns differ in length.
+    """
+
+    unit: str
+    signal: str
+    run: str
+    unit_of_measure: str
+    sample_interval_s: float
+    samples: int
+    missing: int
+    frequency_hz: tuple[float, ...]
+    psd: tuple[float, ...]
+    lo: tuple[float, ...]
+    hi: tuple[float, ...]
+    psd_unit: str
+    confidence: float
+    edf: float
+    segments: int
+    segments_left_out: int
+    segment_samples: int
+    bin_width_hz: float
+    false_alarm_probability: float
+    searched_lo_hz: float
+    searched_hi_hz: float
+    lines: tuple[Line, ...]
+
+    def __post_init__(self) -> None:
+        """Check that the columns fit together."""
+        if len({len(column) for column in (self.frequency_hz, self.psd, self.lo, self.hi)}) != 1:
+            raise BadInput(f"spectrum of unit {self.unit}, run {self.run}: its columns differ in length")
+
+    def document(self) -> dict[str, Any]:
+        """Return the spectrum as it stands in JSON."""
+        lines = [
+            {
+                "frequency_hz": line.frequency_hz,
+                "frequency_lo_hz": line.frequency_lo_hz,
+                "frequency_hi_hz": line.frequency_hi_hz,
+                "amplitude": line.amplitude,
+                "lo": line.amplitude_lo,
+                "hi": line.amplitude_hi,
+                "unit_of_measure": self.unit_of_measure,
+                "background_ratio": line.background_ratio,
+                "false_alarm_probability": line.false_alarm_probability,
+            }
+            for line in self.lines
+        ]
+        return asdict(self) | {"lines": lines}
+
+    def levels(self, edges_hz: FloatArray) -> list[Level]:
+        """Mean density of the bands between neighbouring edges (Hz); bands without a bin are left out.
+
+        Bins within 4 of a line do not count. Limits are for a density that is smooth over a band: m bins of `edf`
+        degrees, whose densities correlate by 4/9 and 1/36 one and two bins apart, have m edf / (1 + 8/9 (1 - 1/m) +
+        1/18 (1 - 2/m)) together.
+        """
+        frequency_hz, psd = np.array(self.frequency_hz), np.array(self.psd)
+        clear = np.ones(len(psd), np.bool_)
+        for line in self.lines:
+            middle = round(line.frequency_hz / self.bin_width_hz) - FIRST_BIN
+            clear[max(0, middle - GUARD_BINS) : middle + GUARD_BINS + 1] = False
+        bands = np.searchsorted(frequency_hz, edges_hz).tolist()
+        found = []
+        for start, stop in itertools.pairwise(bands):
+            kept = np.flatnonzero(clear[start:stop]) + start
+            if len(kept) == 0:
+                continue
+            value = float(psd[kept].mean())
+            lo, hi = deviation_limits(1.0, self.edf * _independent(len(kept)), self.confidence)
+            middle_hz = float(np.exp(np.log(frequency_hz[kept]).mean()))
+            found.append(Level(middle_hz, value, value * lo**2, value * hi**2))
+        return found
+
+    def least_amplitude(self, level: Level) -> float | None:
+        """Amplitude from which on a line over this background is found at least as often as not.
+
+        None outside the band that was searched. Taken half way between two bins, where a line is hardest to see.
+        """
+        if not self.searched_lo_hz <= level.frequency_hz <= self.searched_hi_hz:
+            return None
+        bins = round((self.searched_hi_hz - self.searched_lo_hz) / self.bin_width_hz) + 1
+        chance = self.false_alarm_probability / bins
+        ratio = 1.0 / float(scipy.special.fdtri(background_edf(self.edf), self.edf, chance))
+        response = float(hann_response(np.array([0.5]))[0])
+        return math.sqrt(0.75 * (ratio - 1.0) * level.psd * self.bin_width_hz) / response
+
+
+def spectrum_of(catalog: Catalog, unit: str, signal: str, run: str | None = None) -> SignalSpectrum:
+    """Power spectral density of a signal in the store, with its lines.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        The store.
+    unit, signal : str
+        Which signal.
+    run : str, optional
+        Of which run; the one measured last where none is named.
+
+    Raises
+    ------
+    NotFound
+        If the store does not hold the signal, or holds none that has a spectrum: too little of it without a gap, or
+        irregular samples.
+
+    Notes
+    -----
+    Segments are as long as 8 of them allow, from 512 to 65,536 samples: long ones resolve lines and reach low
+    frequencies, and their mean has 16 degrees of freedom or more. A record that gaps cut into pieces shorter than that
+    is read again with segments half as long, until 8 are whole.
+    """
+    record = find_signal(catalog, unit, signal, run)
+    if record.irregular:
+        raise NotFound(
+            f"unit {unit}, signal {signal}, run {record.run}: no power spectral density: the samples are irregular, "
+            "and it needs equal intervals; gyrofleet allan --resample SECONDS takes such samples, a spectrum needs "
+            "the signal recorded or imported at equal intervals"
+        )
+    size = segment_for(record.samples)
+    spectral = _fed(catalog, record, size)
+    while spectral.segments < _ENOUGH_SEGMENTS and size > (_SHORT_SEGMENT if spectral.segments else FEWEST_SAMPLES):
+        size //= 2
+        spectral = _fed(catalog, record, size)
+    return _result(record, spectral)
+
+
+def segment_for(samples: int) -> int:
+    """Samples of a segment for a record of so many without a gap: a power of two.
+
+    Examples
+    --------
+    >>> [segment_for(n) for n in (100, 300, 1000, 7200, 60_000, 1_440_000)]
+    [128, 256, 512, 1024, 8192, 65536]
+    """
+    averaged = 2 * samples // (_ENOUGH_SEGMENTS + 1)
+    longest = max(averaged, min(samples, _SHORT_SEGMENT), FEWEST_SAMPLES)
+    return min(LONGEST_SEGMENT, 1 << (longest.bit_length() - 1))
+
+
+def _fed(catalog: Catalog, record: SignalRecord, segment_samples: int) -> SpectralDensity:
+    spectral = SpectralDensity(segment_samples, CONFIDENCE)
+    for batch in read_signal(catalog, record):
+        spectral.update(batch)
+    return spectral
+
+
+def _result(record: SignalRecord, spectral: SpectralDensity) -> SignalSpectrum:
+    spectrum, lines = spectral.estimate(), spectral.lines(FALSE_ALARM_PROBABILITY)
+    if isinstance(spectrum, NoEstimate) or isinstance(lines, NoEstimate):
+        refused = spectrum if isinstance(spectrum, NoEstimate) else lines
+        assert isinstance(refused, NoEstimate)
+        reason = refused.reason.removeprefix(f"unit {record.unit}, signal {record.signal}: ")
+        raise NotFound(
+            f"unit {record.unit}, signal {record.signal}, run {record.run}: no power spectral density: {reason}"
+        )
+    lo_hz, hi_hz = spectral.searched_hz
+    return SignalSpectrum(
+        unit=record.unit,
+        signal=record.signal,
+        run=record.run,
+        unit_of_measure=spectral.unit_of_measure,
+        sample_interval_s=spectral.sample_interval_s,
+        samples=spectral.samples,
+        missing=spectral.missing,
+        frequency_hz=tuple(spectrum.frequency_hz.tolist()),
+        psd=tuple(spectrum.density.tolist()),
+        lo=tuple(spectrum.lo.tolist()),
+        hi=tuple(spectrum.hi.tolist()),
+        psd_unit=spectrum.unit_of_measure,
+        confidence=spectrum.confidence,
+        edf=spectrum.edf,
+        segments=spectrum.segments,
+        segments_left_out=spectral.segments_left_out,
+        segment_samples=spectral.segment_samples,
+        bin_width_hz=spectral.bin_width_hz,
+        false_alarm_probability=FALSE_ALARM_PROBABILITY,
+        searched_lo_hz=lo_hz,
+        searched_hi_hz=hi_hz,
+        lines=lines,
+    )
+
+
+def _independent(bins: int) -> float:
+    """How many independent bins so many neighbours are worth.
+
+    Examples
+    --------
+    >>> _independent(1), round(_independent(2), 3), round(_independent(100), 1)
+    (1.0, 1.385, 51.7)
+    """
+    correlated = sum(rho * max(0.0, 1.0 - lag / bins) for lag, rho in enumerate(_NEIGHBOURS, 1))
+    return bins / (1.0 + 2.0 * correlated)
+
+
+def with_error(value: float, half_width: float, digits: int = 2) -> str:
+    """A value and its half width to so many digits of the latter.
+
+    Examples
+    --------
+    >>> with_error(12.345678, 0.00123), with_error(50.0, 12.0), with_error(3.0, 0.0)
+    ('12.3457 ± 0.0012', '50 ± 12', '3 ± 0')
+    """
+    if half_width <= 0.0:
+        return f"{value:g} ± 0"
+    decimals = max(0, digits - 1 - math.floor(math.log10(half_width)))
+    return f"{value:.{decimals}f} ± {half_width:.{decimals}f}"

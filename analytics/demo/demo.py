@@ -1,0 +1,216 @@
+"""The demonstration: eight simulated gyros through the whole path, faster than real time."""
+
+import heapq
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+from analytics.curves.limits import LimitsTable, demo_limits, judge_unit
+from analytics.demo.demo_loop import cycle_names, send_cycle, trace_fleet
+from analytics.loop.unit_diagnosis import UnitsDiagnosis
+from ingest.run.pipeline import EmbeddedPipeline
+from ingest.simulator.cycle_runs import cycle_runs, cycles_last_s
+from ingest.simulator.gyro import GyroParameters, demo_fleet, unit_batches
+from stream.batch import SampleBatch
+from stream.events import (
+    AnyDocument,
+    EarlyDecision,
+    EstimatePublished,
+    Limit,
+    PowerOn,
+    RunEnded,
+    RunStarted,
+    StepEnded,
+    StepStarted,
+    StepWords,
+    StreamTotal,
+    VerdictGiven,
+)
+from stream.identity import Place, event_key, sample_key
+from stream.quantities import report_unit
+
+PLACE = Place("simulated", "demo-station")
+ESTIMATE_EVERY_S = 600.0
+_BEFORE_S = 3600.0
+# the simulated gyros at rest feel no Earth's rate
+_AT_REST = StepWords(procedure="static_bias", position="IRA_east_west")
+
+
+@dataclass
+class UnitView:
+    """What the live view shows of one unit."""
+
+    unit: str
+    samples: int = 0
+    rate_deg_per_h: float | None = None
+    temperature_deg_c: float | None = None
+    estimates: dict[str, EstimatePublished] = field(default_factory=dict)
+    decisions: dict[Limit, EarlyDecision] = field(default_factory=dict)
+    verdict: VerdictGiven | None = None
+
+
+@dataclass
+class DemoState:
+    """How far the demonstration is; written by the pipeline's threads, read by whoever draws it."""
+
+    run: str
+    duration_s: float
+    limits: LimitsTable
+    units: dict[str, UnitView]
+    began: float = field(default_factory=time.monotonic)
+    simulated_s: float = 0.0
+    samples: int = 0
+    seconds: float = 0.0
+    phase: str = "running"
+    cycles: tuple[str, ...] = ()
+    cycle_samples: int = 0
+    found: UnitsDiagnosis | None = None
+
+    def rate(self) -> float:
+        """Samples a second since the beginning."""
+        return self.samples / max(time.monotonic() - self.began, 1e-9)
+
+
+def run_demo(
+    folder: Path, *, hours: float, seed: int, on_progress: Callable[[DemoState], None] | None = None
+) -> DemoState:
+    """Simulate the fleet, send it through bus, log, lake and estimators, and judge it.
+
+    Parameters
+    ----------
+    folder : Path
+        The store.
+    hours : float
+        Simulated length of the run.
+    seed : int
+        Of the simulation: the same seed gives the same samples.
+    on_progress : callable, optional
+        Called now and then, in the caller's thread.
+
+    Raises
+    ------
+    GyrofleetError
+        If any part of the path failed.
+    """
+    fleet = demo_fleet()
+    duration_s = hours * 3600.0
+    began = datetime.now(UTC)
+    t0_ns = (int(began.timestamp()) - round(duration_s)) * 10**9
+    run = f"demo-{began:%Y%m%dT%H%M%SZ}"
+    state = DemoState(run, duration_s, demo_limits(), {gyro.unit: UnitView(gyro.unit) for gyro in fleet})
+    finals: list[EstimatePublished] = []
+
+    def on_document(document: AnyDocument) -> None:
+        if isinstance(document, EarlyDecision):
+            state.units[document.unit].decisions[document.limit] = document
+        if not isinstance(document, EstimatePublished):
+            return
+        if document.signal == "rate":
+            state.units[document.unit].estimates[document.estimator] = document
+        if document.final:
+            finals.append(document)
+
+    with EmbeddedPipeline(
+        folder, "gyrofleet demo", estimate_every_s=ESTIMATE_EVERY_S, on_document=on_document
+    ) as pipeline:
+        events = event_key(PLACE)
+        started = RunStarted(
+            run=run,
+            t_ns=t0_ns,
+            simulated=True,
+            source=f"simulated station, seed {seed}",
+            units=tuple(gyro.unit for gyro in fleet),
+            procedure="static_bias",
+            lot="DEMO-LOT-1",
+        )
+        pipeline.send_event(events, started)
+        pipeline.send_event(events, state.limits.applied(run, t0_ns, planned_s=duration_s))
+        totals: dict[tuple[str, str], StreamTotal] = {}
+        shown_at = 0.0
+        for batch in _station(fleet, run, duration_s, seed, t0_ns):
+            if (batch.unit, batch.signal) not in totals and batch.signal == "rate":
+                power_on = PowerOn(run=run, t_ns=batch.t0_ns, unit=batch.unit, epoch=str(batch.epoch))
+                pipeline.send_event(events, power_on)
+            pipeline.send_batch(sample_key(PLACE, batch.unit, batch.signal), batch)
+            totals[batch.unit, batch.signal] = StreamTotal(
+                unit=batch.unit, signal=batch.signal, epoch=str(batch.epoch), samples=batch.next_seq
+            )
+            _follow(state, batch, t0_ns)
+            if on_progress is not None and time.monotonic() - shown_at >= 0.1:
+                shown_at = time.monotonic()
+                on_progress(state)
+        end_ns = t0_ns + round(duration_s * 1e9)
+        _send_steps(pipeline, fleet, run, t0_ns, end_ns)
+        pipeline.send_event(events, RunEnded(run=run, t_ns=end_ns, totals=tuple(totals.values())))
+        state.phase = "completing the record"
+        if on_progress is not None:
+            on_progress(state)
+        pipeline.complete_estimates()
+        for view in state.units.values():
+            view.verdict = judge_unit(state.limits, finals, run=run, unit=view.unit, t_ns=end_ns)
+            pipeline.send_event(events, view.verdict)
+        pipeline.finish()
+    state.seconds = time.monotonic() - state.began
+    _close_the_loop(folder, fleet, state, seed, t0_ns, on_progress)
+    state.phase = "done"
+    if on_progress is not None:
+        on_progress(state)
+    return state
+
+
+def _send_steps(
+    pipeline: EmbeddedPipeline, fleet: tuple[GyroParameters, ...], run: str, t0_ns: int, end_ns: int
+) -> None:
+    """Say that each unit was at rest throughout the run."""
+    for gyro in fleet:
+        step = StepStarted(run=run, t_ns=t0_ns, unit=gyro.unit, words=_AT_REST)
+        last_ns = end_ns - gyro.sample_interval_ns
+        pipeline.send_event(event_key(PLACE), step)
+        pipeline.send_event(event_key(PLACE), StepEnded(run=run, t_ns=last_ns, unit=gyro.unit, step_uid=step.uid))
+
+
+def _close_the_loop(
+    folder: Path,
+    fleet: tuple[GyroParameters, ...],
+    state: DemoState,
+    seed: int,
+    t0_ns: int,
+    on_progress: Callable[[DemoState], None] | None,
+) -> None:
+    """Nine short runs with temperature cycles and rates, in the days before, and what each unit's model lacks."""
+
+    def tell(phase: str) -> None:
+        state.phase = phase
+        if on_progress is not None:
+            on_progress(state)
+
+    runs = cycle_runs(t0_ns - round((cycles_last_s() + _BEFORE_S) * 1e9))
+    state.cycles = cycle_names(state.run, runs)
+    with EmbeddedPipeline(folder, "gyrofleet demo", estimate_every_s=ESTIMATE_EVERY_S) as pipeline:
+        for run, name in zip(runs, state.cycles, strict=True):
+            tell(f"short runs: {name}")
+            state.cycle_samples += send_cycle(pipeline, PLACE, fleet, run, name, seed)
+        pipeline.finish()
+    state.found = trace_fleet(folder, tuple(each.unit for each in fleet), state.cycles, tell)
+
+
+def _station(
+    fleet: tuple[GyroParameters, ...], run: str, duration_s: float, seed: int, t0_ns: int
+) -> Iterator[SampleBatch]:
+    """Batches of all units in the order of time, as a station would send them."""
+    sources = [unit_batches(gyro, run=run, duration_s=duration_s, seed=seed, t0_ns=t0_ns) for gyro in fleet]
+    return heapq.merge(*sources, key=lambda batch: batch.last_ns)
+
+
+def _follow(state: DemoState, batch: SampleBatch, t0_ns: int) -> None:
+    view = state.units[batch.unit]
+    state.samples += len(batch)
+    view.samples += len(batch)
+    state.simulated_s = (batch.last_ns - t0_ns) / 1e9
+    mean = float(batch.value_array.mean())
+    if batch.signal == "rate":
+        view.rate_deg_per_h = mean * report_unit(batch.unit_of_measure)[1]
+    else:
+        view.temperature_deg_c = mean

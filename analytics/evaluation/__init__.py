@@ -1,0 +1,1 @@
+"""Metrics evaluated over a store: tables in SQL, choices, and output for people."""

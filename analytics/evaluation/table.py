@@ -1,0 +1,244 @@
+"""Metrics as people read them: a table on the screen, a CSV file, a workbook."""
+
+import csv
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from analytics.evaluation.selection import Row, clauses_of
+from analytics.metrics.registry import metrics
+from stream.console import csv_text, shown_text, styled
+from stream.errors import BadInput
+
+LANGUAGES = ("en", "zh")
+COLUMNS = (
+    "metric", "unit", "signal", "run", "value", "unit_of_measure", "lo", "hi", "standard_uncertainty", "n",
+    "parameters", "runs", "steps", "standard", "clause", "reason",
+)  # fmt: skip
+_ZH = {
+    "name": "特性",
+    "metric": "代号",
+    "unit": "产品编号",
+    "signal": "信号",
+    "run": "试验",
+    "value": "数值",
+    "unit_of_measure": "单位",
+    "lo": "下限",
+    "hi": "上限",
+    "standard_uncertainty": "标准不确定度",
+    "n": "样本数",
+    "parameters": "参数",
+    "runs": "试验清单",
+    "steps": "步骤",
+    "standard": "标准",
+    "clause": "条款",
+    "reason": "无数值的原因",
+    "interval": "95 % 区间",
+}
+_EN = {
+    "name": "characteristic",
+    "unit_of_measure": "unit of measure",
+    "lo": "lower limit of the 95 % interval",
+    "hi": "upper limit of the 95 % interval",
+    "standard_uncertainty": "standard uncertainty",
+    "interval": "95 % interval",
+    "reason": "reason why there is no value",
+}
+_MOST_DIGITS = 9
+
+
+def name_of(metric: str, language: str) -> str:
+    """A metric's name in ``en`` or ``zh``.
+
+    Examples
+    --------
+    >>> name_of("bias", "zh")
+    '零偏'
+    """
+    header = metrics()[metric].header
+    return header.zh if language == "zh" else header.en
+
+
+def title_of(column: str, language: str) -> str:
+    """What a column is called."""
+    return (_ZH if language == "zh" else _EN).get(column, column)
+
+
+def told_number(value: float | None, resolution: float | None = None) -> str:
+    """A number with as many digits as its uncertainty leaves it: two of the uncertainty's own.
+
+    Examples
+    --------
+    >>> told_number(12.3456, 0.0123), told_number(1.5e-7, 2e-9), told_number(3.0), told_number(None)
+    ('12.346', '1.500e-07', '3', '')
+    """
+    if value is None:
+        return ""
+    if resolution is None or not 0 < resolution < math.inf or value == 0:
+        return f"{value:.6g}"
+    last = math.floor(math.log10(resolution)) - 1  # the decimal place of the uncertainty's second digit
+    digits = min(max(math.floor(math.log10(abs(value))) - last, 1), _MOST_DIGITS)
+    if 1e-4 <= abs(value) < 1e7:
+        return f"{value:.{min(max(-last, 0), _MOST_DIGITS)}f}"
+    return f"{value:.{digits}e}"
+
+
+def told_parameters(parameters: Mapping[str, Any]) -> str:
+    """Parameters on one line, without those that are not known, and without the procedure, which the run names.
+
+    That a step is not the one marked as at room temperature goes without saying.
+
+    Examples
+    --------
+    >>> told_parameters({"procedure": "static_bias", "average_s": 100.0, "room": True, "axis": None})
+    'average_s = 100, room = true'
+    >>> told_parameters({"temperature": 25.0, "room": False})
+    'temperature = 25'
+    """
+    return ", ".join(
+        f"{name} = {_told_parameter(each)}"
+        for name, each in parameters.items()
+        if each is not None and name != "procedure" and not (name == "room" and each is False)
+    )
+
+
+def _told_parameter(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def told_clauses(row: Row) -> str:
+    """Standards and their clauses, such as ``GJB2426A 5.12.1 (19); JJF2014 7.2.13 (27)(28)``."""
+    return "; ".join(f"{standard} {clause}" for standard, clause in clauses_of(row).items())
+
+
+def interval_of(row: Row) -> str:
+    """The limits of a value, where it has some."""
+    if row["lo"] is None or row["hi"] is None:
+        return ""
+    u = row["standard_uncertainty"]
+    return f"{told_number(row['lo'], u)} .. {told_number(row['hi'], u)}"
+
+
+def told_limits(row: Row) -> str:
+    """The limits of a specification.
+
+    Examples
+    --------
+    >>> told_limits({"lower": None, "upper": 0.5}), told_limits({"lower": -1.0, "upper": 1.0})
+    ('<= 0.5', '-1 .. 1')
+    """
+    lower, upper = row["lower"], row["upper"]
+    if lower is None or upper is None:
+        return f"<= {upper:g}" if upper is not None else "" if lower is None else f">= {lower:g}"
+    return f"{lower:g} .. {upper:g}"
+
+
+def metrics_table(rows: Sequence[Row], language: str) -> Table:
+    """Rows as a table for the screen, a section for each unit and run; a reason stands in the place of its value."""
+    table = Table(header_style="bold")
+    for column in ("name", "signal", "value", "interval", "n", "parameters", "clause"):
+        table.add_column(title_of(column, language), overflow="fold")
+    for (unit, run), section in groupby(sorted(rows, key=_section), key=_section):
+        runs = run or ("几次试验合计" if language == "zh" else "over several runs")
+        table.add_section()
+        table.add_row(styled(unit, "bold").append(f"  {shown_text(runs)}", "default"))
+        for row in section:
+            value = f"{told_number(row['value'], row['standard_uncertainty'])} {told_unit(row['unit_of_measure'])}"
+            table.add_row(
+                name_of(row["metric"], language),
+                row["signal"] or "",
+                styled(str(row["reason"]), "yellow") if row["value"] is None else value.strip(),
+                interval_of(row),
+                "" if row["n"] is None else f"{row['n']:,}",
+                told_parameters(row["parameters"]),
+                told_clauses(row),
+            )
+    return table
+
+
+def _section(row: Row) -> tuple[str, str]:
+    return row["unit"], row["run"] or ""
+
+
+def told_unit(unit_of_measure: str | None) -> str:
+    """A unit of measure behind a number; nothing for a number that has none."""
+    return "" if unit_of_measure in (None, "", "1") else str(unit_of_measure)
+
+
+def write_csv(rows: Iterable[Row], path: Path, language: str) -> None:
+    """Write rows as CSV, in UTF-8 with a mark that spreadsheets know it by.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be written.
+    """
+    fresh = path.with_name(path.name + ".part")
+    try:
+        with fresh.open("w", encoding="utf-8-sig", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(["name", *COLUMNS])
+            for row in rows:
+                writer.writerow(csv_text(each) if isinstance(each, str) else each for each in _plain(row, language))
+        fresh.replace(path)
+    except OSError as error:
+        raise _unwritable(path, "--csv", error) from error
+    finally:
+        fresh.unlink(missing_ok=True)
+
+
+def write_xlsx(rows: Iterable[Row], path: Path, language: str) -> None:
+    """Write rows as a workbook with one sheet: numbers as numbers, titles in the language, a filter on each column.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be written.
+    """
+    import xlsxwriter
+    from xlsxwriter.exceptions import XlsxWriterException
+
+    fresh = path.with_name(path.name + ".part")
+    # text stays text: a unit called "=1+1" is no formula, and a run called "http://x" no link
+    options = {"strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
+    try:
+        with xlsxwriter.Workbook(str(fresh), {**options, "nan_inf_to_errors": True}) as book:
+            sheet = book.add_worksheet("指标" if language == "zh" else "metrics")
+            bold = book.add_format({"bold": True})
+            titles = [title_of(column, language) for column in ("name", *COLUMNS)]
+            sheet.write_row(0, 0, titles, bold)
+            at = 0
+            for at, row in enumerate(rows, 1):
+                sheet.write_row(at, 0, _plain(row, language))
+            sheet.autofilter(0, 0, at, len(titles) - 1)
+            sheet.freeze_panes(1, 1)
+            sheet.autofit()
+        fresh.replace(path)
+    except (OSError, XlsxWriterException) as error:
+        raise _unwritable(path, "--xlsx", error) from error
+    finally:
+        fresh.unlink(missing_ok=True)
+
+
+def _plain(row: Row, language: str) -> list[object]:
+    cells: list[object] = [name_of(row["metric"], language)]
+    for column in COLUMNS:
+        value = row[column]
+        if column == "parameters":
+            value = json.dumps(value, ensure_ascii=False)
+        elif isinstance(value, list):
+            value = ", ".join(str(each) for each in value)
+        cells.append(value)
+    return cells
+
+
+def _unwritable(path: Path, option: str, error: Exception) -> BadInput:
+    why = error.strerror if isinstance(error, OSError) and error.strerror else error
+    return BadInput(f"cannot write {path}: {why}; give {option} a file in a folder you can write")

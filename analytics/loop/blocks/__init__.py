@@ -1,0 +1,1 @@
+"""Runs as block means of a signal, with the channels beside it."""

@@ -1,0 +1,174 @@
+"""What was left out of a record before anything was fitted, as shares of what it could have told."""
+
+import re
+from collections.abc import Mapping, Sequence
+
+import msgspec
+import numpy as np
+
+from analytics.loop.blocks.run_blocks import RunBlocks
+from stream.batch import BoolArray, FloatArray
+
+TOLD, GRAVE = 0.2, 0.5
+"""Share of a kind of run or of a channel's excitation that is worth a word, and one without which nothing is denied."""
+_TAIL = 0.05
+_DERIVED = frozenset({"day", "time_since_power_on", "position"})
+_AT_EDGES = frozenset({"table_acceleration"})  # blocks across an edge hold all of it
+
+
+class LeftOut(msgspec.Struct, frozen=True):
+    """Something that was left out.
+
+    Parameters
+    ----------
+    what : str
+        Blocks, runs of a kind, a step, or a channel's excitation.
+    share : float
+        Part of it that was left out, 0 to 1.
+    why : str
+        As a sentence.
+    is_grave : bool
+        Whether what remains cannot show that nothing is missing.
+    """
+
+    what: str
+    share: float
+    why: str
+    is_grave: bool = False
+
+    def document(self) -> dict[str, object]:
+        """Return it as it stands in JSON."""
+        return {"what": self.what, "share": self.share, "why": self.why}
+
+    @property
+    def sentence(self) -> str:
+        """As a limit of a verdict."""
+        return f"{self.share:.0%} of {self.what} left out: {self.why}"
+
+
+class Loss(msgspec.Struct, frozen=True):
+    """Blocks that were left out for one reason.
+
+    Parameters
+    ----------
+    why : str
+        The reason.
+    rows : mapping of str to array of bool
+        Blocks of each run that were left out for it, by the name of the run; a run that lost none may be missing.
+    """
+
+    why: str
+    rows: Mapping[str, BoolArray]
+
+
+def left_out(
+    runs: Sequence[RunBlocks], losses: Sequence[Loss], steps: Mapping[tuple[str, str], BoolArray] | None = None
+) -> tuple[LeftOut, ...]:
+    """Return what losses of blocks mean for runs: how many, of which kind of run, step and excitation; worst first.
+
+    Parameters
+    ----------
+    runs : sequence of RunBlocks
+        All blocks, those that were left out included.
+    losses : sequence of Loss
+        Why, and which; a block that is in several counts for the first.
+    steps : mapping, optional
+        By run and name of a step, the blocks that lie in it.
+    """
+    gone = _total(runs, losses)
+    blocks = sum(map(len, runs))
+    if blocks == 0 or not any(mask.any() for mask in gone.values()):
+        return ()
+    found = [*_kinds(runs, losses, gone), *_excitation(runs, losses, gone), *_steps(losses, gone, steps or {})]
+    counted = {run.run: np.zeros(len(run), dtype=np.bool_) for run in runs}
+    for loss in losses:
+        own = {name: rows & ~counted[name] for name, rows in loss.rows.items() if name in counted}
+        for name, rows in own.items():
+            counted[name] |= rows
+        if count := sum(int(rows.sum()) for rows in own.values()):
+            found.append(LeftOut(f"{blocks:,} blocks", count / blocks, loss.why))
+    return tuple(sorted(found, key=lambda each: (not each.is_grave, -each.share)))
+
+
+def kind_of_run(name: str) -> str:
+    """What a run is called without its numbers: runs of one name are of one kind.
+
+    Examples
+    --------
+    >>> kind_of_run("02-rate"), kind_of_run("temperature_cycle_3#2"), kind_of_run("2026-11-21")
+    ('rate', 'temperature cycle', '')
+    """
+    return " ".join(re.findall(r"[^\W\d_]+", name)).lower()
+
+
+def _total(runs: Sequence[RunBlocks], losses: Sequence[Loss]) -> dict[str, BoolArray]:
+    gone = {run.run: np.zeros(len(run), dtype=np.bool_) for run in runs}
+    for loss in losses:
+        for name, rows in loss.rows.items():
+            if name in gone:
+                gone[name] |= rows
+    return gone
+
+
+def _mostly(losses: Sequence[Loss], weight: Mapping[str, FloatArray]) -> str:
+    """The reason that weighs most."""
+
+    def weight_of(loss: Loss) -> float:
+        return float(sum(weight[name][rows].sum() for name, rows in loss.rows.items() if name in weight))
+
+    return max(losses, key=weight_of).why
+
+
+def _kinds(runs: Sequence[RunBlocks], losses: Sequence[Loss], gone: Mapping[str, BoolArray]) -> list[LeftOut]:
+    kinds: dict[str, list[RunBlocks]] = {}
+    for run in runs:
+        kinds.setdefault(kind_of_run(run.run), []).append(run)
+    found = []
+    for kind, of_kind in kinds.items():
+        share = sum(int(gone[run.run].sum()) for run in of_kind) / max(1, sum(map(len, of_kind)))
+        if share < TOLD:
+            continue
+        what = "all runs" if len(kinds) == 1 else f"runs '{kind}'" if kind else f"runs {of_kind[0].run} and the like"
+        why = _mostly(losses, {run.run: np.ones(len(run)) for run in of_kind})
+        found.append(LeftOut(what, share, why, share >= GRAVE))
+    return found
+
+
+def _excitation(runs: Sequence[RunBlocks], losses: Sequence[Loss], gone: Mapping[str, BoolArray]) -> list[LeftOut]:
+    """Of each channel the sum of squares about its middle, but for what it does in less than a twentieth of a run."""
+    found = []
+    for name in sorted({name for run in runs for name in run.channels} - _DERIVED):
+        clipped = {run.run: _clipped(run.mean(name)) for run in runs if name in run.channels}
+        known = np.concatenate([each[np.isfinite(each)] for each in clipped.values()])
+        if known.size == 0 or np.ptp(known) == 0:
+            continue
+        middle = float(np.median(known))
+        squares = {run: np.nan_to_num(each - middle) ** 2 for run, each in clipped.items()}
+        whole = sum(float(each.sum()) for each in squares.values())
+        lost = sum(float(each[gone[run]].sum()) for run, each in squares.items())
+        blocks = sum(int(gone[run].sum()) for run in squares) / sum(map(len, squares.values()))
+        # noise has its share of the squares in every block
+        if whole > 0 and lost / whole >= max(TOLD, 1.5 * blocks):
+            share = lost / whole
+            is_grave = share >= GRAVE and name not in _AT_EDGES
+            found.append(LeftOut(f"the excitation of {name}", share, _mostly(losses, squares), is_grave))
+    return found
+
+
+def _clipped(mean: FloatArray) -> FloatArray:
+    known = mean[np.isfinite(mean)]
+    if known.size == 0:
+        return mean
+    low, high = np.quantile(known, (_TAIL, 1.0 - _TAIL))
+    return np.asarray(np.clip(mean, low, high))
+
+
+def _steps(
+    losses: Sequence[Loss], gone: Mapping[str, BoolArray], steps: Mapping[tuple[str, str], BoolArray]
+) -> list[LeftOut]:
+    found = []
+    for (run, step), rows in steps.items():
+        if run in gone and rows.any() and gone[run][rows].all():
+            why = _mostly(losses, {run: rows.astype(np.float64)})
+            found.append(LeftOut(f"step {step} of run {run}", 1.0, why, is_grave=True))
+    return found

@@ -1,0 +1,101 @@
+"""Motion that is shorter than the readings of a rate are apart: it looks like a fill value, but other rates show it."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from analytics.loop.blocks.means import FAR
+from stream.batch import BoolArray, FloatArray
+
+_ALIKE = 3.0
+"""By which factor two rates may differ that see the same motion from different sides."""
+_LEAST_SENTINEL = 99.0
+"""A number from which on two rates that read the very same, out of nothing, read a fill value."""
+_SAME = 1e-12
+
+
+class RateSeries(NamedTuple):
+    """One angular rate in the blocks of a run.
+
+    Parameters
+    ----------
+    value : array of shape (blocks,)
+        deg/s, readings that lie far outside included.
+    is_far : array of bool, shape (blocks,)
+        Blocks that hold such a reading.
+    reading : array of shape (blocks,)
+        The far reading itself, in the unit in which it was stored; NaN where there is none.
+    """
+
+    value: FloatArray
+    is_far: BoolArray
+    reading: FloatArray
+
+
+def moves(value: FloatArray) -> BoolArray:
+    """Mark blocks in which a rate changes, against the block before or after, far more than it usually does.
+
+    Examples
+    --------
+    >>> moves(np.array([0.0, 0.1, 0.0, 50.0, 0.0, 0.1, 0.0, 0.1, 0.0, 0.1])).nonzero()[0].tolist()
+    [2, 3, 4]
+    """
+    steps = np.abs(np.diff(value))
+    known = steps[np.isfinite(steps)]
+    usual = float(np.median(known)) if known.size else 0.0
+    far = np.nan_to_num(steps) > FAR * usual
+    return np.asarray(np.concatenate([far, [False]]) | np.concatenate([[False], far]))
+
+
+def motion(series: Mapping[str, RateSeries]) -> dict[str, BoolArray]:
+    """Mark, for each rate, the far readings that are motion: another rate shows it in the same block.
+
+    Two rates bear each other out where both leave their neighbours in one block by amounts within a factor of three. A
+    fill value is alone in its column, or stands in several as the very same number.
+
+    Examples
+    --------
+    >>> still, turned = np.array([0.0, 0, 0, 5, 0, 0]), np.array([0.0, 0, 0, 4.9, 0, 0])
+    >>> far = np.arange(6) == 3
+    >>> read = [np.where(far, each, np.nan) for each in (still, turned)]
+    >>> found = motion({"rate": RateSeries(still, far, read[0]), "table_rate": RateSeries(turned, far, read[1])})
+    >>> found["rate"].nonzero()[0].tolist()
+    [3]
+    >>> fill = {name: RateSeries(1e4 * still, far, 1e4 * read[0]) for name in ("rate", "table_rate")}
+    >>> motion(fill)["rate"].any()
+    np.False_
+    """
+    departure = {name: _departure(each.value) for name, each in series.items()}
+    moving = {name: moves(each.value) for name, each in series.items()}
+    borne_out = {name: moving[name] & ~each.is_far for name, each in series.items()}
+    names = list(series)
+    for name in names:
+        for other in names:
+            if other == name:
+                continue
+            one, two = series[name].reading, series[other].reading
+            same = (np.abs(one - two) <= _SAME * np.abs(one)) & (np.abs(one) >= _LEAST_SENTINEL)
+            alike = (departure[name] <= _ALIKE * departure[other]) & (departure[other] <= _ALIKE * departure[name])
+            borne_out[name] = borne_out[name] | (series[name].is_far & moving[other] & alike & ~same)
+    found = {}
+    for name in names:
+        shown = np.zeros_like(series[name].is_far)
+        for other in names:
+            shown |= borne_out[other] & (departure[name] <= _ALIKE * departure[other])
+        found[name] = np.asarray(series[name].is_far & shown)
+    return found
+
+
+def _departure(value: FloatArray) -> FloatArray:
+    """By how much each block leaves the middle of the two before and the two after it; 0 where it is not known."""
+    padded = np.concatenate([np.full(2, np.nan), value, np.full(2, np.nan)])
+    beside = np.stack([padded[at : at + value.size] for at in (0, 1, 3, 4)])
+    known = np.isfinite(beside)
+    filled = np.sort(np.where(known, beside, np.inf), axis=0)
+    count = known.sum(axis=0)
+    columns = np.arange(value.size)
+    low, high = np.maximum((count - 1) // 2, 0), np.minimum(count // 2, 3)
+    middle = 0.5 * (filled[low, columns] + filled[high, columns])
+    departure = np.where(count > 0, np.abs(value - np.where(count > 0, middle, 0.0)), 0.0)
+    return np.asarray(np.nan_to_num(departure))

@@ -1,0 +1,34 @@
+"""Bias that runs away in a straight line within each run."""
+
+from collections.abc import Mapping, Sequence
+
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.effects.base import Effect, Shape
+from stream.batch import FloatArray
+
+
+class DriftInRun(Effect):
+    """Bias in proportion to the time since the run's start, alike in every run."""
+
+    name = "drift_in_run"
+    en = "drift within the run"
+    zh = "测试内漂移"
+    needs = ()
+    per = "h"
+    cause = (
+        "Something relaxes in the same direction in each run, such as outgassing or stress after mounting. Over hours "
+        "it looks like a rate ramp."
+    )
+    cause_zh = "每次测试中某些因素（放气、装夹应力等）沿同一方向松弛。数小时内表现为速率斜坡。"
+    reference = "IEEE 952-2020, rate ramp; IEEE 528-2019"
+    aliases = ("warm_up", "temperature", "ageing")
+    separating_test = "long static run at constant temperature, begun at different times after power-on"
+    separating_test_zh = "恒温长时间静态测试，并在通电后不同时间开始"
+
+    def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
+        return (run.time_s / 3600.0)[:, None]
+
+    def simulate(
+        self, time_s: FloatArray, channels: Mapping[str, FloatArray], coefficients: Sequence[float], shape: Shape
+    ) -> FloatArray:
+        return coefficients[0] / 3600.0 * time_s

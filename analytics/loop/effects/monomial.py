@@ -1,0 +1,70 @@
+"""Effects that are a product of powers of channels, such as T, T**2 or omega_I*omega_O."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.effects.base import Effect, Shape, ShapeParameter
+from analytics.loop.effects.channel_names import channel_name, reference_point, standard_reference
+from stream.batch import FloatArray
+from stream.errors import BadInput
+
+NOMINAL = "_nominal"
+
+
+def nominal(channel: str) -> ShapeParameter:
+    """Shape parameter for the value from which a channel counts, where no natural zero exists: taken from the runs."""
+    en, zh = channel_name(channel)
+    return ShapeParameter(channel + NOMINAL, f"{{{channel}}}", (), f"nominal {en}", f"标称{zh}")
+
+
+class Monomial(Effect):
+    """Product of powers of channels, each counted from its reference.
+
+    The reference is 25 degC for temperatures, the value in the shape where the effect has a `nominal` parameter, else
+    0. A block's mean of a power is larger than the power of its mean by what the channel moves within the block.
+    """
+
+    powers: tuple[int, ...]
+    """Of the channels in `needs`, from 1 to 3."""
+
+    def shapes(self, runs: Sequence[RunBlocks]) -> Sequence[Shape]:
+        return [{p.name: _median(p.name.removesuffix(NOMINAL), runs) for p in self.parameters}]
+
+    def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
+        column = np.ones(len(run))
+        for name, power in zip(self.needs, self.powers, strict=True):
+            channel = run.channels[name]
+            reference = _reference(name, shape, reference_point(channel.unit_of_measure))
+            column = column * _moment(channel, reference, power)
+        return column[:, None]
+
+    def simulate(
+        self, time_s: FloatArray, channels: Mapping[str, FloatArray], coefficients: Sequence[float], shape: Shape
+    ) -> FloatArray:
+        error = np.full(time_s.size, coefficients[0])
+        for name, power in zip(self.needs, self.powers, strict=True):
+            error *= (channels[name] - _reference(name, shape, standard_reference(name))) ** power
+        return error
+
+
+def _reference(channel: str, shape: Shape, otherwise: float) -> float:
+    value = shape.get(channel + NOMINAL, otherwise)
+    if not isinstance(value, int | float):
+        raise BadInput(f"{channel}{NOMINAL} is {value!r}; a number is needed")
+    return float(value)
+
+
+def _median(channel: str, runs: Sequence[RunBlocks]) -> float:
+    means = np.concatenate([run.mean(channel) for run in runs])
+    return float(f"{np.nanmedian(means):.3g}") if np.isfinite(means).any() else 0.0
+
+
+def _moment(channel: Channel, reference: float, power: int) -> FloatArray:
+    mean = channel.mean - reference
+    if power == 1:
+        return mean
+    if power == 2:
+        return np.asarray(mean**2 + channel.spread**2)
+    return np.asarray(mean**3 + 3.0 * mean * channel.spread**2)

@@ -1,0 +1,157 @@
+"""Auxiliary channels that freeze or drop out, so that the model goes on with a reading that is no longer true."""
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.effects.base import Effect, Role, Shape
+from stream.batch import FloatArray
+
+Mask = npt.NDArray[np.bool_]
+
+_LEAST_BLOCKS = 4
+_LEAST_REACH_BLOCKS = 40
+_HANGS_FROM_TO = ((0.03, 0.07), (0.23, 0.27), (0.63, 0.67), (0.82, 0.86))
+_SLOPE_BLOCKS = 12
+
+
+def frozen_blocks(channel: Channel) -> Mask:
+    """Blocks in which the channel repeats the very same reading, four blocks or more in a row.
+
+    A drop-out to zero is one kind of that.
+
+    Examples
+    --------
+    >>> frozen_blocks(Channel(np.array([1.0, 2, 2, 2, 2, 3]), np.zeros(6), "degC"))
+    array([False,  True,  True,  True,  True, False])
+    """
+    mean = channel.mean
+    repeats = np.zeros(mean.size, bool)
+    repeats[1:] = (mean[1:] == mean[:-1]) & (channel.spread[1:] <= 1e-9 * np.abs(mean[1:]))
+    frozen = repeats.copy()
+    frozen[:-1] |= repeats[1:]
+    for first, end in _stretches(frozen):
+        frozen[first:end] = end - first >= _LEAST_BLOCKS
+    return frozen
+
+
+class _StaleChannel(Effect):
+    """Reading minus what the channel truly was, in the blocks where it is frozen."""
+
+    role = Role.ALIAS
+    reference = "IEEE 1431-2004, test instrumentation; IEEE 952-2020, data acquisition"
+
+    @abstractmethod
+    def _truth(self, run: RunBlocks, is_frozen: Mask) -> FloatArray:
+        """What the channel was in its frozen blocks, as far as it can be known."""
+
+    def unavailable(self, runs: Sequence[RunBlocks]) -> str | None:
+        reason = super().unavailable(runs)
+        if reason is None and not any(np.any(self.regressors(run, {})) for run in runs):
+            reason = f"channel {self.needs[0]} is nowhere frozen while it should move in these runs"
+        return reason
+
+    def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
+        channel = run.channels[self.needs[0]]
+        is_frozen = frozen_blocks(channel)
+        error = np.where(np.isfinite(channel.mean), 0.0, np.nan)
+        if is_frozen.any():
+            error[is_frozen] = channel.mean[is_frozen] - self._truth(run, is_frozen)
+        return error[:, None]
+
+    def recorded(self, time_s: FloatArray, channels: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
+        held = channels[self.needs[0]].copy()
+        for hang in _HANGS_FROM_TO:
+            first, end = np.searchsorted(time_s, np.quantile(time_s, hang))
+            held[first:end] = held[first]
+        return {**channels, self.needs[0]: held}
+
+    def simulate(
+        self, time_s: FloatArray, channels: Mapping[str, FloatArray], coefficients: Sequence[float], shape: Shape
+    ) -> FloatArray:
+        return coefficients[0] * (self.recorded(time_s, channels)[self.needs[0]] - channels[self.needs[0]])
+
+
+class StaleTemperature(_StaleChannel):
+    """Of the gyro temperature: the truth lies on a smooth bridge from the last true readings to the next ones."""
+
+    name = "stale_temperature"
+    en = "temperature reading frozen or dropped out"
+    zh = "温度读数停滞或中断"
+    needs = ("temperature",)
+    per = "{temperature}"
+    cause = (
+        "The reader of the sensor hangs or its line drops out, and the last reading (or zero) is repeated. The model "
+        "then takes off the wrong temperature until the sensor comes back."
+    )
+    cause_zh = "传感器读取挂起或线路中断，上一读数（或零）被重复记录。恢复之前模型扣除的是错误的温度。"
+    aliases = ("thermal_lag", "temperature")
+    separating_test = "repeat the run with a second temperature sensor on another reader"
+    separating_test_zh = "用另一采集通道的第二个温度传感器重复测试"
+
+    def _truth(self, run: RunBlocks, is_frozen: Mask) -> FloatArray:
+        from scipy.interpolate import CubicHermiteSpline
+
+        mean, slot = run.mean("temperature"), run.slot.astype(np.float64)
+        # the first frozen block is the last true reading, unless the line dropped out to zero
+        held_on = is_frozen & (np.concatenate(([False], is_frozen[:-1])) | (mean == 0.0))
+        good = np.flatnonzero(np.isfinite(mean) & ~held_on)
+        truth = mean.copy()
+        for first, end in _stretches(held_on):
+            # the block in which the sensor comes back is frozen in part
+            before, after = good[good < first], good[good > end]
+            if not (before.size and after.size):
+                continue  # without a reading on both sides nothing tells the truth
+            left, right = before[-1], after[0]
+            slopes = [_slope(slot[near], mean[near]) for near in (before[-_SLOPE_BLOCKS:], after[:_SLOPE_BLOCKS])]
+            bridge = CubicHermiteSpline(slot[[left, right]], mean[[left, right]], slopes)
+            truth[first:end] = bridge(slot[first:end])
+        return truth[is_frozen]
+
+
+class StaleInputRate(_StaleChannel):
+    """Of the rate reference: the truth is told by the table's own rate, as far as the input axis goes along with it."""
+
+    name = "stale_input_rate"
+    en = "rate reference frozen or dropped out"
+    zh = "速率基准停滞或中断"
+    needs = ("input_rate", "table_rate")
+    per = "{input_rate}"
+    cause = (
+        "The link to the rate reference hangs and its last value is repeated while the table goes on. The model takes "
+        "off a rate that is no longer true, which leaves the whole difference times the scale factor."
+    )
+    cause_zh = "与速率基准的通信挂起，转台仍在运动而上一数值被重复。模型扣除的角速率已不真实，留下标度因数乘以其差。"
+    aliases = ("rate_time_offset", "dead_zone")
+    separating_test = "repeat the run with the rate taken from the table's angle by a second reader"
+    separating_test_zh = "用第二采集通道由转台角度求得速率并重复测试"
+
+    def _truth(self, run: RunBlocks, is_frozen: Mask) -> FloatArray:
+        rate, table = run.mean("input_rate"), run.mean("table_rate")
+        good = ~is_frozen & np.isfinite(rate) & np.isfinite(table)
+        truth = rate.copy()
+        for first, end in _stretches(is_frozen):
+            reach = max(end - first, _LEAST_REACH_BLOCKS)
+            near = np.zeros(len(run), bool)
+            near[max(first - reach, 0) : end + reach] = True
+            near &= good
+            turning = float(table[near] @ table[near])
+            if turning > 0.0:
+                along = float(rate[near] @ table[near]) / turning
+                told = along * table[first:end]
+                truth[first:end] = np.where(np.isfinite(told), told, rate[first:end])
+        return truth[is_frozen]
+
+
+def _slope(at: FloatArray, value: FloatArray) -> float:
+    off = at - at.mean()
+    return float(off @ value / (off @ off)) if at.size > 1 else 0.0
+
+
+def _stretches(is_true: Mask) -> list[tuple[int, int]]:
+    """First block of each unbroken stretch, and the one after its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], is_true, [False]))))
+    return [(int(first), int(end)) for first, end in zip(edges[::2], edges[1::2], strict=True)]

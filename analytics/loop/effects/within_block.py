@@ -1,0 +1,74 @@
+"""Means over a block of functions that are not smooth, from mean and spread of the channel within the block.
+
+The readings within a block are taken as normally distributed; where the channel rests, the functions are plain.
+"""
+
+import numpy as np
+
+from analytics.loop.blocks.run_blocks import Channel
+from stream.batch import FloatArray
+
+_LEAST_SPREAD = 1e-12
+
+
+def mean_magnitude(channel: Channel) -> FloatArray:
+    """Mean of |x|.
+
+    Examples
+    --------
+    >>> mean_magnitude(Channel(np.array([-2.0, 0.0]), np.array([0.0, 1.0]), "deg/s")).round(3)
+    array([2.   , 0.798])
+    """
+    return mean_excess(channel, 0.0) + mean_excess(mirrored(channel), 0.0)
+
+
+def mean_excess(channel: Channel, limit: float) -> FloatArray:
+    """Mean of max(x - limit, 0).
+
+    Examples
+    --------
+    >>> mean_excess(Channel(np.array([1.0, 3.0, 2.0]), np.array([0.0, 0.0, 1.0]), "deg/s"), 2.0).round(3)
+    array([0.   , 1.   , 0.399])
+    """
+    over, spread = channel.mean - limit, np.maximum(channel.spread, _LEAST_SPREAD)
+    return np.asarray(over * _below(over / spread) + spread * _density(over / spread))
+
+
+def share_above(channel: Channel, limit: float) -> FloatArray:
+    """Share of the block in which x > limit.
+
+    Examples
+    --------
+    >>> share_above(Channel(np.array([1.0, 3.0, 2.0]), np.array([0.0, 0.0, 1.0]), "degC"), 2.0)
+    array([0. , 1. , 0.5])
+    """
+    return _below((channel.mean - limit) / np.maximum(channel.spread, _LEAST_SPREAD))
+
+
+def mean_inside(channel: Channel, half_width: float) -> FloatArray:
+    """Mean of x where |x| < half_width, else 0.
+
+    Examples
+    --------
+    >>> mean_inside(Channel(np.array([0.1, 3.0]), np.zeros(2), "deg/s"), 0.2)
+    array([0.1, 0. ])
+    """
+    mean, spread = channel.mean, np.maximum(channel.spread, _LEAST_SPREAD)
+    upper, lower = (half_width - mean) / spread, (-half_width - mean) / spread
+    return np.asarray(mean * (_below(upper) - _below(lower)) + spread * (_density(lower) - _density(upper)))
+
+
+def mirrored(channel: Channel) -> Channel:
+    """The channel with its sign turned."""
+    return Channel(-channel.mean, channel.spread, channel.unit_of_measure)
+
+
+def _below(z: FloatArray) -> FloatArray:
+    from scipy.special import ndtr
+
+    return np.asarray(ndtr(z))
+
+
+def _density(z: FloatArray) -> FloatArray:
+    clipped = np.clip(z, -40.0, 40.0)
+    return np.asarray(np.exp(-0.5 * clipped**2) / np.sqrt(2.0 * np.pi))

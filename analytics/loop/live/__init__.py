@@ -1,0 +1,1 @@
+"""Error models in use on live signals."""

@@ -1,0 +1,159 @@
+"""Compensation beside a recorder: reads what is recorded, in the order of the log, and sends compensated samples."""
+
+from collections.abc import Callable
+from uuid import UUID
+
+from analytics.loop.live.live_compensation import SUFFIX
+from analytics.loop.live.live_compensator import LiveCompensator, Out, lacking_uid
+from analytics.loop.model.model_registry import ModelRegistry
+from analytics.loop.model.model_use import logged_documents, uses_of
+from storage.log.tail import LogTail
+from storage.sql.catalog import Catalog
+from storage.store import Store
+from stream.batch import SampleBatch
+from stream.delivery.publisher import DurablePublisher, StreamId
+from stream.errors import BadInput, WireError
+from stream.events import (
+    AnyDocument,
+    CompensationStarted,
+    ModelActivated,
+    NoteAdded,
+    RunEnded,
+    RunResumed,
+    decode_event,
+)
+from stream.identity import EventKey, SampleKey, event_key, parse_key, sample_key
+from stream.wire.batches import decode_batch
+
+
+class CompensationWorker:
+    """Follows the log of a store, and sends what its live error models make of it to the store's recorder.
+
+    It keeps nothing of its own. What it sends is a function of the log: of runs that go on it reads everything again
+    when it starts, and sends what the log does not have yet; what was on its way when it was killed comes with the
+    same numbers, and is dropped.
+
+    Parameters
+    ----------
+    store : Store
+        Which store.
+    publisher : DurablePublisher
+        Connected to the recorder that writes it.
+    on_document : callable, optional
+        Hears every document that is sent.
+    """
+
+    pause_s = 2.0
+    """Seconds between looks into the log."""
+
+    def __init__(
+        self, store: Store, publisher: DurablePublisher, *, on_document: Callable[[AnyDocument], None] | None = None
+    ) -> None:
+        self._publisher = publisher
+        self._on_document = on_document
+        self._log = LogTail(store)
+        told = logged_documents(store, (ModelActivated, CompensationStarted, NoteAdded))
+        begun = {
+            (each.run, each.unit, each.signal, each.epoch.replace("-", "")): each.model
+            for each in told
+            if isinstance(each, CompensationStarted)
+        }
+        self._known = {each.uid for each in told}
+        self._compensator = LiveCompensator(ModelRegistry(store), uses_of(told), begun)
+        beginning = self._log.beginning()
+        self._positions, self._ended = beginning.positions, beginning.ended
+        ended = _ended(store)
+        if incomplete := _incomplete(store, told) & ended:  # one ended while none was at work
+            self._positions, self._ended = {}, frozenset(ended - incomplete)
+        self._sent = {
+            message.stream: message.next_seq
+            for message in self._log.since(dict(self._positions))
+            if message.stream.key.endswith(SUFFIX)
+        }
+        self.samples = 0
+
+    def look(self, given_up: Callable[[], bool] = lambda: False) -> None:
+        """Take in what the log has beyond what was seen, and send what comes of it; until `given_up` says so.
+
+        Raises
+        ------
+        GyrofleetError
+            If the log or a model cannot be read, or the recorder does not acknowledge.
+        """
+        for message in self._log.since(dict(self._positions)):
+            if given_up():
+                return
+            self._positions[message.stream] = message.next_seq
+            try:
+                self._take(message.stream.key, message.payload)
+            except WireError:
+                continue  # the recorder has kept it aside and reports it
+
+    def _take(self, key: str, payload: bytes) -> None:
+        try:
+            parsed = parse_key(key)
+        except BadInput as error:
+            raise WireError(str(error)) from error
+        if isinstance(parsed, SampleKey):
+            if parsed.signal.endswith(SUFFIX):
+                return
+            batch = decode_batch(payload)
+            if batch.run not in self._ended:
+                self._send(self._compensator.take(parsed.place, batch))
+        elif isinstance(parsed, EventKey):
+            document = decode_event(payload).document
+            if isinstance(document, ModelActivated) and document.uid in self._known:
+                return  # what was in use when it started is known already
+            if document.run not in self._ended:
+                self._send(self._compensator.take_document(parsed.place, document))
+
+    def _send(self, out: list[Out]) -> None:
+        for place, what in out:
+            if isinstance(what, SampleBatch):
+                key = sample_key(place, what.unit, what.signal)
+                if self._sent.get(StreamId(key, what.epoch.hex), 0) < what.next_seq:
+                    self._publisher.send_batch(key, what)
+                    self.samples += len(what)
+            elif what.uid not in self._known:
+                self._known.add(what.uid)
+                self._publisher.send_event(event_key(place), what)
+                if isinstance(what, CompensationStarted):
+                    self._publisher.drain()  # by which model is on disk before the first sample is
+                if self._on_document is not None:
+                    self._on_document(what)
+
+
+def _ended(store: Store) -> set[str]:
+    """Runs that have ended and were not resumed."""
+    ended: set[str] = set()
+    for document in logged_documents(store, (RunEnded, RunResumed)):
+        if isinstance(document, RunEnded):
+            ended.add(document.run)
+        else:
+            ended.discard(document.run)
+    return ended
+
+
+def _incomplete(store: Store, told: list[AnyDocument]) -> set[str]:
+    """Runs with a signal of which there are fewer compensated than raw samples in the lake."""
+    known = {each.uid for each in told}
+    begun = [
+        each
+        for each in told
+        if isinstance(each, CompensationStarted) and lacking_uid(UUID(each.compensated_epoch)) not in known
+    ]
+    if not begun:
+        return set()
+    with Catalog(store) as catalog:
+        rows = catalog.rows(
+            "select run, unit, signal, epoch::varchar, max(seq_next) - min(seq_first) from lake_channels group by all"
+        )
+    kept = {
+        (str(run), str(unit), str(signal), str(epoch).replace("-", "")): int(n) for run, unit, signal, epoch, n in rows
+    }
+    return {
+        each.run
+        for each in begun
+        if kept.get((each.run, each.unit, each.compensated, each.compensated_epoch.replace("-", "")), -1)
+        < kept.get((each.run, each.unit, each.signal, each.epoch.replace("-", "")), 0)
+    }

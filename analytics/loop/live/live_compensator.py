@@ -1,0 +1,290 @@
+"""Which signals of a stream are compensated, by what, and from which channels: batches and documents in and out."""
+
+from collections import deque
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from uuid import UUID, uuid5
+
+from analytics.loop.live.live_compensation import PATIENCE_BATCHES, PATIENCE_S, SUFFIX, EpochCompensation
+from analytics.loop.model.live_terms import live_part, needed_channels
+from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
+from analytics.loop.model.model_use import InUse, Uses
+from stream.batch import SampleBatch
+from stream.errors import GyrofleetError
+from stream.events import (
+    AnyDocument,
+    CompensationStarted,
+    ModelActivated,
+    NoteAdded,
+    PowerOn,
+    RunEnded,
+    RunStarted,
+    StepStarted,
+    StreamTotal,
+    UnitMounted,
+)
+from stream.identity import Place
+
+_OWN, _INSTRUMENT, _SUPPOSED = 2, 1, 0
+_KEPT_NS = round(PATIENCE_S * 1e9)
+_AUTHOR = "gyrofleet compensate"
+
+Out = tuple[Place, SampleBatch | AnyDocument]
+"""Something to be sent, and the station that it belongs to."""
+
+
+@dataclass
+class _Run:
+    """What is known of a run that goes on."""
+
+    place: Place
+    epochs: dict[tuple[str, str, str], EpochCompensation] = field(default_factory=dict)
+    power_ons: dict[tuple[str, str], int] = field(default_factory=dict)
+    kept: dict[tuple[str, str], deque[SampleBatch]] = field(default_factory=dict)
+    longest_ns: dict[tuple[str, str], int] = field(default_factory=dict)
+    units: set[str] = field(default_factory=set)
+    next_seq: dict[tuple[str, str, str], int] = field(default_factory=dict)
+    positions: set[str] = field(default_factory=set)
+    refused: set[tuple[str, str, str]] = field(default_factory=set)
+    ended: RunEnded | None = None
+
+
+class LiveCompensator:
+    """Compensates every signal that has a live error model, power-on by power-on.
+
+    A power-on keeps the model that was live when its first sample came: a model that is promoted or taken out acts
+    from the next power-on or run on. What `begun` names keeps the model that is named there.
+
+    Parameters
+    ----------
+    registry : ModelRegistry
+        Where the versions are.
+    uses : mapping
+        What is in use, by unit and signal; later activations are heard as documents.
+    begun : mapping, optional
+        Hash of the model by which a signal of a power-on in a run is compensated already, by run, unit, signal and
+        epoch (in hexadecimal digits).
+
+    Notes
+    -----
+    A channel is the unit's own signal of that name, else that of the one instrument of the run that has it. Without
+    ``input_rate`` it is ``table_rate``, unless the position or axis of a step says how the unit lies. The channels'
+    readings of the last ten minutes are kept for a power-on whose first sample comes behind them.
+    """
+
+    def __init__(
+        self,
+        registry: ModelRegistry,
+        uses: Uses,
+        begun: Mapping[tuple[str, str, str, str], str] | None = None,
+    ) -> None:
+        self._registry = registry
+        self._uses = dict(uses)
+        self._begun = dict(begun or {})
+        self._versions: dict[tuple[str, str], ModelVersion] = {}
+        self._runs: dict[str, _Run] = {}
+        self._wanted_now: frozenset[str] | None = None
+        self.samples = 0
+
+    def take(self, place: Place, batch: SampleBatch) -> list[Out]:
+        """Take in samples; what is to be sent now."""
+        if batch.signal.endswith(SUFFIX):
+            return []
+        run = self._runs.setdefault(batch.run, _Run(place))
+        stream = (batch.unit, batch.signal, batch.epoch.hex)
+        run.next_seq[stream] = max(batch.next_seq, run.next_seq.get(stream, 0))
+        out: list[Out] = []
+        if stream not in run.epochs and stream not in run.refused:
+            out += self._begin(place, run, batch)
+        if (own := run.epochs.get(stream)) is not None:
+            own.take(batch)
+            self.samples += len(batch)
+            out += self._told(place, own)
+        out += self._offer(place, run, batch)
+        return out + self._finish_if_complete(run)
+
+    def take_document(self, place: Place, document: AnyDocument) -> list[Out]:
+        """Take in a document; what is to be sent now."""
+        match document:
+            case ModelActivated():
+                whose = (document.unit, document.signal)
+                self._uses[whose] = self._uses.get(whose, InUse()).after(document)
+                self._wanted_now = None
+            case RunStarted():
+                self._runs.setdefault(document.run, _Run(place)).units.update(document.units)
+            case UnitMounted():
+                self._runs.setdefault(document.run, _Run(place)).units.add(document.unit)
+            case PowerOn():
+                run = self._runs.setdefault(document.run, _Run(place))
+                run.units.add(document.unit)
+                run.power_ons[document.unit, document.epoch.replace("-", "")] = document.t_ns
+            case StepStarted() if document.words.position is not None or document.words.axis is not None:
+                self._runs.setdefault(document.run, _Run(place)).positions.add(document.unit)
+            case RunEnded() if document.run in self._runs:
+                run = self._runs[document.run]
+                run.ended = document
+                return self._finish_if_complete(run)
+        return []
+
+    def finish(self, run_name: str) -> list[Out]:
+        """End a run, nothing of which comes any more; what is left to be sent of it."""
+        run = self._runs.pop(run_name, None)
+        if run is None:
+            return []
+        out: list[Out] = []
+        for own in run.epochs.values():
+            if own.lacking:
+                out.append((run.place, _cannot(own)))
+            out += [(run.place, batch) for batch in own.due(is_last=True)]
+        return out
+
+    def totals(self, run_name: str) -> tuple[StreamTotal, ...]:
+        """How many compensated samples of a run there will be in all, if nothing more of it comes."""
+        run = self._runs.get(run_name)
+        if run is None:
+            return ()
+        return tuple(
+            StreamTotal(unit=unit, signal=own.signal, epoch=str(own.epoch), samples=own.next_seq - own.first_seq)
+            for (unit, _, _), own in run.epochs.items()
+            if not own.lacking
+        )
+
+    def _begin(self, place: Place, run: _Run, batch: SampleBatch) -> list[Out]:
+        """Begin to compensate a power-on, if there is a model for it."""
+        stream = (batch.unit, batch.signal, batch.epoch.hex)
+        model = self._begun.get((batch.run, *stream))
+        is_begun = model is not None
+        if model is None:
+            live = self._uses.get((batch.unit, batch.signal), InUse()).live
+            model = None if live is None else live.model
+        if model is None:
+            run.refused.add(stream)
+            return []
+        try:
+            version = self._version(batch.unit, model)
+            own = EpochCompensation(version, batch, run.power_ons.get((batch.unit, batch.epoch.hex)))
+        except GyrofleetError as error:
+            run.refused.add(stream)
+            uid = uuid5(batch.epoch, f"{batch.run}/refused").hex
+            note = NoteAdded(run=batch.run, t_ns=batch.t0_ns, text=str(error), author=_AUTHOR, unit=batch.unit, uid=uid)
+            return [(place, note)]
+        run.units.add(batch.unit)
+        run.epochs[stream] = own
+        for kept in run.kept.values():
+            for readings in kept:
+                self._give(run, batch.unit, own, readings)
+        if is_begun:
+            return []
+        return [
+            (
+                place,
+                CompensationStarted(
+                    run=batch.run,
+                    t_ns=batch.t0_ns,
+                    uid=own.epoch.hex,
+                    unit=batch.unit,
+                    signal=batch.signal,
+                    epoch=str(batch.epoch),
+                    model=model,
+                    version=version.version,
+                    compensated=own.signal,
+                    compensated_epoch=str(own.epoch),
+                    first_seq=own.first_seq,
+                ),
+            )
+        ]
+
+    def _version(self, unit: str, model: str) -> ModelVersion:
+        if (unit, model) not in self._versions:
+            self._versions[unit, model] = self._registry.by_hash(unit, model)
+            self._wanted_now = None
+        return self._versions[unit, model]
+
+    def _offer(self, place: Place, run: _Run, batch: SampleBatch) -> list[Out]:
+        """Give readings to those who need them, and keep the last ones for those who come later."""
+        if batch.signal not in self._wanted():
+            return []
+        kept = run.kept.setdefault((batch.unit, batch.signal), deque())
+        kept.append(batch)
+        longest_ns = max(run.longest_ns.get((batch.unit, batch.signal), 0), batch.last_ns - batch.t0_ns)
+        run.longest_ns[batch.unit, batch.signal] = longest_ns
+        while kept[0].last_ns < batch.last_ns - max(_KEPT_NS, round(PATIENCE_BATCHES * longest_ns)):
+            kept.popleft()
+        out: list[Out] = []
+        for (unit, _, _), own in run.epochs.items():
+            if self._give(run, unit, own, batch):
+                out += self._told(place, own)
+        return out
+
+    def _wanted(self) -> frozenset[str]:
+        """Signals that any model may need."""
+        if self._wanted_now is None:
+            for (unit, _), use in self._uses.items():
+                if use.live is not None:
+                    with suppress(GyrofleetError):  # told when the unit begins
+                        self._version(unit, use.live.model)
+            self._wanted_now = frozenset(name for each in self._versions.values() for name in _names(each))
+        return self._wanted_now
+
+    @staticmethod
+    def _give(run: _Run, unit: str, own: EpochCompensation, batch: SampleBatch) -> bool:
+        """Give a batch to a compensation if it is a channel of it."""
+        if batch.unit != unit and batch.unit in run.units:
+            return False  # of another unit under test
+        if batch.signal in own.channels:
+            own.take_reading(batch.signal, batch, _OWN if batch.unit == unit else _INSTRUMENT)
+            return True
+        if batch.signal == "table_rate" and "input_rate" in own.channels and unit not in run.positions:
+            own.take_reading("input_rate", batch, _SUPPOSED)
+            return True
+        return False
+
+    @staticmethod
+    def _told(place: Place, own: EpochCompensation) -> list[Out]:
+        out: list[Out] = [(place, batch) for batch in own.due()]
+        return out + [(place, _stopped(own, name, at_s)) for name, at_s in own.newly_held().items()]
+
+    def _finish_if_complete(self, run: _Run) -> list[Out]:
+        """End a run whose end has come, and all of whose samples have."""
+        if run.ended is None:
+            return []
+        for total in run.ended.totals:
+            reached = run.next_seq.get((total.unit, total.signal, total.epoch.replace("-", "")), 0)
+            if not total.signal.endswith(SUFFIX) and reached < total.samples:
+                return []
+        return self.finish(run.ended.run)
+
+
+def lacking_uid(epoch: UUID) -> str:
+    """Identity of the note that a compensated epoch has no samples, since a channel is lacking."""
+    return uuid5(epoch, "lacking").hex
+
+
+def _names(version: ModelVersion) -> tuple[str, ...]:
+    names = needed_channels(live_part(version.model))
+    return (*names, "table_rate") if "input_rate" in names else names
+
+
+def _cannot(own: EpochCompensation) -> NoteAdded:
+    lacking = "; ".join(f"channel {name}: {why}" for name, why in own.lacking.items())
+    return _note(
+        own,
+        lacking_uid(own.epoch),
+        f"is not compensated: version {own.version.version} of its error model cannot do without {lacking}; record it "
+        "once, or take the term out of the model",
+    )
+
+
+def _stopped(own: EpochCompensation, name: str, at_s: float) -> NoteAdded:
+    return _note(
+        own,
+        uuid5(own.epoch, f"{name} stops").hex,
+        f"is compensated with a last reading from now on: channel {name} stops at {at_s:.0f} s, and has not come for "
+        f"{own.patience_s:.0f} s; look at its source",
+    )
+
+
+def _note(own: EpochCompensation, uid: str, text: str) -> NoteAdded:
+    whole = f"run {own.run}, unit {own.unit}: {own.signal.removesuffix(SUFFIX)} {text}"
+    return NoteAdded(run=own.run, t_ns=own.t0_ns, text=whole, author=_AUTHOR, unit=own.unit, uid=uid)

@@ -1,0 +1,247 @@
+"""Watches models in use: does each recorded stretch of a run fit them better than the model that they replaced?"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+from uuid import UUID, uuid5
+
+import numpy as np
+
+from analytics.loop.blocks.reduction import BlockReducer
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
+from analytics.loop.model.model_use import (
+    InUse,
+    Stage,
+    enter_activations,
+    logged_documents,
+    rollback_documents,
+    uses_of,
+)
+from analytics.loop.tracing.whitened_residual import whitened_residual
+from storage.sql.catalog import Catalog
+from storage.store import Store
+from stream.batch import FloatArray
+from stream.errors import GyrofleetError
+from stream.events import AnyDocument, ModelActivated, ResidualWatched
+
+THRESHOLD = math.log(200.0)
+"""Log-likelihood that may be lost: with the odds of 200 to 1 against it, a model is refused."""
+STRETCH_S = 6 * 3600.0
+"""Length of the stretches of which long runs are judged one by one, seconds."""
+
+_BY = "residual watch"
+_FEWEST_BLOCKS = 8
+
+
+class Stretch(NamedTuple):
+    """What a stretch of a run says of a model.
+
+    Parameters
+    ----------
+    number : int
+        From 0 on, counted from the beginning of the run.
+    end_ns : int
+        Where its last block ends.
+    blocks : int
+        How many blocks it has.
+    gain : float
+        Log-likelihood gained against the model before.
+    """
+
+    number: int
+    end_ns: int
+    blocks: int
+    gain: float
+
+
+def gains(version: ModelVersion, run: RunBlocks) -> FloatArray:
+    """Whitened log-likelihood of each block by the version, less that by the model before; NaN without a channel.
+
+    Both are held against the same noise, the version's, so that only what they predict counts; a bias that is another
+    at each power-on is part of that noise.
+
+    Raises
+    ------
+    BadInput
+        If the run lacks a channel, or is in another unit of measure.
+    """
+    known = np.isfinite(version.model.predict(run)) & np.isfinite(version.before.predict(run))
+    both = replace(run, value=np.where(known, run.value, np.nan))
+    new, old = (
+        whitened_residual(model, both, version.noise, longest_s=version.longest_s)
+        for model in (version.model, version.before)
+    )
+    return np.asarray(0.5 * (old**2 - new**2))
+
+
+def stretches(version: ModelVersion, run: RunBlocks, *, is_ended: bool) -> list[Stretch]:
+    """What the stretches of a run say of a version; of a run that goes on, those that are complete.
+
+    Raises
+    ------
+    BadInput
+        As `gains`.
+    """
+    gain = gains(version, run)
+    number = (run.slot * run.block_s // STRETCH_S).astype(np.int64)
+    last = int(number[-1])
+    found = []
+    for each in range(int(number[0]), last + 1 if is_ended else last):
+        is_in = (number == each) & np.isfinite(gain)
+        count = int(np.count_nonzero(is_in))
+        if count >= _FEWEST_BLOCKS:
+            end_ns = run.t0_ns + round((int(run.slot[is_in][-1]) + 1) * run.block_s * 1e9)
+            found.append(Stretch(each, end_ns, count, float(gain[is_in].sum())))
+    return found
+
+
+def cusum(before: float, gain: float) -> float:
+    """What a model has lost in all, after one more stretch; not below 0.
+
+    Examples
+    --------
+    >>> cusum(2.0, -1.5), cusum(2.0, 5.0)
+    (3.5, 0.0)
+    """
+    return max(0.0, before - gain)
+
+
+def watch_store(store: Store) -> list[AnyDocument]:
+    """Judge every model in use by what was recorded since; roll back a live one that is refused, or cannot be read.
+
+    The documents are in the store's log when this returns, and are given back. Done again it says nothing twice.
+
+    Raises
+    ------
+    GyrofleetError
+        If the store cannot be read, or the recorder does not acknowledge.
+    """
+    told = logged_documents(store, (ModelActivated, ResidualWatched))
+    uses = uses_of(told)
+    if not any(use.activations for use in uses.values()):
+        return []
+    registry = ModelRegistry(store)
+    said: list[AnyDocument] = []
+    with Catalog(store) as catalog:
+        for use in uses.values():
+            for activated in use.activations:
+                try:
+                    version = registry.by_hash(activated.unit, activated.model)
+                except GyrofleetError as error:  # what cannot be read cannot be used
+                    said += rollback_documents(registry, use, Stage(activated.stage), reason=str(error), by=_BY)
+                    continue
+                history = [
+                    each for each in told if isinstance(each, ResidualWatched) and each.activation == activated.uid
+                ]
+                fresh = _Watch(catalog, version, activated, history).documents()
+                said += fresh
+                if fresh and fresh[-1].is_refused and activated.stage == Stage.LIVE:
+                    said += _rolled_back(registry, use, fresh[-1])
+    if said:
+        enter_activations(store, said)
+    return said
+
+
+def _rolled_back(registry: ModelRegistry, use: InUse, why: ResidualWatched) -> Sequence[AnyDocument]:
+    reason = (
+        f"the residual watch refuses it: up to {why.stretch} it explains what was recorded worse than the model before "
+        f"it, by {why.cusum:.1f} in log-likelihood ({why.threshold:.1f} may be); trace the unit anew"
+    )
+    return rollback_documents(registry, use, Stage.LIVE, reason=reason, by=_BY)
+
+
+class _Recorded(NamedTuple):
+    run: str
+    is_ended: bool
+    span_s: float
+    last_ns: int
+
+
+class _Watch:
+    """One version that is in use, and what was said of it since."""
+
+    def __init__(
+        self, catalog: Catalog, version: ModelVersion, activated: ModelActivated, history: Sequence[ResidualWatched]
+    ) -> None:
+        self._catalog = catalog
+        self._version = version
+        self._activated = activated
+        self._history = history
+        self._cusum = history[-1].cusum if history else 0.0
+
+    def documents(self) -> list[ResidualWatched]:
+        """What is to be said now; nothing behind what refuses a live version."""
+        said: list[ResidualWatched] = []
+        for recorded in self._fresh():
+            for document in self._judged(recorded):
+                said.append(document)
+                if document.is_refused and self._activated.stage == Stage.LIVE:
+                    return said
+        return said
+
+    def _fresh(self) -> Iterator[_Recorded]:
+        """Runs that were recorded since, of which something may be left to be said."""
+        rows = self._catalog.rows(
+            """
+            select s.run, r.run is not null, (s.t_last_ns - s.t_first_ns) / 1e9, s.t_last_ns
+            from signals s left join (select distinct run from events where kind = 'RunEnded') r using (run)
+            where s.unit = $unit and s.signal = $signal and s.arrival_first_ns > $since order by s.t_first_ns
+            """,
+            {"unit": self._version.unit, "signal": self._version.signal, "since": self._activated.t_ns},
+        )
+        for run, is_ended, span_s, last_ns in rows:
+            of_run = [each for each in self._history if each.run == run]
+            is_told = any(each.t_ns >= last_ns - 2e9 * self._version.block_s for each in of_run)
+            waits = not is_ended and len(of_run) >= span_s // STRETCH_S
+            if run not in self._version.runs and not is_told and not waits:
+                yield _Recorded(str(run), bool(is_ended), float(span_s), int(last_ns))
+
+    def _judged(self, recorded: _Recorded) -> Iterator[ResidualWatched]:
+        version = self._version
+        known = {each.stretch for each in self._history}
+        try:
+            reducer = BlockReducer(self._catalog, version.signal, block_s=version.block_s, runs=[recorded.run])
+            parts = reducer.reduce(version.unit).runs
+            if not recorded.is_ended and len(parts) > 1:
+                return  # which of its power-ons goes on is known at its end
+            found = [
+                (f"{part.run.removesuffix('#1')} from {each.number * STRETCH_S / 3600:g} h", each)
+                for part in parts
+                for each in stretches(version, part, is_ended=recorded.is_ended)
+            ]
+        except GyrofleetError as error:
+            if recorded.is_ended:
+                yield self._document(recorded.run, recorded.run, None, recorded.last_ns, 0, str(error))
+            return
+        fresh = [(name, each) for name, each in found if name not in known]
+        for at, (name, each) in enumerate(fresh):
+            self._cusum = cusum(self._cusum, each.gain)
+            is_last = recorded.is_ended and at == len(fresh) - 1
+            end_ns = max(each.end_ns, recorded.last_ns) if is_last else each.end_ns
+            yield self._document(recorded.run, name, each.gain, end_ns, each.blocks, None)
+        if recorded.is_ended and not found:
+            reason = f"fewer than {_FEWEST_BLOCKS} blocks of {version.block_s:g} s with all channels"
+            yield self._document(recorded.run, recorded.run, None, recorded.last_ns, 0, reason)
+
+    def _document(
+        self, run: str, stretch: str, gain: float | None, t_ns: int, blocks: int, reason: str | None
+    ) -> ResidualWatched:
+        return ResidualWatched(
+            run=run,
+            t_ns=t_ns,
+            uid=uuid5(UUID(self._activated.uid), stretch).hex,
+            unit=self._version.unit,
+            signal=self._version.signal,
+            model=self._activated.model,
+            version=self._version.version,
+            activation=self._activated.uid,
+            stretch=stretch,
+            blocks=blocks,
+            gain=gain,
+            cusum=self._cusum,
+            threshold=THRESHOLD,
+            is_refused=gain is not None and self._cusum > THRESHOLD,
+            reason=reason,
+        )

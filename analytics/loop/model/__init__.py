@@ -1,0 +1,1 @@
+"""Error models: their text, coefficients, versions, and which is in use."""

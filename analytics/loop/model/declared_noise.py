@@ -1,0 +1,160 @@
+"""Noise to start from where nobody declares it: a unit's own Allan fits, and the scatter of its bias over runs."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from analytics.curves.noise_coefficients import MOST_MISFIT
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.noise import NoiseCoefficients
+from storage.sql.catalog import Catalog
+from stream.batch import FloatArray
+from stream.estimators.base import NoEstimate
+from stream.quantities import ANGULAR_RATE_UNIT
+
+_KEYS = ("angle_random_walk", "bias_instability", "rate_random_walk")
+_QUANTILE = 0.25
+_OF_LIMIT = 1.0 / 3.0
+_NORMAL_PER_MAD = 1.4826
+_RATES = ("input_rate", "table_rate")
+_MOST_DRIVEN = 4.0
+"""Variance of a run's blocks over what a line in the rate leaves of it: above, the Allan fit is of the motion."""
+
+
+def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorModel) -> NoiseCoefficients | NoEstimate:
+    """Noise coefficients of a unit by the Allan fits of its runs, or why there are none.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        The store, which has the fit of every finished run.
+    runs : sequence of RunBlocks
+        Of one unit; runs in which the unit was powered on anew count with the fit of the whole.
+    model : ErrorModel
+        Declared; what it leaves tells the turn-on scatter.
+
+    Notes
+    -----
+    An Allan deviation holds the effects as well as the noise, so that of several runs the lower quartile is taken; of a
+    term that a run does not show, a third of what it leaves room for, if the fit says nothing better. Fits that are
+    off by more than a quarter do not count, nor do runs in which the unit was turned: their Allan deviation is that of
+    the motion, a million times the noise. The turn-on scatter is that of the runs' constants by least squares
+    (1.4826 times the median distance from the median); of a single run it is not known, and the bias instability is
+    taken in its place. Flicker and random walk are seen at long averaging times only, where a short run shows its
+    effects: they are taken from the runs at least half as long as the longest of those whose fits count.
+    """
+    unit, signal = runs[0].unit, runs[0].signal
+    if runs[0].unit_of_measure != ANGULAR_RATE_UNIT:
+        return NoEstimate(
+            f"signal {signal} is in {runs[0].unit_of_measure}: the noise terms are those of an angular rate"
+        )
+    names = {name for run in runs for name in _names(run)}
+    turned = {name for run in runs if _is_turned(run) for name in _names(run)}
+    if names == turned:
+        return NoEstimate(
+            f"unit {unit}, signal {signal}: it was turned in all runs, whose Allan fits are of the motion; noise is "
+            "estimated from these runs alone, or give --noise"
+        )
+    rows = catalog.rows(
+        "select run, document->'$.coefficients' as coefficients from events "
+        "where kind = 'NoiseFitted' and unit = $unit and signal = $signal order by t_ns",
+        {"unit": unit, "signal": signal},
+    )
+    fits = {str(run): msgspec.json.decode(text) for run, text in rows if text and run in names - turned}
+    usable = {run: fit for run, fit in fits.items() if fit is not None and fit.get("misfit", 0.0) <= MOST_MISFIT}
+    if not usable:
+        return NoEstimate(
+            f"unit {unit}, signal {signal}: none of {len(names - turned)} runs has an Allan fit that describes it; "
+            "noise is estimated from these runs alone, or give --noise"
+        )
+    lengths_s = _lengths_s(runs)
+    longest_s = max(lengths_s[run] for run in usable)
+    long = [fit for run, fit in usable.items() if lengths_s[run] >= longest_s / 2]
+    fits_of = (list(usable.values()), long, long)
+    white, flicker, walk = (
+        float(np.quantile([_value(fit[key]) for fit in those], _QUANTILE))
+        for key, those in zip(_KEYS, fits_of, strict=True)
+    )
+    return with_turn_on(GivenNoise(white, flicker, walk, None), runs, model)
+
+
+class GivenNoise(NamedTuple):
+    """Noise as it is given: N, B and K in the units of `NoiseCoefficients`, turn-on scatter where it is known."""
+
+    N: float
+    B: float
+    K: float
+    turn_on: float | None
+
+
+def with_turn_on(noise: GivenNoise, runs: Sequence[RunBlocks], model: ErrorModel) -> NoiseCoefficients:
+    """Return noise with turn-on scatter: as given, else that of the runs' constants, of a single run the flicker."""
+    white, flicker, walk, turn_on = noise
+    if turn_on is None:
+        constants = _constants(runs, model)
+        turn_on = flicker
+        if len(constants) > 1:
+            turn_on = _NORMAL_PER_MAD * float(np.median(np.abs(constants - np.median(constants))))
+    return NoiseCoefficients(N=white, B=flicker, K=walk, turn_on=turn_on)
+
+
+def _names(run: RunBlocks) -> tuple[str, ...]:
+    """The run, and the run that it is a power-on of."""
+    whole = run.run.rpartition("#")[0]
+    return (run.run, whole) if whole else (run.run,)
+
+
+def _lengths_s(runs: Sequence[RunBlocks]) -> dict[str, float]:
+    """Length of each run, and of each run that power-ons are of."""
+    found: dict[str, float] = defaultdict(float)
+    for run in runs:
+        for name in _names(run):
+            found[name] += run.value.size * run.block_s
+    return found
+
+
+def _is_turned(run: RunBlocks) -> bool:
+    """Whether the signal of a run is mostly the rate at which the unit was turned."""
+    for name in _RATES:
+        if name not in run.channels:
+            continue
+        pairs = np.column_stack([run.mean(name), run.value])
+        pairs = pairs[np.isfinite(pairs).all(axis=1)]
+        if len(pairs) < 3 or np.ptp(pairs[:, 0]) == 0:
+            continue
+        rate, value = (pairs - pairs.mean(axis=0)).T
+        left = value - rate * (rate @ value) / (rate @ rate)
+        return bool(value @ value > _MOST_DRIVEN * (left @ left))
+    return False
+
+
+def _value(coefficient: dict[str, Any]) -> float:
+    if coefficient["observable"] or coefficient["value"] > 0.0:
+        return float(coefficient["value"])
+    return float(coefficient["hi"]) * _OF_LIMIT
+
+
+def _constants(runs: Sequence[RunBlocks], model: ErrorModel) -> FloatArray:
+    """Constant of each run beside the model's terms, by least squares."""
+    columns, values, rows = [], [], []
+    for at, run in enumerate(runs):
+        x = np.column_stack([model.columns(run), run.value])
+        x = x[np.isfinite(x).all(axis=1)]
+        columns.append(x[:, :-1])
+        values.append(x[:, -1])
+        rows.append(np.full(len(x), at))
+    terms, value, row = np.concatenate(columns), np.concatenate(values), np.concatenate(rows)
+    present = np.unique(row)
+    if len(present) == 0:
+        return np.empty(0)
+    own = (row[:, None] == present).astype(np.float64)
+    means = (own.T @ np.column_stack([terms, value])) / own.sum(axis=0)[:, None]
+    terms, value = terms - own @ means[:, :-1], value - own @ means[:, -1]
+    scale = np.sqrt(np.sum(terms**2, axis=0))
+    is_told = scale > 1e-9 * (np.abs(means[:, :-1]).max(axis=0, initial=0.0) + 1e-300) * np.sqrt(len(row))
+    found, *_ = np.linalg.lstsq(terms[:, is_told], value, rcond=None)
+    return np.asarray(means[:, -1] - means[:, :-1][:, is_told] @ found, dtype=np.float64)

@@ -1,0 +1,294 @@
+"""Versions of the units' error models in a store: written once, never changed, and checked whenever they are read."""
+
+import hashlib
+import os
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Self
+
+import msgspec
+
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.noise import NoiseCoefficients
+from storage.sql.catalog import Catalog
+from storage.store import Store, only_one, sync_folder
+from stream.errors import BadInput, NotFound, StoreError
+from stream.identity import check_name
+
+FOLDER = "models"
+_HASH_DIGITS = 32
+_NAME = re.compile(r"(?P<version>\d{4,})-(?P<hash>[0-9a-f]{32})\.json")
+
+
+class ModelVersion(msgspec.Struct, frozen=True, kw_only=True):
+    """A version of the error model of a unit's signal, and everything that it rests on.
+
+    Parameters
+    ----------
+    unit, signal : str
+        Whose.
+    version : int
+        From 1 on, for each unit.
+    parent : str, optional
+        Hash of the version that was in use when it was made.
+    text : str
+        The model as people write it.
+    model : ErrorModel
+        Terms, coefficients, covariance, noise.
+    before : ErrorModel
+        The model that it takes the place of, fitted to the same runs.
+    noise : NoiseCoefficients
+        What `model` leaves.
+    block_s : float
+        Length of the blocks that it was fitted to, seconds.
+    longest_s : float
+        Length of the longest run among them, seconds.
+    runs : mapping of str to str
+        Each run that it was fitted to or confirmed by, with a hash of what the store held of it.
+    training_runs : tuple of str
+        Those that it was fitted to.
+    verdict : str
+        Of the trace that it comes from.
+    added : tuple of str
+        Effects that the declared model lacked.
+    holdout : mapping, optional
+        What the runs said that were held out.
+    made_ns : int
+        When, ns UTC.
+    by : str
+        Who made it.
+    note : str
+        Free words.
+    confounded : tuple of str
+        Effects that explain the training runs as well as the added ones.
+    """
+
+    unit: str
+    signal: str
+    version: int
+    parent: str | None
+    text: str
+    model: ErrorModel
+    before: ErrorModel
+    noise: NoiseCoefficients
+    block_s: float
+    longest_s: float
+    runs: dict[str, str]
+    training_runs: tuple[str, ...]
+    verdict: str
+    added: tuple[str, ...]
+    holdout: dict[str, Any] | None
+    made_ns: int
+    by: str
+    note: str = ""
+    confounded: tuple[str, ...] = ()
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether nothing was added that the held-out runs have not confirmed."""
+        return not self.added or bool(self.holdout and self.holdout.get("accepted"))
+
+    def content(self) -> bytes:
+        """What stands in its file."""
+        fields: dict[str, Any] = msgspec.to_builtins(self)
+        if not self.confounded:
+            del fields["confounded"]  # versions without it keep the hash under which they were written
+        return msgspec.json.format(msgspec.json.encode(fields, order="sorted"), indent=1) + b"\n"
+
+    @property
+    def hash(self) -> str:
+        """Hash of its content, by which it is named."""
+        return hash_of(self.content())
+
+
+def no_version(unit: str) -> str:
+    """Say that a unit has no version, and how its first one is made.
+
+    Examples
+    --------
+    >>> no_version("U1").partition(":")[0]
+    'unit U1 has no version of its error model'
+    """
+    return (
+        f"unit {unit} has no version of its error model: `gyrofleet model promote --unit {unit} --model 'rate = bias + "
+        "temperature'`, with the terms that you declare, traces the unit's runs and writes version 1"
+    )
+
+
+def hash_of(content: bytes) -> str:
+    """Hash of a file's content.
+
+    Examples
+    --------
+    >>> hash_of(b"")
+    'e3b0c44298fc1c149afbf4c8996fb924'
+    """
+    return hashlib.sha256(content).hexdigest()[:_HASH_DIGITS]
+
+
+class ModelRegistry:
+    """The versions in a store: one file each, ``models/UNIT/NNNN-HASH.json``.
+
+    Parameters
+    ----------
+    store : Store
+        Which store.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._folder = store.folder / FOLDER
+
+    @classmethod
+    def of(cls, folder: Path) -> Self:
+        """Return the registry of the store in a folder."""
+        return cls(Store.open(folder))
+
+    def units(self) -> list[str]:
+        """Units that have a version."""
+        if not self._folder.is_dir():
+            return []
+        return sorted(each.name for each in self._folder.iterdir() if each.is_dir() and any(_files(each)))
+
+    def versions(self, unit: str) -> list[ModelVersion]:
+        """All versions of a unit, the first first.
+
+        Raises
+        ------
+        StoreError
+            If one is damaged.
+        """
+        return [self._read(path) for path in _files(self._folder / check_name("unit", unit))]
+
+    def readable(self, unit: str) -> tuple[list[ModelVersion], dict[int, str]]:
+        """Versions of a unit, the first first, and why others cannot be read, by number."""
+        found: list[ModelVersion] = []
+        damaged: dict[int, str] = {}
+        for path in _files(self._folder / check_name("unit", unit)):
+            try:
+                found.append(self._read(path))
+            except StoreError as error:
+                damaged[_number(path)] = str(error)
+        return found, damaged
+
+    def version(self, unit: str, number: int) -> ModelVersion:
+        """Return a version by its number.
+
+        Raises
+        ------
+        NotFound
+            If there is none; the message says which there are.
+        StoreError
+            If it is damaged.
+        """
+        paths = {_number(path): path for path in _files(self._folder / check_name("unit", unit))}
+        if number not in paths:
+            if not paths:
+                raise NotFound(no_version(unit))
+            raise NotFound(
+                f"unit {unit} has no version {number} of its error model; there are {', '.join(map(str, paths))}"
+            )
+        return self._read(paths[number])
+
+    def by_hash(self, unit: str, wanted: str) -> ModelVersion:
+        """Return a version by its hash; raises as `version` does."""
+        for path in _files(self._folder / check_name("unit", unit)):
+            if path.name.endswith(f"-{wanted}.json"):
+                return self._read(path)
+        raise NotFound(
+            f"unit {unit}: version {wanted} of its error model is not in {self._folder / unit}; bring the file back "
+            "from a copy of the store, or take the model out of use with `gyrofleet model rollback`"
+        )
+
+    def add(self, version: ModelVersion) -> ModelVersion:
+        """Write a version down, under the next number of its unit; it is on disk when this returns.
+
+        Returns
+        -------
+        ModelVersion
+            As written, with its number.
+
+        Raises
+        ------
+        StoreError
+            If it cannot be written, or another process writes one at this moment.
+        """
+        folder = self._folder / check_name("unit", version.unit)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            sync_folder(self._folder.parent)
+            sync_folder(self._folder)
+            with only_one(self._folder / f"{version.unit}.lock", "gyrofleet model promote"):
+                number = max((_number(path) for path in _files(folder)), default=0) + 1
+                written = msgspec.structs.replace(version, version=number)
+                _write_once(folder / f"{number:04d}-{written.hash}.json", written.content())
+        except OSError as error:
+            raise StoreError(f"unit {version.unit}: its error model cannot be written to {folder}: {error}") from error
+        return written
+
+    @staticmethod
+    def _read(path: Path) -> ModelVersion:
+        advice = "bring the file back from a copy of the store, or roll back to another version"
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise StoreError(f"error model {path} cannot be read ({error}); {advice}") from error
+        match = _NAME.fullmatch(path.name)
+        if match is None or hash_of(content) != match["hash"]:
+            raise StoreError(
+                f"error model {path} is not what was written: its content does not have its hash; {advice}"
+            )
+        try:
+            found = msgspec.json.decode(content, type=ModelVersion)
+            found.model.labels()
+            found.before.labels()
+        except (msgspec.MsgspecError, BadInput) as error:
+            raise StoreError(f"error model {path} is not one of this gyrofleet ({error}); upgrade it") from error
+        if found.unit != path.parent.name or found.version != _number(path):
+            raise StoreError(
+                f"error model {path} is version {found.version} of unit {found.unit}: it was copied to where it does "
+                "not belong; take it away"
+            )
+        return found
+
+
+def run_hashes(catalog: Catalog, runs: Mapping[str, object] | tuple[str, ...]) -> dict[str, str]:
+    """What the store holds of runs, as a hash: every recorded signal with its samples, times and meaning.
+
+    Signals that gyrofleet makes itself, such as ``rate_compensated``, do not count.
+    """
+    names = {name.partition("#")[0] for name in runs}
+    rows = catalog.rows(
+        """
+        select run, sha256(string_agg(concat_ws('|', unit, signal, epoch, unit_of_measure, scale, "offset", samples,
+            seq_first, seq_next, t_first_ns, t_last_ns), ';' order by unit, signal, epoch, channel)) as print
+        from lake_channels where not ends_with(signal, '_compensated') group by run order by run
+        """
+    )
+    return {str(run): str(mark)[:_HASH_DIGITS] for run, mark in rows if run in names}
+
+
+def _files(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return sorted((path for path in folder.iterdir() if _NAME.fullmatch(path.name)), key=_number)
+
+
+def _number(path: Path) -> int:
+    return int(path.name.partition("-")[0])
+
+
+def _write_once(path: Path, content: bytes) -> None:
+    """Write a file that is not there yet: it appears whole, or not at all."""
+    fresh = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with fresh.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.link(fresh, path)  # unlike a rename, it overwrites nothing
+    finally:
+        with suppress(OSError):
+            fresh.unlink()
+    sync_folder(path.parent)

@@ -1,0 +1,212 @@
+"""Which version of a unit's error model is in use: the last word of the store's log, not a file."""
+
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import msgspec
+
+from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
+from ingest.importing.entered import enter
+from storage.log.tail import documents_beyond
+from storage.manifests.lake import read_manifest
+from storage.sql.catalog import Catalog
+from storage.store import Store
+from stream.errors import BadInput, NotFound, QueryError, StoreError
+from stream.events import AnyDocument, ModelActivated, new_uid
+
+_ROLE = "gyrofleet model"
+_SQL = "select document from events where list_contains($kinds, kind) order by t_ns"
+
+
+class Stage(StrEnum):
+    """How far a version is in use."""
+
+    LIVE = "live"
+    """It compensates the live stream."""
+    SHADOW = "shadow"
+    """It is only watched."""
+    OFF = "off"
+
+
+@dataclass(frozen=True)
+class InUse:
+    """What a unit's signal uses.
+
+    Parameters
+    ----------
+    live, shadow : ModelActivated, optional
+        The document that put the version to use; None where there is none.
+    before : tuple of ModelActivated
+        Live versions in whose place the live one came, the last one last.
+    """
+
+    live: ModelActivated | None = None
+    shadow: ModelActivated | None = None
+    before: tuple[ModelActivated, ...] = ()
+
+    def after(self, document: ModelActivated) -> "InUse":
+        """What is in use when a document has come.
+
+        Examples
+        --------
+        >>> one = ModelActivated(run="", t_ns=0, unit="U1", model="a", version=1, stage="shadow")
+        >>> InUse().after(one).shadow is one, InUse().after(one).live
+        (True, None)
+        """
+        live, shadow = self.live, self.shadow
+        if shadow is not None and shadow.model == document.model:
+            shadow = None
+        if live is not None and live.model == document.model:
+            live = None
+        before = self.before
+        if document.stage == Stage.LIVE:
+            live, before = document, self._before(document)
+        elif document.stage == Stage.SHADOW:
+            shadow = document
+        return InUse(live, shadow, before)
+
+    def _before(self, document: ModelActivated) -> tuple[ModelActivated, ...]:
+        """What a version that goes live comes in place of; one that comes back has what was before it then."""
+        models = [each.model for each in self.before]
+        if self.live is None:
+            return self.before[: models.index(document.model)] if document.model in models else ()
+        others = (*self.before, self.live)
+        return tuple(each for each in others if each.model != document.model)
+
+    def stage(self, model: str) -> Stage:
+        """How far a version with that hash is in use."""
+        if self.live is not None and self.live.model == model:
+            return Stage.LIVE
+        return Stage.SHADOW if self.shadow is not None and self.shadow.model == model else Stage.OFF
+
+    @property
+    def activations(self) -> tuple[ModelActivated, ...]:
+        """The documents that put what is in use to use."""
+        return tuple(each for each in (self.live, self.shadow) if each is not None)
+
+
+Uses = dict[tuple[str, str], InUse]
+"""What is in use, by unit and signal."""
+
+
+def logged_documents(store: Store, kinds: Iterable[type[AnyDocument]]) -> list[AnyDocument]:
+    """Documents of some kinds that the store has, those not yet in the lake included, in the order of their times.
+
+    Raises
+    ------
+    StoreError
+        If the lake or the log is damaged.
+    """
+    wanted = tuple(kinds)
+    in_lake = read_manifest(store).segments
+    found: dict[str, AnyDocument] = {}
+    with Catalog(store) as catalog:
+        try:
+            for (text,) in catalog.rows(_SQL, {"kinds": [each.__name__ for each in wanted]}):
+                decoded: AnyDocument = msgspec.json.decode(text, type=AnyDocument)
+                found[decoded.uid] = decoded
+        except (QueryError, msgspec.MsgspecError, UnicodeDecodeError) as error:
+            raise StoreError(
+                f"documents in the lake of {store.folder} cannot be read ({error}); `gyrofleet verify` says what is "
+                f"damaged, `gyrofleet recover` makes it anew from the log"
+            ) from error
+    for document, _ in documents_beyond(store, in_lake):
+        if isinstance(document, wanted):
+            found.setdefault(document.uid, document)
+    return sorted(found.values(), key=lambda each: each.t_ns)
+
+
+def uses_of(documents: Iterable[AnyDocument]) -> Uses:
+    """What is in use when these documents have come in their order."""
+    found: Uses = {}
+    for document in documents:
+        if isinstance(document, ModelActivated):
+            whose = (document.unit, document.signal)
+            found[whose] = found.get(whose, InUse()).after(document)
+    return found
+
+
+def read_uses(store: Store) -> Uses:
+    """What is in use in a store now."""
+    return uses_of(logged_documents(store, (ModelActivated,)))
+
+
+def activation(version: ModelVersion, stage: Stage, reason: str, by: str, *, after_ns: int | None) -> ModelActivated:
+    """The document that puts a version to use, later than the one before it.
+
+    Raises
+    ------
+    BadInput
+        If the version adds what the held-out runs have not confirmed, and is to go live.
+    """
+    if stage is Stage.LIVE and not version.is_confirmed:
+        raise BadInput(
+            f"unit {version.unit}, version {version.version}: {', '.join(version.added)} was not confirmed by held-out "
+            "runs, so that it cannot go live; measure more runs, or put it to use with --shadow"
+        )
+    now_ns = time.time_ns()
+    return ModelActivated(
+        run="",
+        t_ns=now_ns if after_ns is None else max(now_ns, after_ns + 1),
+        unit=version.unit,
+        model=version.hash,
+        version=version.version,
+        signal=version.signal,
+        stage=stage.value,
+        reason=reason,
+        by=by,
+    )
+
+
+def activate(store: Store, version: ModelVersion, stage: Stage, *, reason: str, by: str) -> ModelActivated:
+    """Put a version to use; the log has it when this returns.
+
+    Raises
+    ------
+    BadInput
+        If it is so already, or must not go live.
+    """
+    use = read_uses(store).get((version.unit, version.signal), InUse())
+    if use.stage(version.hash) is stage:
+        raise BadInput(f"unit {version.unit}: version {version.version} of its error model is {stage.value} already")
+    document = activation(version, stage, reason, by, after_ns=_last_ns(use))
+    enter_activations(store, [document])
+    return document
+
+
+def enter_activations(store: Store, documents: Sequence[AnyDocument]) -> None:
+    """Bring documents into the store's log; they are on disk when this returns."""
+    enter(store.folder, documents, role=_ROLE)
+
+
+def rollback_documents(
+    registry: ModelRegistry, use: InUse, stage: Stage, *, reason: str, by: str
+) -> list[ModelActivated]:
+    """The documents that take the live or the shadow version out of use; in a live one's place comes the one before.
+
+    Raises
+    ------
+    BadInput
+        If none is in use at that stage.
+    """
+    taken = use.live if stage is Stage.LIVE else use.shadow
+    if taken is None:
+        raise BadInput(f"no version of the error model is {stage.value}: there is nothing to roll back")
+    off_ns = max(time.time_ns(), (_last_ns(use) or 0) + 1)
+    off = msgspec.structs.replace(taken, uid=new_uid(), t_ns=off_ns, stage=Stage.OFF.value, reason=reason, by=by)
+    if stage is not Stage.LIVE or not use.before:
+        return [off]
+    earlier = use.before[-1]
+    try:
+        back = registry.by_hash(taken.unit, earlier.model)
+    except (NotFound, StoreError):  # what is live goes out of use all the same
+        lost = f"{reason}; version {earlier.version}, live before it, cannot be read and does not take its place"
+        return [msgspec.structs.replace(off, reason=lost)]
+    why = f"in place of version {taken.version}: {reason}"
+    return [off, activation(back, Stage.LIVE, why, by, after_ns=off.t_ns)]
+
+
+def _last_ns(use: InUse) -> int | None:
+    return max((each.t_ns for each in use.activations), default=None)

@@ -1,0 +1,29 @@
+"""Noise coefficients of a signal as the closed loop has them: white, flicker, random walk and turn-on scatter."""
+
+import msgspec
+
+
+class NoiseCoefficients(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Noise of a signal in its result unit u and hours; for deg/h the units in parentheses.
+
+    Parameters
+    ----------
+    N : float
+        White noise, u*sqrt(h) (angle random walk, deg/sqrt(h)).
+    B : float
+        Flicker: bias instability, u (deg/h); 0 where there is none.
+    K : float
+        Random walk, u/sqrt(h) (rate random walk, deg/h/sqrt(h)); 0 where there is none.
+    turn_on : float
+        Standard deviation of the bias from run to run, u (deg/h).
+
+    Examples
+    --------
+    >>> NoiseCoefficients(N=0.005, B=0.02, K=0.01, turn_on=0.3).turn_on
+    0.3
+    """
+
+    N: float
+    B: float
+    K: float
+    turn_on: float

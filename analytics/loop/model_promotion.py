@@ -1,0 +1,126 @@
+"""From a trace to a version of the unit's error model."""
+
+import time
+from collections.abc import Callable, Iterator
+
+import msgspec
+
+from analytics.loop.effects.turn_on import TURN_ON
+from analytics.loop.model.model_registry import ModelRegistry, ModelVersion, run_hashes
+from analytics.loop.model.model_use import InUse, Stage, activate, read_uses
+from analytics.loop.tracing.contenders import JUMP, LINE
+from analytics.loop.tracing.result import Diagnosis, Verdict
+from analytics.loop.unit_diagnosis import UnitDiagnosis, diagnose_units
+from analytics.loop.unit_reduction import Question
+from storage.sql.catalog import Catalog
+from storage.store import Store
+from stream.errors import BadInput
+from stream.events import ModelActivated
+
+EVENTS = (LINE, JUMP, TURN_ON)
+"""What no model predicts: a line has a phase of its own in each run, a jump happens once."""
+
+
+def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: str, note: str = "") -> ModelVersion:
+    """A trace as a version that can be written down.
+
+    Raises
+    ------
+    BadInput
+        If the trace has no fitted model.
+    """
+    diagnosis = found.diagnosis
+    if diagnosis.model is None or diagnosis.declared is None or diagnosis.noise is None:
+        raise BadInput(
+            f"unit {found.unit}: the verdict is {diagnosis.verdict.value} ({'; '.join(diagnosis.missing)}), so that "
+            "there is no fitted model to put to use; measure more runs"
+        )
+    runs = found.data.runs
+    trained = [run for run in runs if run.run in diagnosis.training_runs] or list(runs)
+    holdout = diagnosis.document()["holdout"]
+    return ModelVersion(
+        unit=found.unit,
+        signal=diagnosis.signal,
+        version=0,
+        parent=None if use.live is None else use.live.model,
+        text=str(diagnosis.model),
+        model=diagnosis.model,
+        before=diagnosis.declared,
+        noise=diagnosis.noise,
+        block_s=runs[0].block_s,
+        longest_s=max(float(run.slot[-1] + 1 - run.slot[0]) * run.block_s for run in trained),
+        runs=run_hashes(catalog, tuple(run.run for run in runs)),
+        training_runs=diagnosis.training_runs,
+        verdict=diagnosis.verdict.value,
+        added=tuple(name for name in diagnosis.names if name not in EVENTS),
+        holdout=None if holdout is None else dict(msgspec.to_builtins(holdout)),
+        made_ns=time.time_ns(),
+        by=by,
+        note=note,
+        confounded=tuple(dict.fromkeys(_confounded(found.diagnosis))),
+    )
+
+
+def _confounded(diagnosis: Diagnosis) -> Iterator[str]:
+    """Effects that the data do not tell from those that are added."""
+    for effect in diagnosis.effects:
+        if effect.name not in EVENTS:
+            yield from (other.name for other in effect.confounded if other.name not in diagnosis.names)
+
+
+def confounded_warning(version: ModelVersion) -> str | None:
+    """Say that a version holds one of several effects that the data cannot tell apart; None where it does not."""
+    if not version.confounded and version.verdict != Verdict.CONFOUNDED:
+        return None
+    added, others = ", ".join(version.added), ", ".join(version.confounded) or "others"
+    return (
+        f"unit {version.unit}, version {version.version}: the data cannot tell {added} from {others} (verdict "
+        f"{version.verdict}); the model holds {added}, and is wrong wherever the two differ: "
+        "separate them by the test that `gyrofleet diagnose` names, or use --shadow"
+    )
+
+
+def promote_trace(
+    store: Store,
+    unit: str,
+    question: Question,
+    stage: Stage,
+    *,
+    by: str,
+    note: str = "",
+    told: Callable[[str], None] = lambda _: None,
+) -> tuple[ModelVersion, ModelActivated]:
+    """Trace a unit's residual, write down the model with what was found as a new version, and put it to use.
+
+    Raises
+    ------
+    BadInput
+        If the trace has no model, or it must not go live; then nothing is written.
+    """
+    with Catalog(store) as catalog:
+        found = diagnose_units(catalog, [unit], question, told=told).units[unit]
+        use = read_uses(store).get((unit, question.signal_name), InUse())
+        version = version_of(catalog, found, use, by=by, note=note)
+    check_usable(version, stage)
+    written = ModelRegistry(store).add(version)
+    return written, activate(store, written, stage, reason=note or f"trace: {version.verdict}", by=by)
+
+
+def check_usable(version: ModelVersion, stage: Stage) -> None:
+    """Refuse a version that must not be put to use at a stage.
+
+    Raises
+    ------
+    BadInput
+        If what it adds is not confirmed by held-out runs, or has a term that cannot be computed while a run goes on.
+    """
+    if stage is not Stage.LIVE:
+        return
+    if not version.is_confirmed:
+        raise BadInput(
+            f"unit {version.unit}: the trace found {', '.join(version.added)} ({version.verdict}), which held-out runs "
+            "have not confirmed, so that it cannot go live; measure more runs, or put it to use with --shadow"
+        )
+    from analytics.loop.model.live_terms import check_live
+
+    check_live(version.unit, version.model)

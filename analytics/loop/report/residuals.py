@@ -1,0 +1,83 @@
+"""Residuals of a diagnosed unit before and after, block by block: what the tables and pictures of a report show."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.tracing.diagnosis import case_of
+from analytics.loop.tracing.noise_floor import correlated_variance
+from analytics.loop.tracing.record import Record
+from analytics.loop.tracing.result import Diagnosis
+from analytics.loop.tracing.white_variance import record_of
+from stream.batch import BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What the declared model and the model found leave of each block that takes part.
+
+    Parameters
+    ----------
+    record : Record
+        The blocks, training and held out.
+    noise : NoiseCoefficients
+        As fitted with the model found.
+    before, after : array of shape (n,)
+        Residual of the declared model, and of the model found; coefficients of the training.
+    held_out : array of bool, shape (n,)
+        Blocks that took no part in the fit; none where no runs were held out.
+    """
+
+    record: Record
+    noise: NoiseCoefficients
+    before: FloatArray
+    after: FloatArray
+    held_out: BoolArray
+
+    @property
+    def unit_of_measure(self) -> str:
+        """Of the residuals."""
+        return self.record.stack.runs[0].unit_of_measure
+
+    @property
+    def judged(self) -> BoolArray:
+        """Blocks on which errors are told: those held out, or all where none are."""
+        return self.held_out if self.held_out.any() else np.ones(len(self.record), dtype=bool)
+
+    def channel(self, name: str) -> FloatArray:
+        """Block means of a channel that all runs have."""
+        return self.record.stack.column(lambda run: run.mean(name))
+
+    @property
+    def channels(self) -> set[str]:
+        """Channels that all runs have."""
+        return set.intersection(*(set(run.channels) for run in self.record.stack.runs))
+
+    def noise_variance(self, weights: FloatArray) -> float:
+        """Variance that the noise gives to a sum of the blocks' values with these weights."""
+        record = self.record
+        space = record.noise_model.space(self.noise)
+        total = float(space.white * np.sum(record.white * weights**2))
+        number = record.stack.run_number
+        for run in np.unique(number[weights != 0]):
+            total += correlated_variance(record, self.noise, number == run, weights)
+        return total
+
+
+def residuals_of(runs: Sequence[RunBlocks], diagnosis: Diagnosis) -> Residuals | None:
+    """Return the residuals of a diagnosed unit; None where there was not enough data for a diagnosis."""
+    if diagnosis.judged is None or diagnosis.model is None or diagnosis.noise is None:
+        return None
+    held_out = [run for run in diagnosis.runs if run not in diagnosis.training_runs]
+    used = [run for run in runs if run.run in diagnosis.runs]
+    stack = case_of(used or runs, diagnosis.judged, diagnosis.noise, held_out).stack
+    return Residuals(
+        record=record_of(stack, diagnosis.noise),
+        noise=diagnosis.noise,
+        before=stack.column(diagnosis.judged.residual),
+        after=stack.column(diagnosis.model.residual),
+        held_out=stack.of_replicates(held_out),
+    )

@@ -1,0 +1,142 @@
+"""How a report names things: effects, their parameters, numbers with their limits; in English or Chinese."""
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.effects.coefficient_units import parameter_unit
+from analytics.loop.effects.registry import effect
+from analytics.loop.report.remarks_zh import in_chinese
+from analytics.loop.tracing.result import Coefficient, ConfoundedEffect, FoundEffect
+
+Language = Literal["en", "zh"]
+
+_MOST_COLUMNS = 3
+_USUAL_DIGITS, _MOST_DIGITS, _SMALL = 3, 15, 1e-3
+_RUN = {"en": "run", "zh": "试验"}
+
+
+def number(value: float | None) -> str:
+    """A number with three digits; a dash where there is none.
+
+    Examples
+    --------
+    >>> number(0.51389), number(14538.2), number(2.1e-7), number(0.0), number(None)
+    ('0.514', '14,538', '2.1e-07', '0', '\N{EN DASH}')
+    """
+    if value is None or not math.isfinite(value):
+        return "\N{EN DASH}"
+    if value == 0:
+        return "0"
+    if abs(value) >= 1000:
+        return f"{value:,.0f}" if abs(value) < 1e7 else f"{value:.3g}"
+    return f"{value:.3g}"
+
+
+def measured(value: float, error: float) -> str:
+    """A number down to the second digit of its standard uncertainty, and with three digits at least.
+
+    Examples
+    --------
+    >>> measured(3600.195191, 0.00074), measured(0.0558, 0.000821), measured(3.0243, 0.05), measured(-14538.2, 120.0)
+    ('3,600.19519', '0.05580', '3.024', '-14,538')
+    >>> measured(3.0243, 0.0), measured(3.0243, float("nan"))
+    ('3.02', '3.02')
+    """
+    if not (math.isfinite(value) and math.isfinite(error)) or value == 0 or error <= 0:
+        return number(value)
+    place = 1 - math.floor(math.log10(error))
+    digits = math.floor(math.log10(abs(value))) + 1 + place
+    if not _USUAL_DIGITS < digits <= _MOST_DIGITS:
+        return number(value)
+    return f"{value:,.{max(0, place)}f}" if abs(value) >= _SMALL else f"{value:.{digits}g}"
+
+
+class Wording:
+    """Names in one language, with the units of measure of the channels of a run.
+
+    Parameters
+    ----------
+    language : {"en", "zh"}
+        Which.
+    run : RunBlocks, optional
+        Whose channels give the units of shape parameters.
+    """
+
+    def __init__(self, language: Language, run: RunBlocks | None = None) -> None:
+        self.language: Language = language
+        self._run = run
+
+    def of(self, en: str, zh: str) -> str:
+        """The text in this language."""
+        return zh if self.language == "zh" else en
+
+    def remark(self, text: str) -> str:
+        """A limit, a note or a reason in this language."""
+        return in_chinese(text) if self.language == "zh" else text
+
+    def listed(self, parts: Sequence[str], last: tuple[str, str] = ("and", "和")) -> str:
+        """Parts as a list in a sentence.
+
+        Examples
+        --------
+        >>> Wording("en").listed(["a", "b", "c"], ("or", "或")), Wording("zh").listed(["甲", "乙"])
+        ('a, b or c', '甲和乙')
+        """
+        if len(parts) < 2:
+            return "".join(parts)
+        comma, word = self.of(", ", "、"), self.of(f" {last[0]} ", last[1])
+        return comma.join(parts[:-1]) + word + parts[-1]
+
+    def name(self, name: str) -> str:
+        """Name of an effect."""
+        known = effect(name)
+        return self.of(known.en, known.zh)
+
+    def effect(self, found: FoundEffect | ConfoundedEffect) -> str:
+        """Name of an effect with the values of its parameters."""
+        told = self.parameters(found)
+        return f"{self.name(found.name)} ({told})" if told else self.name(found.name)
+
+    def parameters(self, found: FoundEffect | ConfoundedEffect) -> str:
+        """Values of the shape parameters; lists, such as the knots of a free function, are left out."""
+        known = {parameter.name: parameter for parameter in effect(found.name).parameters}
+        parts = []
+        for key, value in found.parameters.items():
+            if isinstance(value, (list, tuple)):
+                continue
+            if key in known:
+                parameter = known[key]
+                unit = parameter.unit_of_measure if self._run is None else parameter_unit(parameter, self._run)
+                parts.append(f"{self.of(parameter.en, parameter.zh)} {_short(value)} {told_unit(unit)}".rstrip())
+            else:
+                parts.append(f"{self.of(key, _RUN['zh']) if key == 'run' else key} {_short(value)}")
+        return ", ".join(parts)
+
+    def coefficient(self, found: FoundEffect) -> str:
+        """Coefficients with their limits, or how many there are."""
+        if len(found.coefficients) > _MOST_COLUMNS:
+            count = len(found.coefficients)
+            return self.of(f"{count} coefficients", f"{count}个系数")
+        return self.of("; ", "；").join(self._one(each) for each in found.coefficients)
+
+    def _one(self, found: Coefficient) -> str:
+        head = f"{found.name} " if found.name else ""
+        limits = self.of(f"{number(found.lo)} to {number(found.hi)}", f"{number(found.lo)} 至 {number(found.hi)}")
+        return f"{head}{number(found.value)} ({limits}) {told_unit(found.unit_of_measure)}"
+
+
+def told_unit(unit_of_measure: str) -> str:
+    """A unit of measure as it is read; nothing for the number one.
+
+    Examples
+    --------
+    >>> told_unit("deg/h/(degC/s)"), told_unit("1")
+    ('deg/h/(degC/s)', '')
+    """
+    return "" if unit_of_measure == "1" else unit_of_measure
+
+
+def _short(value: object) -> str:
+    return number(value) if isinstance(value, (int, float)) else str(value)

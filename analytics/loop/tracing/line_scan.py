@@ -1,0 +1,119 @@
+"""Scan for a periodic line of unknown frequency, the same in all runs; amplitude and phase are those of each run."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft, ndimage, stats
+
+from analytics.loop.tracing.record import Record
+from stream.batch import FloatArray
+
+LONGEST_PERIOD_BLOCKS = 80
+SHORTEST_PERIOD_BLOCKS = 2.2
+_PADDING = 4
+_WINDOW = 401  # grid points, about 100 independent ones, over which the spectrum is taken to be smooth
+
+
+@dataclass(frozen=True)
+class Line:
+    """The strongest line.
+
+    Parameters
+    ----------
+    frequency_hz : float
+        Its frequency.
+    p_value, family_p_value : float
+        Of this frequency alone, and of the best of all frequencies.
+    powers : array of shape (runs,)
+        Periodogram of each run at this frequency, mean 2 in white noise.
+    """
+
+    frequency_hz: float
+    p_value: float
+    family_p_value: float
+    powers: FloatArray
+
+    @property
+    def largest_share(self) -> float:
+        """Part of the power above noise that the strongest run has."""
+        above = np.maximum(self.powers - 2.0, 0.0)
+        return float(above.max() / above.sum()) if above.any() else 1.0
+
+
+def scan_lines(records: Sequence[Record], residuals: Sequence[FloatArray]) -> Line | None:
+    """Strongest line of whitened residuals; None where runs are too short.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        The blocks.
+    residuals : sequence of array
+        Whitened residual of each record.
+    """
+    pieces = [piece for record, residual in zip(records, residuals, strict=True) for piece in _by_run(record, residual)]
+    longest = max(piece.size for piece, _ in pieces)
+    if longest < LONGEST_PERIOD_BLOCKS:
+        return None
+    size = _PADDING * fft.next_fast_len(longest)
+    per_block = fft.rfftfreq(size)
+    band = (per_block > max(1 / LONGEST_PERIOD_BLOCKS, 3 / longest)) & (per_block < 1 / SHORTEST_PERIOD_BLOCKS)
+    spectra = np.array([np.abs(fft.rfft(piece, size)[band]) ** 2 * 2 / blocks for piece, blocks in pieces])
+    degrees = 2 * len(pieces)
+    total = spectra.sum(axis=0)
+    local = ndimage.median_filter(total, _WINDOW, mode="nearest") / stats.chi2.median(degrees)
+    level = total / np.maximum(local, 1.0)
+    best = int(np.argmax(level))
+    p_value = float(stats.chi2.sf(level[best], degrees))
+    block_s = records[0].noise_model.block_s
+    return Line(
+        frequency_hz=float(per_block[band][best] / block_s),
+        p_value=p_value,
+        family_p_value=min(1.0, p_value * level.size),
+        powers=spectra[:, best],
+    )
+
+
+def line_columns(record: Record, frequency_hz: float) -> FloatArray:
+    """Cosine and sine of each run of a record, shape (n, 2 * runs)."""
+    number = record.stack.run_number
+    phase = 2 * np.pi * frequency_hz * record.noise_model.block_s * record.stack.slot
+    runs = number[:, None] == np.arange(len(record.stack.runs))
+    return np.column_stack([runs * np.cos(phase)[:, None], runs * np.sin(phase)[:, None]])
+
+
+def amplitude_of(values: FloatArray, variance: FloatArray) -> tuple[float, float]:
+    """Amplitude of a line, root mean square over runs, and its standard uncertainty.
+
+    Parameters
+    ----------
+    values, variance : array of shape (2 * runs,)
+        Cosines and sines, and the variance of each.
+    """
+    runs = values.size / 2
+    return (
+        float(np.sqrt(max(0.0, float(np.sum(values**2 - variance)) / runs))),
+        float(np.sqrt(variance.mean() / runs)),
+    )
+
+
+def powers_at(records: Sequence[Record], residuals: Sequence[FloatArray], frequency_hz: float) -> FloatArray:
+    """Periodogram of each run at one frequency, mean 2 in white noise."""
+    powers = []
+    for record, residual in zip(records, residuals, strict=True):
+        for piece, blocks in _by_run(record, residual):
+            turn = np.exp(-2j * np.pi * frequency_hz * record.noise_model.block_s * np.arange(piece.size))
+            powers.append(float(np.abs(piece @ turn) ** 2 * 2 / blocks))
+    return np.array(powers)
+
+
+def _by_run(record: Record, residual: FloatArray) -> list[tuple[FloatArray, int]]:
+    """Residual of each run on its whole grid, zero in gaps, and how many blocks it has."""
+    slot, number = record.stack.slot, record.stack.run_number
+    pieces = []
+    for run in range(len(record.stack.runs)):
+        of_run = number == run
+        grid = np.zeros(int(slot[of_run][-1] - slot[of_run][0]) + 1)
+        grid[slot[of_run] - slot[of_run][0]] = residual[of_run]
+        pieces.append((grid, int(np.count_nonzero(of_run))))
+    return pieces

@@ -1,0 +1,244 @@
+"""From the store to blocks: what was asked of units, each reduced with its declared model and its noise."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from analytics.loop.blocks.checks import Note, in_runs
+from analytics.loop.blocks.left_out import LeftOut
+from analytics.loop.blocks.records import usual_block_s
+from analytics.loop.blocks.reduction import BLOCK_S, BlockReducer
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.effects.registry import effect
+from analytics.loop.model.declared_noise import GivenNoise, declared_noise, with_turn_on
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.noise import NoiseCoefficients
+from storage.sql.catalog import Catalog
+from stream.errors import BadInput, GyrofleetError, NotFound
+from stream.estimators.base import NoEstimate
+
+_LARGEST = 1e50
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of units.
+
+    Parameters
+    ----------
+    model : str
+        The declared error model as text.
+    signal : str, optional
+        Which signal; the one that the model names if left out.
+    block_s : float, optional
+        Length of a block, seconds; by default 30, or the interval of the samples where that is longer.
+    noise : GivenNoise or NoiseCoefficients, optional
+        Declared; by default that of each unit's own Allan fits. Turn-on scatter that is not given is estimated.
+    holdout : tuple of str, optional
+        Runs to hold out; the last third if left out.
+    runs : tuple of str, optional
+        Only these runs.
+    since_ns : int, optional
+        Only samples from then on.
+    """
+
+    model: str
+    signal: str | None = None
+    block_s: float | None = None
+    noise: GivenNoise | NoiseCoefficients | None = None
+    holdout: tuple[str, ...] | None = None
+    runs: tuple[str, ...] | None = None
+    since_ns: int | None = None
+
+    @property
+    def signal_name(self) -> str:
+        """The signal, as it was named or as the model names it.
+
+        Raises
+        ------
+        BadInput
+            If neither names it, or they differ.
+
+        Examples
+        --------
+        >>> Question("rate = bias + temperature").signal_name
+        'rate'
+        """
+        left, equals, _ = self.model.partition("=")
+        named = left.strip() if equals and "(" not in left else None
+        if self.signal is None and named is None:
+            raise BadInput(f"error model '{self.model}': which signal is it of? give --signal, or write 'rate = ...'")
+        if self.signal is not None and named is not None and named != self.signal:
+            raise BadInput(f"error model '{self.model}' is of signal {named}, not of {self.signal}: name one")
+        return self.signal or named or ""
+
+
+@dataclass(frozen=True)
+class ReducedUnit:
+    """A unit's runs as blocks, with what is to be said of them.
+
+    Parameters
+    ----------
+    runs : tuple of RunBlocks
+        The runs.
+    notes : tuple of Note
+        What was left out, converted, supposed or looks wrong.
+    noise : NoiseCoefficients, optional
+        Declared, or by the unit's own Allan fits.
+    noise_source : str
+        Where that comes from, or why there is none.
+    left_out : tuple of LeftOut
+        What was left out of the record, with its share.
+    turn_on_is_declared : bool
+        Whether the turn-on scatter of `noise` was given, and not estimated from these runs.
+    """
+
+    runs: tuple[RunBlocks, ...]
+    notes: tuple[Note, ...]
+    noise: NoiseCoefficients | None
+    noise_source: str
+    left_out: tuple[LeftOut, ...] = ()
+    turn_on_is_declared: bool = False
+
+
+@dataclass(frozen=True)
+class ReducedUnits:
+    """Units that were read, and what each is asked.
+
+    Parameters
+    ----------
+    units : mapping of str to ReducedUnit
+        Those that could be read.
+    models : mapping of str to ErrorModel
+        The declared model, on the channels of each.
+    failed : mapping of str to str
+        The others, and why.
+    """
+
+    units: Mapping[str, ReducedUnit]
+    models: Mapping[str, ErrorModel]
+    failed: Mapping[str, str]
+
+
+def reduce_units(
+    catalog: Catalog, units: Sequence[str], question: Question, *, told: Callable[[str], None] = lambda _: None
+) -> ReducedUnits:
+    """Read units of a store as blocks.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        The store.
+    units : sequence of str
+        Which units.
+    question : Question
+        What is asked of them.
+    told : callable, optional
+        Is told what is being done.
+
+    Raises
+    ------
+    GyrofleetError
+        If there is one unit only and it cannot be read, or none of several can.
+    """
+    signal, block_s = question.signal_name, question.block_s
+    if block_s is None:
+        block_s = usual_block_s(catalog, units, signal, question.runs, BLOCK_S)
+    reducer = BlockReducer(
+        catalog,
+        signal,
+        block_s=block_s,
+        runs=question.runs,
+        since_ns=question.since_ns,
+        channels=re.findall(r"\bchannel:(\w+)", question.model),
+    )
+    reduced: dict[str, ReducedUnit] = {}
+    models: dict[str, ErrorModel] = {}
+    failed: dict[str, str] = {}
+    for number, unit in enumerate(units, start=1):
+        told(f"reading {unit} ({number} of {len(units)})")
+        try:
+            found = reducer.reduce(unit)
+            runs, left_out = _with_channels_of(question, found.runs)
+            models[unit] = model_on(question, runs)
+            gone = {run for note in left_out for run in note.runs}
+            notes = (*left_out, *(each for each in found.notes if not (each.runs and gone.issuperset(each.runs))))
+            _check_values(runs)
+            noise, source, is_declared = _noise(catalog, runs, models[unit], question)
+            reduced[unit] = ReducedUnit(
+                runs, notes, noise, source, left_out=found.left_out, turn_on_is_declared=is_declared
+            )
+        except GyrofleetError as error:
+            if len(units) == 1:
+                raise
+            failed[unit] = str(error)
+    if not reduced:
+        raise NotFound(f"none of {len(units)} units can be diagnosed; {units[0]}: {failed[units[0]]}")
+    return ReducedUnits(reduced, models, failed)
+
+
+def _check_values(runs: Sequence[RunBlocks]) -> None:
+    """Refuse numbers whose squares are none, which only a fill value or a damaged reading has."""
+    for run in runs:
+        means = {run.signal: run.value, **{name: channel.mean for name, channel in run.channels.items()}}
+        for name, mean in means.items():
+            known = mean[np.isfinite(mean)]
+            if len(known) and float(np.abs(known).max()) > _LARGEST:
+                raise BadInput(
+                    f"unit {run.unit}, run {run.run}: {name} reaches {float(known[np.abs(known).argmax()]):.3g}, which "
+                    "no sensor gives; leave such samples out and import the run anew"
+                )
+
+
+def _with_channels_of(question: Question, runs: Sequence[RunBlocks]) -> tuple[tuple[RunBlocks, ...], tuple[Note, ...]]:
+    """Runs that have the channels that the model needs, and a note on the others; all where none has them."""
+    known = set[str]().union(*(run.channels for run in runs))
+    needed = {channel for name in ErrorModel.parse(question.model, known).effects for channel in effect(name).needs}
+    kept = tuple(run for run in runs if needed <= set(run.channels))
+    others = [run.run for run in runs if not needed <= set(run.channels)]
+    if not kept or not others:
+        return tuple(runs), ()
+    lacking = sorted(channel for channel in needed if any(channel not in run.channels for run in runs))
+    text = f"{in_runs(others, len(runs))} {', '.join(lacking)} is missing, which the model needs: left out"
+    return kept, (Note("without_channel", text, lacking[0], tuple(others)),)
+
+
+def model_on(question: Question, runs: Sequence[RunBlocks]) -> ErrorModel:
+    """Return the declared model on the channels that all runs have."""
+    channels = set.intersection(*(set(run.channels) for run in runs))
+    return ErrorModel.parse(question.model, channels).shaped(runs)
+
+
+def _noise(
+    catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorModel, question: Question
+) -> tuple[NoiseCoefficients | None, str, bool]:
+    """Declared noise, where it comes from, and whether its turn-on scatter is declared."""
+    if isinstance(question.noise, NoiseCoefficients):
+        return question.noise, "as given", True
+    if question.noise is not None:
+        is_given = question.noise.turn_on is not None
+        source = "as given" if is_given else "as given; turn-on scatter estimated from these runs"
+        return with_turn_on(question.noise, runs, model), source, is_given
+    found = declared_noise(catalog, runs, model)
+    if isinstance(found, NoEstimate):
+        return None, found.reason, False
+    several = "; turn-on scatter estimated from these runs" if len(runs) > 1 else ""
+    return found, f"the unit's own Allan fits{several}", False
+
+
+def units_with(catalog: Catalog, signal: str) -> list[str]:
+    """All units of a store that have a signal.
+
+    Raises
+    ------
+    NotFound
+        If there is none.
+    """
+    sql = "select distinct unit from signals where signal = $signal order by unit"
+    units = [str(unit) for (unit,) in catalog.rows(sql, {"signal": signal})]
+    if not units:
+        known = ", ".join(str(name) for (name,) in catalog.rows("select distinct signal from signals order by signal"))
+        raise NotFound(f"no unit of the store has a signal {signal}; there are {known or 'none at all'}")
+    return units

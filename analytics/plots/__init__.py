@@ -1,0 +1,1 @@
+"""Plots for data sheets and reports."""

@@ -1,0 +1,263 @@
+"""A plot of Allan deviations, for a data sheet or a report: PNG or SVG."""
+
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Literal
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from analytics.curves.allan_curve import AllanCurve
+from analytics.curves.noise_coefficients import NoiseCoefficients
+from analytics.plots.allan_fit_marks import draw_fit
+from analytics.plots.allan_marks import (
+    FLEET,
+    INK,
+    MINUS_HALF,
+    SOFT,
+    EndName,
+    LimitMark,
+    draw_limit,
+    draw_slopes,
+    limit_marks,
+    write_names,
+)
+from analytics.plots.figure_file import check_suffix, logarithmic_grid, write_figure
+from analytics.plots.plot_fonts import chinese_font, set_fonts
+from stream.errors import BadInput
+from stream.events import Limit
+
+Language = Literal["en", "zh", "en+zh"]
+
+_LANGUAGES = ("en", "zh")
+# Okabe and Ito's colours for all kinds of colour vision, without their yellow, which is lost on white
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#6b4423", "#7a4fa3")
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h")
+_WORDS = {
+    "en": {
+        "tau": "Averaging time τ (s)",
+        "deviation": "{name} ({unit})",
+        "what": "{overlapping}; bands: 95 % confidence",
+        "limit": "limit",
+        "+1/2": "rate random walk",
+        "0": "bias instability",
+        MINUS_HALF: "angle random walk",
+        "record": "{hours} h at {interval} s; {samples} samples, {missing} missing",
+        "others": "{n} other units",
+        "fit": "fitted model, all terms",
+    },
+    "zh": {
+        "tau": "平均时间 τ (s)",
+        "deviation": "{name} ({unit})",
+        "what": "{overlapping}；色带：95 % 置信区间",
+        "limit": "限值",
+        "+1/2": "角速率随机游走",
+        "0": "零偏不稳定性",
+        MINUS_HALF: "角度随机游走",
+        "record": "{hours} h，采样间隔 {interval} s；样本 {samples} 个，缺失 {missing} 个",
+        "others": "其余 {n} 只",
+        "fit": "拟合模型(各项之和)",
+    },
+}
+SECONDS_PER_HOUR = 3600.0
+_LEFT, _WIDTH = 0.095, 0.745
+_NAMED_AT_MOST = 24
+_NAME_LENGTH = 16
+
+
+def plot_allan(
+    curves: Sequence[AllanCurve],
+    path: Path,
+    *,
+    title: str | None = None,
+    limits: Iterable[Limit] = (),
+    chosen: str | None = None,
+    found: NoiseCoefficients | None = None,
+    language: Language = "en+zh",
+) -> None:
+    """Draw Allan deviations over averaging time into a file.
+
+    Parameters
+    ----------
+    curves : sequence of AllanCurve
+        One or several, all in one unit of measure.
+    path : Path
+        Where to, ``.png`` or ``.svg``.
+    title : str, optional
+        Title; by default the unit (or how many), signal and run.
+    limits : iterable of Limit
+        Those on the Allan deviation and on the angle random walk (at 1 s) are marked, for the signal of the curves;
+        others, such as on the bias stability, are no points of this plot and are left out.
+    chosen : str, optional
+        The unit to draw boldly, with the rest as a grey fleet behind it.
+    found : NoiseCoefficients, optional
+        Noise fitted to the curve of `chosen`, or to the only one: drawn over it, with its terms and a legend.
+    language : {"en+zh", "en", "zh"}
+        Of the labels. Chinese needs a font for it; where none is installed, labels are English.
+
+    Raises
+    ------
+    BadInput
+        If there is nothing to draw, the curves differ in unit of measure, no curve is of the chosen unit, the suffix
+        is another one, or the file cannot be written.
+
+    Notes
+    -----
+    Holds no global state of matplotlib: calls may run in several threads.
+    """
+    check_suffix(path)
+    figure = _figure(_checked(curves, chosen), list(limits), title, chosen, language, found)
+    write_figure(figure, path)
+
+
+def _checked(curves: Sequence[AllanCurve], chosen: str | None) -> list[AllanCurve]:
+    """Return the curves that can be drawn, the chosen ones last so that they lie on top."""
+    if len({curve.deviation for curve in curves}) > 1:
+        kinds = ", ".join(sorted({curve.deviation for curve in curves}))
+        raise BadInput(f"curves of {kinds} cannot share one axis: plot them apart")
+    if len({curve.unit_of_measure for curve in curves}) > 1:
+        units = ", ".join(sorted({curve.unit_of_measure for curve in curves}))
+        raise BadInput(f"Allan curves in {units} cannot share one axis: plot them apart")
+    drawn = [curve for curve in (curve.drawable() for curve in curves) if curve.tau_s]
+    if not drawn:
+        raise BadInput("no Allan curve has a point to draw: a longer record, or one that is not constant, is needed")
+    if chosen is not None and all(curve.unit != chosen for curve in drawn):
+        known = ", ".join(sorted({curve.unit for curve in drawn}))
+        raise BadInput(f"no Allan curve of unit {chosen} to draw; there are {known}")
+    return sorted(drawn, key=lambda curve: curve.unit == chosen)
+
+
+def _figure(
+    curves: list[AllanCurve],
+    limits: list[Limit],
+    title: str | None,
+    chosen: str | None,
+    language: Language,
+    found: NoiseCoefficients | None = None,
+) -> Figure:
+    wanted = [part for part in language.split("+") if part == "en" or chinese_font() is not None] or ["en"]
+    words = _WORDS[wanted[0]]
+    figure = Figure(figsize=(8.2, 5.4), facecolor="white")
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((_LEFT, 0.135, _WIDTH, 0.725))
+    marks = limit_marks(limits, {curve.signal for curve in curves}, curves[0].unit_of_measure)
+    _scales(axes, curves, marks)
+    if found is None:
+        draw_slopes(axes, _crowd(curves, marks), words)
+    names: list[EndName] = []
+    for i, curve in enumerate(curves):
+        _curve(axes, curve, i, len(curves), chosen)
+        if chosen is None or curve.unit == chosen:
+            names.append(EndName(_name(curve, curves), _colour(i, curve, chosen), *curve.end))
+    others = [curve for curve in curves if chosen is not None and curve.unit != chosen]
+    if others:
+        middle = sorted(others, key=lambda curve: curve.adev[-1])[len(others) // 2]
+        names.append(EndName(words["others"].format(n=len({c.unit for c in others})), SOFT, *middle.end))
+    if len(names) <= _NAMED_AT_MOST:
+        write_names(axes, names)
+    for mark in marks:
+        draw_limit(axes, mark, words["limit"])
+    if found is not None:
+        draw_fit(axes, found, curves[-1].tau_s, wanted[0], words["fit"])
+    axes.set_xlabel(words["tau"], color=INK, fontsize=10)
+    bare = curves[0].bare_names[_LANGUAGES.index(wanted[0])]
+    axes.set_ylabel(words["deviation"].format(name=bare, unit=curves[0].unit_of_measure), color=INK, fontsize=10)
+    figure.text(_LEFT, 0.945, title or _title(curves, chosen), fontsize=13, fontweight="bold", color=INK)
+    what = "  \N{MIDDLE DOT}  ".join(
+        _WORDS[part]["what"].format(overlapping=curves[0].names[_LANGUAGES.index(part)]) for part in wanted
+    )
+    figure.text(_LEFT, 0.893, what, fontsize=8.5, color=SOFT)
+    shown = [curve for curve in curves if chosen in (None, curve.unit)]
+    figure.text(_LEFT, 0.022, _record(shown, words), fontsize=7.5, color=SOFT)
+    set_fonts(figure)
+    return figure
+
+
+def _crowd(curves: list[AllanCurve], marks: list[LimitMark]) -> list[tuple[float, float]]:
+    """Points that other things keep clear of; a limit with its text weighs as much as many of a curve."""
+    points = [
+        (tau_s, y)
+        for curve in curves
+        for line in (curve.adev, curve.lo, curve.hi)
+        for tau_s, y in zip(curve.tau_s, line, strict=True)
+    ]
+    return points + [(mark.tau_s, mark.deviation) for mark in marks for _ in range(20)]
+
+
+def _scales(axes: Axes, curves: list[AllanCurve], marks: list[LimitMark]) -> None:
+    """Logarithmic axes around all there is to see, one line of the grid a decade."""
+    tau_s = [t for curve in curves for t in curve.tau_s] + [t for t, _, _ in marks]
+    low = [y for curve in curves for y in curve.lo] + [y for _, y, _ in marks]
+    # an upper limit at one or two degrees of freedom is ten times the value and would press the rest flat
+    high = [min(hi, 3 * y) for curve in curves for hi, y in zip(curve.hi, curve.adev, strict=True)]
+    high += [1.3 * y for _, y, _ in marks]
+    bottom, top = min(low) / 1.25, max(high) * 1.25
+    axes.set(xscale="log", yscale="log")
+    axes.set_xlim(_at_least_a_decade(min(tau_s) / 1.4, max(tau_s) * 1.4))
+    axes.set_ylim(_at_least_a_decade(bottom, top))
+    axes.set_axisbelow(True)
+    logarithmic_grid(axes)
+
+
+def _at_least_a_decade(low: float, high: float) -> tuple[float, float]:
+    """Widen a range that might hold no power of ten to label."""
+    stretch = math.sqrt(max(1.0, 20.0 * low / high))
+    return low / stretch, high * stretch
+
+
+def _colour(i: int, curve: AllanCurve, chosen: str | None) -> str:
+    if chosen is None:
+        return _COLOURS[i % len(_COLOURS)]
+    return _COLOURS[0] if curve.unit == chosen else FLEET
+
+
+def _curve(axes: Axes, curve: AllanCurve, i: int, total: int, chosen: str | None) -> None:
+    colour = _colour(i, curve, chosen)
+    bold = total == 1 or curve.unit == chosen
+    if chosen is not None and not bold:
+        axes.plot(curve.tau_s, curve.adev, color=colour, linewidth=0.8)
+        return
+    axes.fill_between(curve.tau_s, curve.lo, curve.hi, color=colour, alpha=0.22 if bold else 0.07, linewidth=0)
+    axes.plot(
+        curve.tau_s,
+        curve.adev,
+        color=colour,
+        linewidth=2.0 if bold else 1.25,
+        marker=_MARKERS[i % len(_MARKERS)] if chosen is None else "o",
+        markersize=4.2 if bold else 3.4,
+        markeredgewidth=0.5,
+        markeredgecolor="white",
+    )
+
+
+def _name(curve: AllanCurve, curves: list[AllanCurve]) -> str:
+    """Name by what tells the curves apart."""
+    parts = [curve.unit]
+    parts += [curve.signal] if len({other.signal for other in curves}) > 1 else []
+    parts += [curve.run] if len({other.run for other in curves}) > 1 else []
+    name = " ".join(parts)
+    return name if len(name) <= _NAME_LENGTH else f"{name[: _NAME_LENGTH - 11]}\N{HORIZONTAL ELLIPSIS}{name[-10:]}"
+
+
+def _title(curves: list[AllanCurve], chosen: str | None) -> str:
+    units = {curve.unit for curve in curves}
+    runs = {curve.run for curve in curves}
+    who = chosen or (curves[0].unit if len(units) == 1 else f"{len(units)} units")
+    signals = ", ".join(sorted({curve.signal for curve in curves}))
+    return f"{who}  \N{MIDDLE DOT}  {signals}  \N{MIDDLE DOT}  " + (
+        f"run {curves[0].run}" if len(runs) == 1 else f"{len(runs)} runs"
+    )
+
+
+def _record(curves: list[AllanCurve], words: dict[str, str]) -> str:
+    """How long the records are and what they lack."""
+    hours = sorted(curve.samples * curve.sample_interval_s / SECONDS_PER_HOUR for curve in curves)
+    least, most = f"{hours[0]:.3g}", f"{hours[-1]:.3g}"
+    return words["record"].format(
+        hours=least if least == most else f"{least} \N{EN DASH} {most}",
+        interval=", ".join(sorted({f"{curve.sample_interval_s:g}" for curve in curves})),
+        samples=f"{sum(curve.samples for curve in curves):,}",
+        missing=f"{sum(curve.missing for curve in curves):,}",
+    )

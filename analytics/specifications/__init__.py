@@ -1,0 +1,1 @@
+"""Product specifications: limits of metrics, when they hold, and verdicts by them."""

@@ -1,0 +1,79 @@
+"""Verdicts of a store's units, by the specifications that were valid when they were measured."""
+
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
+
+from analytics.metrics.names import alike
+from storage.sql.catalog import Catalog
+from stream.errors import NotFound
+
+Row = dict[str, Any]
+Group = Literal["lot", "station", "fixture", "day"]
+
+
+class Verdicts(NamedTuple):
+    """What is said of units, each part as rows of the table of that name.
+
+    Parameters
+    ----------
+    units : list
+        ``unit_verdicts``: one row for each unit, its worst verdict.
+    verdicts : list
+        Each value against its limit.
+    pareto : list
+        ``failure_pareto``: what units fail by; of the whole store.
+    warnings : list
+        ``unit_warnings``: units that probably go by two names.
+    """
+
+    units: list[Row]
+    verdicts: list[Row]
+    pareto: list[Row]
+    warnings: list[Row]
+
+    @property
+    def has_failure(self) -> bool:
+        """Whether a unit fails."""
+        return any(row["verdict"] == "FAIL" for row in self.units)
+
+
+def verdicts_of(catalog: Catalog, units: Sequence[str] = (), *, with_values: bool = True) -> Verdicts:
+    """Verdicts of these units, or of all; `with_values` asks for each value too, of which a fleet has many.
+
+    Raises
+    ------
+    NotFound
+        If the store does not have one of them.
+    BadInput
+        If a specification in the store is not right.
+    """
+    known = rows_of(catalog, "select * from unit_verdicts")
+    names = [row["unit"] for row in known]
+    for unit in units:
+        if unit not in names:
+            raise NotFound(f"nothing was measured of unit {unit!r}; {alike(unit, names, 'units are')}")
+    asked = set(units) if units else set(names)
+    values = []
+    if with_values:
+        values = rows_of(
+            catalog,
+            "select * replace (day::varchar as day) from verdicts where list_contains($units, unit) "
+            "order by unit, metric, signal, t_ns, run, subject, standard, parameters",
+            {"units": sorted(asked)},
+        )
+    return Verdicts(
+        [row for row in known if row["unit"] in asked],
+        values,
+        rows_of(catalog, "select * from failure_pareto"),
+        [row for row in rows_of(catalog, "select * from unit_warnings") if not units or row["unit"] in asked],
+    )
+
+
+def yield_by(catalog: Catalog, group: Group) -> list[Row]:
+    """Yield of each lot, station, fixture or day, with its 95 % interval."""
+    return rows_of(catalog, "select * exclude (kind) from yield_by where kind = $kind", {"kind": group})
+
+
+def rows_of(catalog: Catalog, sql: str, parameters: object = None) -> list[Row]:
+    """Rows of a statement, as dictionaries."""
+    return [row for batch in catalog.batches(sql, parameters) for row in batch.to_pylist()]

@@ -1,0 +1,1 @@
+"""CAN: frames, databases, logs, and from frames to samples."""

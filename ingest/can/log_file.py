@@ -1,0 +1,230 @@
+"""A CAN log as a file of samples: a first pass finds how each signal is sampled, a second delivers batches."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from uuid import UUID
+
+import numpy as np
+
+from ingest.can.frames import FrameBlock
+from ingest.can.log import CanLog
+from ingest.can.mapping import CanPlan
+from ingest.can.samples import CanCounts, CanSamples, SignalPiece
+from ingest.can.stream import nominal_interval_ns
+from ingest.can.summary import CanSummary, remarks, some_ids
+from ingest.tables.batches import Batcher, BatchHead
+from ingest.tables.file_stamp import FileStamp
+from ingest.tables.grid import SamplingGrid
+from ingest.tables.sample_file import Keep, Progress
+from ingest.tables.steps import StepTracker
+from ingest.tables.summary import SignalChunk, SignalSummary
+from ingest.tables.times import RunClock
+from stream.batch import IntArray, SampleBatch
+from stream.errors import BadInput
+from stream.events import StepEnded, StepStarted, StepWords
+from stream.identity import check_name
+
+_BATCH_SAMPLES = 1000
+_SAMPLES_PER_GAP = 50
+_SAME_WITHIN = 0.05
+
+_Name = tuple[str, str]
+
+
+class CanLogFile:
+    """A CAN log with what is to be decoded from it.
+
+    Parameters
+    ----------
+    path : Path
+        The log: .blf, .asc, .trc, .log or .mf4.
+    plan : CanPlan
+        What to decode, and whose it is.
+    run : str, optional
+        Run that the samples belong to; by default the file's name.
+    start_ns : int, optional
+        Moment of the log's zero, nanoseconds UTC, where its times count from its begin.
+    words : StepWords, optional
+        Words of the step that each unit is in from its first sample to its last.
+    intervals : dict, optional
+        Nominal interval in nanoseconds by unit, run and signal, as logs before this one have it; this one adds its own.
+
+    Raises
+    ------
+    BadInput
+        If the log cannot be opened, or its name is no name of a run.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        plan: CanPlan,
+        *,
+        run: str | None = None,
+        start_ns: int | None = None,
+        words: StepWords | None = None,
+        intervals: dict[tuple[str, str, str], int] | None = None,
+    ) -> None:
+        self._path = path
+        self._plan = plan
+        self._log = CanLog(path)
+        self._run = check_name("run", path.stem if run is None else run)
+        self._start_ns = start_ns
+        self._words = words
+        self._intervals = {} if intervals is None else intervals
+        self._stamp = FileStamp(path)
+        self._summary: CanSummary | None = None
+
+    def check(self, progress: Progress | None = None) -> CanSummary:
+        """Read and decode the whole log, and say what it holds.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called with the fraction of the file that is read, 0 to 1.
+
+        Raises
+        ------
+        BadInput
+            If not one sample comes out of it.
+        """
+        samples = CanSamples(self._plan)
+        clock = RunClock(self._start_ns)
+        grids: dict[_Name, SamplingGrid] = {}
+        first: dict[_Name, SignalPiece] = {}
+        for piece in self._pieces(samples, clock, progress):
+            name = (piece.route.unit, piece.plan.signal)
+            if name not in grids:
+                first[name] = piece
+                grids[name] = SamplingGrid(partial(self._nominal_ns, piece))
+            grids[name].add(piece.times_ns)
+        counts = samples.counts
+        if not grids:
+            raise BadInput(self._nothing(counts))
+        self._summary = CanSummary(
+            rows=counts.frames,
+            bad_rows=0,
+            bad=(),
+            date_known=clock.date_known,
+            steps=0 if self._words is None else len({unit for unit, _ in grids}),
+            signals=tuple(
+                SignalSummary(unit, self._run, signal, plan.unit_of_measure, plan.is_counts, grid.finish())
+                for (unit, signal), grid in grids.items()
+                for plan in [first[unit, signal].plan]
+            ),
+            counted="frames",
+            damage=self._log.damage,
+            remarks=(*self._plan.remarks, *remarks(counts, self._log.counts)),
+            frames=counts,
+            words=self._words,
+        )
+        for each in self._summary.signals:
+            self._intervals.setdefault((each.unit, each.run, each.signal), each.sampling.dt_ns)
+        return self._summary
+
+    def chunks(self, progress: Progress | None = None) -> Iterator[SignalChunk]:
+        """Values of every sample, signal by signal and block by block."""
+        for piece in self._pieces(CanSamples(self._plan), RunClock(self._start_ns), progress):
+            values = np.asarray(piece.data, np.float64)
+            if piece.plan.is_counts:
+                values = values * piece.plan.layout.scale + piece.plan.layout.offset
+            yield SignalChunk(piece.route.unit, self._run, piece.plan.signal, piece.times_ns, values)
+
+    def batches(
+        self,
+        epoch_of: Callable[[str, str], UUID],
+        keep: Keep | None = None,
+        progress: Progress | None = None,
+    ) -> Iterator[SampleBatch | StepStarted | StepEnded]:
+        """Batches of samples and the step of each unit around them, numbered from 0 per signal as they are delivered.
+
+        Parameters
+        ----------
+        epoch_of : callable
+            From unit and run to the epoch of their samples.
+        keep : callable, optional
+            From unit, run, signal and times (ndarray of int64, nanoseconds) to a mask of those to deliver.
+        progress : callable, optional
+            Called with the fraction of the file that is read, 0 to 1.
+
+        Raises
+        ------
+        BadInput
+            As `check`, which runs first where it has not; and if the file has changed since.
+        """
+        summary = self._summary if self._summary is not None else self.check()
+        found = {(each.unit, each.signal): each for each in summary.signals}
+        batchers: dict[_Name, Batcher] = {}
+        steps = StepTracker()
+        for unit, first_ns, last_ns in self._stretches(summary):
+            yield from filter(None, steps.follow(unit, self._run, self._words, first_ns=first_ns, last_ns=last_ns))
+        for piece in self._pieces(CanSamples(self._plan), RunClock(self._start_ns), progress):
+            name = (piece.route.unit, piece.plan.signal)
+            times_ns, data = piece.times_ns, piece.data
+            if keep is not None:
+                kept = keep(piece.route.unit, self._run, piece.plan.signal, times_ns)
+                times_ns, data = times_ns[kept], data[kept]
+            if not len(times_ns):
+                continue
+            if name not in batchers:
+                batchers[name] = self._batcher(piece, found[name], epoch_of(piece.route.unit, self._run))
+            yield from batchers[name].push(times_ns, data)
+        for batcher in batchers.values():
+            yield from batcher.flush()
+        for unit, _, _ in self._stretches(summary):
+            yield from filter(None, [steps.close(unit, self._run)])
+
+    def _stretches(self, summary: CanSummary) -> Iterator[tuple[str, int, int]]:
+        """First and last sample of each unit, ns; none where no word says what step it is."""
+        if self._words is None:
+            return
+        for unit in dict.fromkeys(each.unit for each in summary.signals):
+            samplings = [each.sampling for each in summary.signals if each.unit == unit]
+            yield unit, min(each.t_first_ns for each in samplings), max(each.t_last_ns for each in samplings)
+
+    def _batcher(self, piece: SignalPiece, found: SignalSummary, epoch: UUID) -> Batcher:
+        layout, sampling = piece.plan.layout, found.sampling
+        head = BatchHead(
+            unit=found.unit,
+            signal=found.signal,
+            run=found.run,
+            epoch=epoch,
+            dt_ns=sampling.dt_ns,
+            unit_of_measure=found.unit_of_measure,
+            irregular=sampling.irregular,
+            scale=layout.scale if piece.plan.is_counts else 1.0,
+            offset=layout.offset if piece.plan.is_counts else 0.0,
+        )
+        return Batcher(head, _BATCH_SAMPLES, splits_at_gaps=sampling.gaps * _SAMPLES_PER_GAP <= sampling.samples)
+
+    def _nominal_ns(self, piece: SignalPiece, intervals_ns: IntArray, measured_ns: int) -> int:
+        """One interval in all files of a run, where they agree more or less: estimators want it so."""
+        message = piece.route.message
+        if message.interval_ns is not None:
+            return message.interval_ns
+        known = self._intervals.get((piece.route.unit, self._run, piece.plan.signal))
+        if known is not None and abs(measured_ns - known) <= _SAME_WITHIN * known:
+            return known
+        return nominal_interval_ns(intervals_ns, measured_ns, message.cycle_ns)
+
+    def _pieces(self, samples: CanSamples, clock: RunClock, progress: Progress | None) -> Iterator[SignalPiece]:
+        self._stamp.check()
+        for block in self._log.blocks(progress):
+            yield from samples.take(_placed(block, clock))
+        self._stamp.check()
+
+    def _nothing(self, counts: CanCounts) -> str:
+        damage = f" ({self._log.damage})" if self._log.damage else ""
+        return (
+            f"{self._path}: {counts.frames} frames{damage} and not one sample of what is mapped; "
+            + (f"ids that are not in the database: {some_ids(counts.unknown)}; " if counts.unknown else "")
+            + "see `gyrofleet can scan`"
+        )
+
+
+def _placed(block: FrameBlock, clock: RunClock) -> FrameBlock:
+    if clock.is_utc is None and len(block):
+        clock.settle(int(block.t_ns[0]))
+    times_ns: IntArray = clock.place(block.t_ns)
+    return FrameBlock(times_ns, block.channel, block.arbitration_id, block.length, block.data)

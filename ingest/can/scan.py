@@ -1,0 +1,276 @@
+"""Looking over a CAN log: which messages come how often, what moves in them, and a mapping to begin with."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ingest.can.database import arbitration_id, load_messages, own_names, unit_of_measure
+from ingest.can.decode import FrameBytes, MessageLayout, why_unusable
+from ingest.can.frames import EXTENDED, FrameBlock
+from ingest.can.log import CanLog
+from stream.batch import IntArray
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
+
+# A field that goes up by one from frame to frame at least this often, and comes around, counts frames.
+_COUNTER_SHARE = 0.9
+_COUNTER_FRAMES = 20
+_COUNTER_BITS = 16
+
+
+@dataclass(frozen=True)
+class SignalScan:
+    """One signal of the database in the frames of the log.
+
+    Parameters
+    ----------
+    name : str
+        As the database calls it.
+    unit_of_measure : str
+        As gyrofleet writes it.
+    is_known : bool
+        Whether that is a unit of measure that is known.
+    least, most : float, optional
+        Range of its values; None where it never came.
+    varies : bool
+        Whether it took more than one value.
+    looks_like_counter : bool
+        Whether it goes up by one from frame to frame.
+    """
+
+    name: str
+    unit_of_measure: str
+    is_known: bool
+    least: float | None
+    most: float | None
+    varies: bool
+    looks_like_counter: bool
+
+
+@dataclass(frozen=True)
+class IdScan:
+    """One arbitration id on one channel.
+
+    Parameters
+    ----------
+    arbitration_id : int
+        Without bit 31.
+    is_extended : bool
+        Whether it is of 29 bits.
+    channel : int
+        Channel of the log.
+    frames : int
+        How many came.
+    rate_hz : float, optional
+        Frames a second, by the median interval; None for a lone frame.
+    longest_s : float, optional
+        Longest interval, seconds.
+    lengths : tuple of int
+        Lengths that they had, bytes.
+    message : str, optional
+        Name in the database; None where it is not there.
+    signals : tuple of SignalScan
+        Its signals.
+    """
+
+    arbitration_id: int
+    is_extended: bool
+    channel: int
+    frames: int
+    rate_hz: float | None
+    longest_s: float | None
+    lengths: tuple[int, ...]
+    message: str | None
+    signals: tuple[SignalScan, ...]
+
+
+@dataclass(frozen=True)
+class LogScan:
+    """A log as a whole."""
+
+    file: str
+    frames: int
+    error_frames: int
+    remote_frames: int
+    seconds: float
+    date_known: bool
+    damage: str
+    ids: tuple[IdScan, ...]
+
+    @property
+    def unknown(self) -> tuple[IdScan, ...]:
+        """Those that are not in the database."""
+        return tuple(each for each in self.ids if each.message is None)
+
+
+@dataclass
+class _Range:
+    least: float = np.inf
+    most: float = -np.inf
+    last: int | None = None
+    steps: int = 0
+    ups: int = 0
+    turns: int = 0
+
+    def add(self, raw: Any, bits: int) -> None:
+        finite = raw[np.isfinite(raw)]
+        if not len(finite):
+            return
+        self.least, self.most = min(self.least, float(finite.min())), max(self.most, float(finite.max()))
+        if raw.dtype.kind == "f" or bits > _COUNTER_BITS:
+            return
+        steps = np.diff(raw, prepend=raw[0] - 1 if self.last is None else self.last)
+        self.last = int(raw[-1])
+        self.steps += len(steps)
+        self.ups += int((steps == 1).sum())
+        self.turns += int((steps < 0).sum())
+
+    def is_counter(self) -> bool:
+        """Up by one nearly always, and back only where it comes around."""
+        span = self.most - self.least
+        is_enough = self.steps >= _COUNTER_FRAMES and span >= 2
+        return (
+            is_enough
+            and self.turns > 0
+            and self.ups + self.turns >= _COUNTER_SHARE * self.steps
+            and self.ups > 2 * self.turns - 1
+        )
+
+
+@dataclass
+class _Seen:
+    times_ns: list[IntArray] = field(default_factory=list)
+    lengths: set[int] = field(default_factory=set)
+    ranges: dict[str, _Range] = field(default_factory=dict)
+
+
+def scan_log(path: Path, databases: Sequence[Path], progress: Callable[[float], None] | None = None) -> LogScan:
+    """Look over a log.
+
+    Parameters
+    ----------
+    path : Path
+        The log: .blf, .asc, .trc, .log or .mf4.
+    databases : sequence of Path
+        What its messages are looked up in.
+    progress : callable, optional
+        Called with the fraction of the file that is read, 0 to 1.
+
+    Raises
+    ------
+    BadInput
+        If a file cannot be read.
+    """
+    messages = {
+        arbitration_id(each.frame_id, is_extended=bool(each.is_extended_frame)): each
+        for each in reversed(load_messages(databases))
+    }
+    layouts = {identifier: MessageLayout.of(message) for identifier, message in messages.items()}
+    log = CanLog(path)
+    seen: dict[tuple[int, int], _Seen] = {}
+    for block in log.blocks(progress):
+        _look(block, layouts, seen)
+    times_ns = [int(each.times_ns[i][j]) for each in seen.values() for i, j in ((0, 0), (-1, -1))]
+    return LogScan(
+        file=str(path),
+        frames=log.counts.data,
+        error_frames=log.counts.errors,
+        remote_frames=log.counts.remote,
+        seconds=(max(times_ns) - min(times_ns)) / 1e9 if times_ns else 0.0,
+        date_known=bool(times_ns) and min(times_ns) >= 10**17,
+        damage=log.damage,
+        ids=tuple(_id_scan(key, each, messages.get(key[0])) for key, each in sorted(seen.items())),
+    )
+
+
+def mapping_text(scan: LogScan, databases: Sequence[Path], unit: str | None) -> str:
+    """A mapping file (TOML) of what varies in the log; whoever uses it strikes out and renames."""
+    names = own_names(load_messages(databases))
+    channels: dict[str, list[IdScan]] = {}
+    for each in scan.ids:
+        if each.message is not None:
+            channels.setdefault(each.message, []).append(each)
+    lines = [f"# proposed from {Path(scan.file).name}: rename signals, strike out what is not wanted"]
+    for message, found in channels.items():
+        busiest = max(found, key=lambda each: each.frames)
+        wanted = [each for each in busiest.signals if each.varies and not each.looks_like_counter]
+        if not wanted:
+            continue
+        lines += ["", "[[message]]", f"message = {_quoted(message)}"]
+        lines += [f"unit = {_quoted(unit)}"] if unit else []
+        if len(found) > 1:
+            others = ", ".join(str(each.channel) for each in found if each is not busiest)
+            lines.append(f"channel = {busiest.channel}  # it comes on {others} as well")
+        counters = [each for each in busiest.signals if each.looks_like_counter]
+        counter = min(counters, key=lambda each: each.most or 0.0, default=None)
+        if counter is not None and counter.most is not None:
+            lines.append(f"counter = {{ signal = {_quoted(counter.name)}, modulus = {int(counter.most) + 1} }}")
+        if busiest.rate_hz is not None and counter is not None:
+            lines.append(f"# interval_s = {1 / busiest.rate_hz:.6g}  # median; with the counter it makes an exact grid")
+        lines.append("[message.signals]")
+        for signal in wanted:
+            remark = "" if signal.is_known else f"  # unit of measure {signal.unit_of_measure!r} is not known"
+            lines.append(f"{_quoted(signal.name)} = {_quoted(names[message, signal.name])}{remark}")
+    return "\n".join(lines) + "\n"
+
+
+def _look(block: FrameBlock, layouts: dict[int, MessageLayout], seen: dict[tuple[int, int], _Seen]) -> None:
+    keys = block.arbitration_id.astype(np.int64) << 16 | (block.channel.astype(np.int64) & 0xFFFF)
+    distinct, inverse = np.unique(keys, return_inverse=True)
+    for number, key in enumerate(distinct.tolist()):
+        rows = np.flatnonzero(inverse == number)
+        found = seen.setdefault((key >> 16, int(block.channel[rows[0]])), _Seen())
+        found.times_ns.append(block.t_ns[rows])
+        found.lengths.update(np.unique(block.length[rows]).tolist())
+        layout = layouts.get(key >> 16)
+        if layout is None:
+            continue
+        decoded = layout.decode(FrameBytes(block.data[rows], block.length[rows]), list(layout.signals))
+        for name, each in decoded.items():
+            if len(each.raw):
+                found.ranges.setdefault(name, _Range()).add(each.raw, layout.signals[name].field.bits)
+
+
+def _id_scan(key: tuple[int, int], seen: _Seen, message: "Message | None") -> IdScan:
+    times_ns = np.concatenate(seen.times_ns)
+    intervals_ns = np.diff(times_ns)
+    median_ns = float(np.median(intervals_ns)) if len(intervals_ns) else 0.0
+    signals = []
+    for signal in [] if message is None else message.signals:
+        if why_unusable(signal) is not None:
+            continue
+        measure, is_known = unit_of_measure(signal.unit, signal.name)
+        found = seen.ranges.get(signal.name, _Range())
+        scale, offset = float(signal.conversion.scale), float(signal.conversion.offset)
+        ends = sorted((found.least * scale + offset, found.most * scale + offset))
+        came = found.least <= found.most
+        signals.append(
+            SignalScan(
+                signal.name,
+                measure,
+                is_known,
+                ends[0] if came else None,
+                ends[1] if came else None,
+                came and found.least < found.most,
+                found.is_counter(),
+            )
+        )
+    return IdScan(
+        key[0] & ~EXTENDED,
+        bool(key[0] & EXTENDED),
+        key[1],
+        len(times_ns),
+        1e9 / median_ns if median_ns > 0 else None,
+        float(intervals_ns.max()) / 1e9 if len(intervals_ns) else None,
+        tuple(sorted(seen.lengths)),
+        None if message is None else message.name,
+        tuple(signals),
+    )
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'

@@ -1,0 +1,96 @@
+"""Commands of the CAN bus: `gyrofleet can scan`."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from rich.table import Table
+
+from stream.console import notes, print_json, progress_bar, reporting, results
+from stream.errors import BadInput
+
+if TYPE_CHECKING:
+    from ingest.can.scan import IdScan, LogScan
+
+
+@click.group("can")
+def can() -> None:
+    """Look at CAN buses and their logs."""
+
+
+@can.command("scan")
+@click.argument("log", metavar="LOG", type=click.Path(path_type=Path))
+@click.option("--dbc", "databases", multiple=True, required=True, type=click.Path(path_type=Path), help="CAN database.")
+@click.option("--write", "target", type=click.Path(path_type=Path), help="Write the mapping that is proposed here.")
+@click.option("--unit", help="Unit (serial number) that the mapping is to name.")
+@reporting
+def scan(log: Path, databases: tuple[Path, ...], target: Path | None, unit: str | None, *, as_json: bool) -> None:
+    """Say what is in a CAN log: ids, rates, messages of the database, what varies, what counts frames.
+
+    With --write it proposes a mapping of all signals that vary, for `gyrofleet import --mapping`. A damaged log is
+    looked over as far as it is good; the exit code is 1 then.
+    """
+    from ingest.can.scan import mapping_text, scan_log
+    from stream.identity import check_name
+
+    if unit is not None:
+        check_name("unit", unit)
+    if target is not None and target.exists():
+        raise BadInput(f"{target}: exists already; it may hold work of yours, so give --write another name")
+    with progress_bar(hidden=as_json) as progress:
+        task = progress.add_task(f"reading {log.name}", total=1.0)
+        found = scan_log(log, databases, lambda done: progress.update(task, completed=done))
+    if target is not None:
+        try:
+            target.write_text(mapping_text(found, databases, unit), encoding="utf-8")
+        except OSError as error:
+            raise BadInput(f"{target}: cannot be written ({error.strerror or error})") from error
+    if as_json:
+        print_json({"scan": found, "unknown": len(found.unknown), "mapping": None if target is None else str(target)})
+    else:
+        _tell(found)
+        if target is not None:
+            own = "" if unit else " --unit UNIT"
+            dbc = " ".join(f"--dbc {path}" for path in databases)
+            told = f"Wrote {target}. Look it over, then: gyrofleet import {log} {dbc}{own} --mapping {target}"
+            notes().print(told, soft_wrap=True, markup=False)
+    if found.damage:
+        sys.exit(1)
+
+
+def _tell(found: "LogScan") -> None:
+    clock = "UTC" if found.date_known else "from the log's begin, date unknown"
+    title = f"{found.file}: {found.frames:,} frames in {found.seconds:.1f} s (times: {clock})"
+    table = Table(title=title, title_justify="left", header_style="bold")
+    for name in ("id", "channel", "frames", "rate", "bytes", "message", "varies", "counter", "constant"):
+        table.add_column(name, justify="right" if name in {"channel", "frames", "rate"} else "left")
+    for each in found.ids:
+        table.add_row(*_cells(each))
+    results().print(table)
+    if found.unknown:
+        results().print(f"{len(found.unknown)} of {len(found.ids)} ids are not in the database.")
+    console = notes()
+    for number, kind in ((found.error_frames, "error"), (found.remote_frames, "remote")):
+        if number:
+            console.print(f"{number:,} {kind} frames")
+    if found.damage:
+        said = f"error: {found.file}: {found.damage}; what is good of it is shown"
+        console.print(said, style="red", markup=False, soft_wrap=True)
+
+
+def _cells(each: "IdScan") -> list[str]:
+    varying = [signal.name for signal in each.signals if signal.varies and not signal.looks_like_counter]
+    counters = [signal.name for signal in each.signals if signal.looks_like_counter]
+    constant = sum(not signal.varies for signal in each.signals)
+    return [
+        f"0x{each.arbitration_id:08X}" if each.is_extended else f"0x{each.arbitration_id:03X}",
+        str(each.channel),
+        f"{each.frames:,}",
+        "" if each.rate_hz is None else f"{each.rate_hz:.4g} Hz",
+        " ".join(map(str, each.lengths)),
+        each.message or "not in the database",
+        " ".join(varying),
+        " ".join(counters),
+        f"{constant} signals" if constant else "",
+    ]

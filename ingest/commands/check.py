@@ -1,0 +1,115 @@
+"""The command `gyrofleet check`: what a person found of a unit, entered by hand."""
+
+import difflib
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from stream.console import notes, print_json, reporting, results, store_option
+from stream.errors import BadInput
+
+if TYPE_CHECKING:
+    from storage.sql.catalog import Catalog
+
+
+@click.command("check")
+@store_option
+@click.option("--unit", required=True, help="Which unit.")
+@click.option("--item", required=True, help="What was checked: visual, electrical, or another word.")
+@click.option("--by", required=True, help="Who did.")
+@click.option("--verdict", type=click.Choice(["PASS", "FAIL"], case_sensitive=False), help="How it was judged.")
+@click.option("--value", type=float, help="What was measured; judged by its limits where it has some.")
+@click.option("--unit-of-measure", default="", help="Of the value and its limits, as megaohm.")
+@click.option("--lower", type=float, help="Least value that is good.")
+@click.option("--upper", type=float, help="Greatest value that is good.")
+@click.option("--note", "words", default="", help="Free words.")
+@click.option("--run", default="", help="The run that it belongs to, if any.")
+@click.option("--at", "moment", help="When, if not now: 2026-11-21T18:00:00+08:00.")
+@reporting
+def check(
+    folder: Path,
+    unit: str,
+    item: str,
+    by: str,
+    verdict: str | None,
+    value: float | None,
+    unit_of_measure: str,
+    lower: float | None,
+    upper: float | None,
+    words: str,
+    run: str,
+    moment: str | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Enter a check that was made by eye or by hand (GJB 2426A-2004 5.2, 5.3): it stands in the log beside the samples.
+
+    A recorder that is at work on the store gets it over its bus. A check can fail a unit; it does not pass a unit of
+    which no limit was judged. A serial number of which the store has no recording is entered with a warning.
+
+    \b
+    gyrofleet check --unit FOG-0231 --item visual --verdict PASS --by "Li Wei"
+    gyrofleet check --unit FOG-0231 --item electrical --value 120 --unit-of-measure megaohm --lower 100 --by "Li Wei" \\
+      --note "insulation, 100 V"
+    """  # noqa: D301  click's mark for lines that are not to be joined
+    from ingest.importing.entered import Entry, check_entered, enter
+    from ingest.moment import moment_ns
+    from stream.events import Verdict
+
+    given = None if verdict is None else Verdict(verdict.upper())
+    t_ns = time.time_ns() if moment is None else moment_ns(moment, "--at")
+    if t_ns > time.time_ns() + 60 * 10**9:
+        raise BadInput(f"--at {moment} lies in the future; a check is entered when it has been made")
+    document = check_entered(Entry(unit, item, by, given, value, unit_of_measure, lower, upper, words, run), t_ns)
+    unknown = _unknown_unit(folder, unit)
+    is_seen = enter(folder, [document], role="gyrofleet check")
+    if as_json:
+        told = {"store": str(folder), "uid": document.uid, "verdict": document.verdict, "in_lake": is_seen}
+        print_json({**told, "unit_is_known": unknown is None, "warnings": [] if unknown is None else [unknown]})
+        return
+    results().print(f"{document.verdict}: {document.item} of unit {unit}, entered by {document.by}", markup=False)
+    if unknown is not None:
+        notes().print(f"warning: {unknown}", markup=False, soft_wrap=True)
+    if not is_seen:
+        notes().print(
+            "The recorder that writes the store has it on disk; SQL sees it with the recorder's next segment."
+        )
+
+
+def _unknown_unit(folder: Path, unit: str) -> str | None:
+    """Say that nothing was recorded of a unit; None where something was.
+
+    Raises
+    ------
+    BadInput
+        If the unit is in the store under this name in other letters.
+    """
+    from storage.sql.catalog import Catalog
+    from storage.store import Store
+    from storage.store_marker import MARKER
+
+    recorded: set[str] = set()
+    entered: set[str] = set()
+    if (folder / MARKER).exists():
+        with Catalog(Store.open(folder)) as catalog:
+            recorded = _names(catalog, "select unit from lake_channels union select unit from units")
+            entered = _names(catalog, "select distinct unit from lake_documents where kind = 'CheckEntered'")
+    same = sorted(each for each in recorded | entered if each.casefold() == unit.casefold())
+    if same and unit not in same:
+        raise BadInput(
+            f"unit {unit!r} is in the store as {same[0]!r}; give that name, since names are told by letter case"
+        )
+    if unit in recorded:
+        return None
+    near = difflib.get_close_matches(unit, sorted(recorded), n=3, cutoff=0.6)
+    alike = f", which has {', '.join(near)}" if near else ""
+    return (
+        f"nothing was recorded of unit {unit!r} in {folder}{alike}: is the serial number right? The check is entered; "
+        "it can fail the unit, which passes only when its limits are judged"
+    )
+
+
+def _names(catalog: "Catalog", sql: str) -> set[str]:
+    return {str(name) for (name,) in catalog.rows(sql) if name}

@@ -1,0 +1,265 @@
+"""The commands `gyrofleet procedure list | show | check | estimate-time`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from rich.table import Table
+
+from stream.console import notes, print_json, reporting, results
+from stream.errors import BadInput
+
+if TYPE_CHECKING:
+    from ingest.procedures.procedure import PlannedStep, Procedure, Spent
+
+_set_option = click.option(
+    "--set", "choices", multiple=True, metavar="NAME=VALUE", help="Value of a parameter; may be given several times."
+)
+
+
+@click.group("procedure")
+def procedure() -> None:
+    """Test procedures: those of the standards, and your own as TOML files."""
+
+
+@procedure.command("list")
+@reporting
+def list_procedures(*, as_json: bool) -> None:
+    """List the procedures that come with gyrofleet."""
+    from ingest.procedures.procedure import load_procedure, ready_names
+
+    ready = [load_procedure(name) for name in ready_names()]
+    if as_json:
+        print_json([_head(each) for each in ready])
+        return
+    table = _table("procedure", "name", "名称", "source")
+    for each in ready:
+        table.add_row(each.name, each.names.en, each.names.zh, "; ".join(each.source))
+    results().print(table)
+
+
+@procedure.command("show")
+@click.argument("name", metavar="NAME|FILE")
+@_set_option
+@reporting
+def show(name: str, choices: tuple[str, ...], *, as_json: bool) -> None:
+    """Show a procedure's parameters and its steps one after the other."""
+    from ingest.procedures.procedure import load_procedure
+
+    found = load_procedure(name)
+    given = _given(choices)
+    steps, chosen = found.steps(given), found.chosen(given)
+    if as_json:
+        print_json(
+            {
+                **_head(found),
+                "parameters": {
+                    key: {"value": chosen[key], "description": each} for key, each in found.parameters.items()
+                },
+                "requirements": found.requirements(given),
+                "steps": steps,
+            }
+        )
+        return
+    console = results()
+    console.print(f"{found.name}: {found.names.en} / {found.names.zh}", markup=False, style="bold")
+    console.print("; ".join(found.source), markup=False)
+    if found.parameters:
+        console.print(_parameter_table(found, chosen))
+    console.print(_step_table(steps))
+    prompts = [step for step in steps if step.prompt is not None]
+    for step in prompts:
+        assert step.prompt is not None
+        console.print(f"{step.number}: {step.prompt.en}\n   {step.prompt.zh}", markup=False)
+
+
+@procedure.command("check")
+@click.argument("name", metavar="NAME|FILE")
+@click.option(
+    "--settings", help="What the station's instruments can be set to, as rate,temperature; else that is not checked."
+)
+@click.option("--station", type=click.Path(path_type=Path), help="The station's file, instead of --settings.")
+@_set_option
+@reporting
+def check(name: str, settings: str | None, station: Path | None, choices: tuple[str, ...], *, as_json: bool) -> None:
+    """Check a procedure, and whether a station can do it."""
+    from ingest.procedures.procedure import SETTINGS, load_procedure
+    from ingest.station.station import load_station
+
+    found = load_procedure(name)
+    given = _given(choices)
+    steps = found.steps(given)
+    unmet: tuple[str, ...] = ()
+    if settings is not None:
+        able = [each.strip() for each in settings.split(",") if each.strip()]
+        if unknown := [each for each in able if each not in SETTINGS]:
+            raise BadInput(f"--settings: {unknown[0]!r} is no setting; there is {', '.join(SETTINGS)}")
+        unmet = found.unmet(able, given)
+    if station is not None:
+        unmet = found.unmet(load_station(station).settings, given)
+    if unmet:
+        raise BadInput(f"procedure {found.name} cannot be done at this station: {'; '.join(unmet)}")
+    needed = found.requirements(given)
+    if as_json:
+        print_json(
+            {
+                "procedure": found.name,
+                "steps": len(steps),
+                "requirements": needed,
+                "station_checked": settings is not None or station is not None,
+            }
+        )
+        return
+    needs = "; ".join(f"{each.setting} {each.least:g} to {each.most:g} {each.unit}" for each in needed) or "nothing"
+    results().print(f"{found.name}: {len(steps)} steps, in order. It sets: {needs}.", markup=False)
+    if settings is None and station is None:
+        notes().print("Whether a station can do it was not checked; give --station or --settings.", markup=False)
+
+
+@procedure.command("estimate-time")
+@click.argument("name", metavar="NAME|FILE")
+@click.option(
+    "--acceleration",
+    type=click.FloatRange(min=0, min_open=True),
+    default=50.0,
+    show_default=True,
+    help="Rate table, deg/s^2.",
+)
+@click.option(
+    "--angle-rate",
+    type=click.FloatRange(min=0, min_open=True),
+    default=20.0,
+    show_default=True,
+    help="Table to an angle, deg/s.",
+)
+@click.option(
+    "--chamber", type=click.FloatRange(min=0, min_open=True), default=2.0, show_default=True, help="Chamber, degC/min."
+)
+@click.option(
+    "--room", type=float, default=23.0, show_default=True, help="Temperature that the chamber starts from, degC."
+)
+@click.option(
+    "--prompt", type=click.FloatRange(min=0), default=300.0, show_default=True, help="An operator's action, s."
+)
+@_set_option
+@reporting
+def estimate_time(
+    name: str,
+    acceleration: float,
+    angle_rate: float,
+    chamber: float,
+    room: float,
+    prompt: float,
+    choices: tuple[str, ...],
+    *,
+    as_json: bool,
+) -> None:
+    """Estimate how long a procedure takes, in all and by its parts."""
+    from ingest.procedures.procedure import Spent, StationRates, load_procedure
+
+    rates = StationRates(
+        table_acceleration_deg_per_s2=acceleration,
+        angle_rate_deg_per_s=angle_rate,
+        chamber_deg_c_per_min=chamber,
+        room_deg_c=room,
+        prompt_s=prompt,
+    )
+    found = load_procedure(name)
+    parts = found.spent(rates, _given(choices))
+    total = sum(parts.values(), Spent())
+    if as_json:
+        print_json(
+            {
+                "procedure": found.name,
+                "rates": rates,
+                "total_s": total.total_s,
+                "total": total,
+                "parts": [{"part": part, "total_s": each.total_s, "spent": each} for part, each in parts.items()],
+            }
+        )
+        return
+    table = _table("part", "steps", "record", "settle", "warm-up", "off", "ramps", "prompts", "in all", left=("part",))
+    for part, each in (*parts.items(), ("in all", total)):
+        table.add_row(part, str(each.steps), *(duration(value) for value in _seconds(each)))
+    results().print(f"{found.name}: {duration(total.total_s)} in all ({total.total_s:,.0f} s)", markup=False)
+    results().print(table)
+
+
+def duration(seconds: float) -> str:
+    """Seconds as people say them.
+
+    Examples
+    --------
+    >>> duration(0.0), duration(12.5), duration(5400.0), duration(200000.0)
+    ('-', '12.5 s', '1 h 30 min', '2 d 7 h 33 min')
+    """
+    if seconds < 60.0:
+        return f"{seconds:.3g} s" if seconds else "-"
+    minutes = round(seconds / 60.0)
+    parts = ((minutes // 1440, "d"), (minutes // 60 % 24, "h"), (minutes % 60, "min"))
+    return " ".join(f"{count} {unit}" for count, unit in parts if count)
+
+
+def _seconds(spent: "Spent") -> tuple[float, ...]:
+    return (
+        *(spent.record_s, spent.settle_s, spent.warm_up_s, spent.off_s, spent.ramp_s, spent.prompt_s),
+        spent.total_s,
+    )
+
+
+def _given(choices: tuple[str, ...]) -> dict[str, str]:
+    given: dict[str, str] = {}
+    for choice in choices:
+        name, equals, value = choice.partition("=")
+        if not equals or not name.strip() or not value.strip():
+            raise BadInput(f"--set {choice!r}: write it as NAME=VALUE, as in --set max_rate_deg_per_s=200")
+        if name.strip() in given:
+            raise BadInput(f"--set {name.strip()}: it is given twice")
+        given[name.strip()] = value.strip()
+    return given
+
+
+def _head(found: "Procedure") -> dict[str, Any]:
+    return {"name": found.name, "names": found.names, "source": found.source}
+
+
+def _table(*titles: str, left: tuple[str, ...] | None = None) -> Table:
+    table = Table(header_style="bold")
+    for title in titles:
+        table.add_column(title, justify="left" if left is None or title in left else "right")
+    return table
+
+
+def _parameter_table(found: "Procedure", chosen: dict[str, Any]) -> Table:
+    from ingest.procedures.values import shown
+
+    table = _table("parameter", "value", "unit", "what / 含义", "source")
+    for key, each in found.parameters.items():
+        table.add_row(key, shown(chosen[key]), each.unit, f"{each.en} / {each.zh}", each.source)
+    return table
+
+
+def _step_table(steps: "tuple[PlannedStep, ...]") -> Table:
+    table = _table("", "step", "words", "set", "power", "warm-up", "settle", "record", "prompt")
+    for step in steps:
+        power = "" if step.power is None else step.power + (f" {duration(step.off_s)}" if step.off_s else "")
+        words = (
+            *(
+                f"{name} {value}"
+                for name in ("repeat", "position", "axis", "phase")
+                if (value := getattr(step.words, name))
+            ),
+            *(("room",) if step.words.room else ()),
+        )
+        table.add_row(
+            str(step.number),
+            step.words.step or "",
+            ", ".join(words),
+            ", ".join(f"{name} {value:g}" for name, value in step.settings.items()),
+            power,
+            duration(step.warm_up_s),
+            duration(step.settle_s),
+            duration(step.record_s),
+            "yes" if step.prompt is not None else "",
+        )
+    return table

@@ -1,0 +1,153 @@
+"""Documents that a person enters: checks made by eye or by hand, and what other commands put on record."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from storage.recording.noting import note
+from storage.store import Store, writer_endpoint
+from stream.errors import BadInput
+from stream.events import AnyDocument, CheckEntered, Verdict
+from stream.identity import Place, check_name
+from stream.quantities import check_unit
+
+ENTERED = Place("local", "entered")
+_MOST_TEXT = 1000
+
+
+class Entry(NamedTuple):
+    """A check as it was entered.
+
+    Parameters
+    ----------
+    unit : str
+        Which unit.
+    item : str
+        What was checked: ``visual``, ``electrical``, or another word.
+    by : str
+        Who did.
+    verdict : Verdict, optional
+        PASS or FAIL; may be left out where a value stands against a limit.
+    value, lower, upper : float, optional
+        What was measured, and within which limits it is good, in `unit_of_measure`.
+    unit_of_measure : str
+        Empty where there is no value.
+    note : str
+        Free words.
+    run : str
+        The run that it belongs to; empty for none.
+    """
+
+    unit: str
+    item: str
+    by: str
+    verdict: Verdict | None = None
+    value: float | None = None
+    unit_of_measure: str = ""
+    lower: float | None = None
+    upper: float | None = None
+    note: str = ""
+    run: str = ""
+
+
+def enter(folder: Path, documents: Sequence[AnyDocument], *, role: str, place: Place = ENTERED) -> bool:
+    """Bring documents into a store; they are on disk when this returns. The store is made if there is none.
+
+    Parameters
+    ----------
+    folder : Path
+        The store.
+    documents : sequence of Document
+        What there is to say.
+    role : str
+        Which command this is, for the message that another writer gets.
+    place : Place
+        Where the documents are from.
+
+    Returns
+    -------
+    bool
+        Whether SQL sees them now. False where a recorder writes the store: it has them in its log, and brings them to
+        the lake with its next segment.
+
+    Raises
+    ------
+    StoreError
+        If a process writes the store that takes no messages, or it cannot be written.
+    DeliveryError
+        If the recorder that writes it does not acknowledge them.
+    """
+    store = Store.create(folder)
+    is_recorded = writer_endpoint(folder) is not None
+    note(store, documents, role=role, place=place, builds_lake=True)
+    return not is_recorded
+
+
+def check_entered(entry: Entry, t_ns: int) -> CheckEntered:
+    """A checked entry as a document.
+
+    Raises
+    ------
+    BadInput
+        If it is incomplete or contradicts itself; the message names the option.
+
+    Examples
+    --------
+    >>> entry = Entry("FOG-1", "insulation", "Li", value=120.0, unit_of_measure="megaohm", lower=100.0)
+    >>> check_entered(entry, 0).verdict.value
+    'PASS'
+    """
+    check_name("unit", entry.unit)
+    if entry.run:
+        check_name("run", entry.run)
+    for option, text in (("--item", entry.item), ("--by", entry.by)):
+        if not text.strip():
+            raise BadInput(f"check of unit {entry.unit}: {option} is empty; say what was checked, and who did")
+    for option, text in (("--item", entry.item), ("--by", entry.by), ("--note", entry.note)):
+        if len(text) > _MOST_TEXT:
+            raise BadInput(f"check of unit {entry.unit}: {option} has {len(text)} characters, {_MOST_TEXT} may be")
+    _check_numbers(entry)
+    return CheckEntered(
+        run=entry.run,
+        t_ns=t_ns,
+        unit=entry.unit,
+        item=entry.item.strip(),
+        verdict=_verdict(entry),
+        by=entry.by.strip(),
+        value=entry.value,
+        unit_of_measure="" if entry.value is None else check_unit(entry.unit_of_measure),
+        lower=entry.lower,
+        upper=entry.upper,
+        note=entry.note.strip(),
+    )
+
+
+def _check_numbers(entry: Entry) -> None:
+    where = f"check {entry.item} of unit {entry.unit}"
+    given = {"--value": entry.value, "--lower": entry.lower, "--upper": entry.upper}
+    for option, number in given.items():
+        if number is not None and not math.isfinite(number):
+            raise BadInput(f"{where}: {option} {number} is no finite number")
+    if entry.value is None and (entry.unit_of_measure or entry.lower is not None or entry.upper is not None):
+        raise BadInput(f"{where}: a limit or unit of measure without --value; give the value, or only the --verdict")
+    if entry.lower is not None and entry.upper is not None and entry.lower > entry.upper:
+        raise BadInput(f"{where}: --lower {entry.lower:g} lies above --upper {entry.upper:g}")
+
+
+def _verdict(entry: Entry) -> Verdict:
+    where = f"check {entry.item} of unit {entry.unit}"
+    found: Verdict | None = None
+    if entry.value is not None and (entry.lower is not None or entry.upper is not None):
+        is_within = (entry.lower is None or entry.value >= entry.lower) and (
+            entry.upper is None or entry.value <= entry.upper
+        )
+        found = Verdict.PASS if is_within else Verdict.FAIL
+    if entry.verdict is None and found is None:
+        raise BadInput(f"{where}: nothing says how it was judged; give --verdict PASS or FAIL, or --value and a limit")
+    if entry.verdict is not None and found is not None and entry.verdict is not found:
+        raise BadInput(
+            f"{where}: --verdict is {entry.verdict}, but {entry.value:g} against its limits is {found}; correct the "
+            f"one or the other, and explain in --note what is special"
+        )
+    return found or entry.verdict or Verdict.NO_DATA

@@ -1,0 +1,167 @@
+"""What a store already has of a file: the same samples are left out, others at the same time are refused."""
+
+from collections import Counter
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from ingest.tables.sample_file import SampleFile
+from ingest.tables.summary import SignalChunk, SignalSummary, TableSummary
+from storage.recording.knowledge import Knowledge, KnownStep
+from stream.batch import BoolArray, IntArray
+from stream.errors import BadInput
+
+_Name = tuple[str, str, str]
+
+
+class StoredSamples:
+    """The samples that a store and a file have in common.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+        What the store has.
+    path : Path
+        The file, for messages.
+    summary : TableSummary
+        What the first pass found in it.
+    """
+
+    def __init__(self, knowledge: Knowledge, path: Path, summary: TableSummary) -> None:
+        self._knowledge = knowledge
+        self._path = path
+        self._summary = summary
+        self._signals: dict[_Name, SignalSummary] = {(s.unit, s.run, s.signal): s for s in summary.signals}
+        self._stored: dict[_Name, tuple[str, int, int]] = {}
+        names = sorted({s.run for s in summary.signals})
+        for known in knowledge.signals(names):
+            if (known.unit, known.run, known.signal) in self._signals:
+                stored = (known.unit_of_measure, known.t_first_ns, known.t_last_ns)
+                self._stored[known.unit, known.run, known.signal] = stored
+        self.known = knowledge.runs(names)
+        self.runs, self.open_runs = self.known.dated, set(self.known.open)
+
+    def check(self, file: SampleFile) -> Counter[_Name]:
+        """Compare the file with the store sample by sample; returns how many of each signal the store has already.
+
+        Raises
+        ------
+        BadInput
+            If a signal comes in another unit of measure than it is stored in, a run's clock is another one, or a
+            sample lies where the store has a different one.
+        """
+        for name, summary in self._signals.items():
+            self._check_alike(name, summary)
+        if not any(self._overlaps(name) for name in self._signals):
+            return Counter()
+        common: Counter[_Name] = Counter()
+        for chunk in file.chunks():
+            name = (chunk.unit, chunk.run, chunk.signal)
+            if self._overlaps(name):
+                common[name] += self._check_chunk(chunk)
+        return common
+
+    def new(self, unit: str, run: str, signal: str, times_ns: IntArray) -> BoolArray:
+        """Mask of the samples that the store does not have; `check` has found the others equal."""
+        if not self._overlaps((unit, run, signal)):
+            return np.ones(len(times_ns), np.bool_)
+        stored_ns, _ = self._knowledge.samples(unit, signal, run, int(times_ns[0]), int(times_ns[-1]))
+        return ~np.isin(times_ns, stored_ns, assume_unique=True)
+
+    def _check_alike(self, name: _Name, summary: SignalSummary) -> None:
+        unit, run, signal = name
+        if self.runs.get(run, self._summary.date_known) != self._summary.date_known:
+            has, remedy = ("a", "give --start") if self.runs[run] else ("no", "leave --start out")
+            raise BadInput(
+                f"{self._path}: run {run} is stored with {has} date, and this file comes the other way; {remedy}, or "
+                f"import it as another run with --run"
+            )
+        stored = self._stored.get(name)
+        if stored is not None and stored[0] != summary.unit_of_measure:
+            raise BadInput(
+                f"{self._path}: {signal} of unit {unit}, run {run} is stored in {stored[0]}, this file has it in "
+                f"{summary.unit_of_measure}; convert the file, or give it another --run"
+            )
+
+    def _overlaps(self, name: _Name) -> bool:
+        stored, sampling = self._stored.get(name), self._signals[name].sampling
+        if stored is None:
+            return False
+        return sampling.t_first_ns - sampling.dt_ns <= stored[2] and stored[1] <= sampling.t_last_ns + sampling.dt_ns
+
+    def _check_chunk(self, chunk: SignalChunk) -> int:
+        sampling = self._signals[chunk.unit, chunk.run, chunk.signal].sampling
+        times_ns = chunk.times_ns
+        stored_ns, stored = self._knowledge.samples(
+            chunk.unit,
+            chunk.signal,
+            chunk.run,
+            int(times_ns[0]) - sampling.dt_ns,
+            int(times_ns[-1]) + sampling.dt_ns,
+        )
+        if len(stored_ns) == 0:
+            return 0
+        after = np.minimum(np.searchsorted(stored_ns, times_ns), len(stored_ns) - 1)
+        before = np.maximum(after - 1, 0)
+        same_time = stored_ns[after] == times_ns
+        differs = same_time & (stored[after] != chunk.data)
+        if not sampling.irregular:
+            # a sample between two stored ones belongs to another recording of the same moment
+            nearest_ns = np.minimum(np.abs(stored_ns[after] - times_ns), np.abs(times_ns - stored_ns[before]))
+            differs |= ~same_time & (2 * nearest_ns <= sampling.dt_ns)
+        if differs.any():
+            self._refuse(chunk, int(np.flatnonzero(differs)[0]), int(differs.sum()), stored_ns[after], stored[after])
+        return int(same_time.sum())
+
+    def _refuse(
+        self,
+        chunk: SignalChunk,
+        at: int,
+        count: int,
+        stored_ns: IntArray,
+        stored: np.ndarray[tuple[int], np.dtype[np.float64]],
+    ) -> None:
+        has = f"{stored[at]:.9g}" + (
+            "" if stored_ns[at] == chunk.times_ns[at] else f" at {self._moment(stored_ns[at])}"
+        )
+        raise BadInput(
+            f"{self._path}: overlaps what is stored of unit {chunk.unit}, signal {chunk.signal}, run {chunk.run} with "
+            f"other values: at {self._moment(chunk.times_ns[at])} the file has {chunk.data[at]:.9g}, the store {has} "
+            f"({count} such samples in this stretch); nothing was imported. If it is another recording, give --run"
+        )
+
+    def _moment(self, t_ns: int) -> str:
+        if self._summary.date_known:
+            return datetime.fromtimestamp(int(t_ns) / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S.%f UTC")
+        return f"{int(t_ns) / 1e9:.9g} s"
+
+
+def check_steps(steps: Iterable[KnownStep], path: Path, summary: TableSummary) -> None:
+    """Compare the words given for all steps of a file with the steps that the store has at those times.
+
+    Raises
+    ------
+    BadInput
+        If the store has another step there.
+    """
+    if summary.words is None:
+        return
+    given = msgspec.to_builtins(summary.words)
+    for unit, run in dict.fromkeys((each.unit, each.run) for each in summary.signals):
+        samplings = [each.sampling for each in summary.signals if (each.unit, each.run) == (unit, run)]
+        first_ns = min(each.t_first_ns for each in samplings)
+        last_ns = max(each.t_last_ns for each in samplings)
+        for step in steps:
+            if (step.unit, step.run) != (unit, run) or step.t_start_ns > last_ns or step.t_end_ns < first_ns:
+                continue
+            stored = {"procedure": step.procedure, "position": step.position}
+            wrong = [name for name, value in given.items() if stored.get(name) != value]
+            if wrong:
+                told = ", ".join(f"{name} {stored.get(name) or '(not given)'}" for name in wrong)
+                raise BadInput(
+                    f"{path}: unit {unit}, run {run} has a step there already, with {told}; what is recorded stays: "
+                    f"leave out --{wrong[0]}, or import the file under another --run"
+                )

@@ -1,0 +1,1 @@
+"""Test procedures: what is commanded, settled and recorded, as data in TOML."""

@@ -1,0 +1,310 @@
+"""The steps of a procedure with its loops unrolled: what is done one after the other."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Literal, TypeAlias
+
+import msgspec
+
+from ingest.procedures.file import Item, Names
+from ingest.procedures.loops import bound_value, check_form, rounds
+from ingest.procedures.values import Scalar, Variables, number_of, text_of
+from stream.errors import BadInput
+from stream.events import StepWords
+
+# What instruments can be set to, and in which unit of measure.
+SETTINGS: Mapping[str, str] = MappingProxyType(
+    {
+        "rate": "deg/s",
+        "temperature": "degC",
+        "frequency": "Hz",
+        "amplitude": "deg/s",
+        "angle": "deg",
+    }
+)
+_FIELDS = {
+    "rate_deg_per_s": "rate",
+    "temperature_deg_c": "temperature",
+    "frequency_hz": "frequency",
+    "amplitude_deg_per_s": "amplitude",
+    "angle_deg": "angle",
+}
+# What a loop says for all the steps in it.
+_HANDED_DOWN = (*_FIELDS, "position", "axis", "phase", "settle_s", "record_s", "warm_up_s", "room", "wait_settled")
+_POWER = ("off", "on", "cycle", "none")
+# A table turns or it stands at an angle: to command one ends the other.
+_ENDS = {"rate": "angle", "angle": "rate"}
+_MOST_STEPS = 100_000
+_LONGEST_S = 366 * 86_400.0
+
+Power: TypeAlias = Literal["off", "on", "cycle"]
+
+
+class PlannedStep(msgspec.Struct, frozen=True, kw_only=True):
+    """One step, in the order in which its parts are done.
+
+    1. `prompt`: an operator does something and confirms.
+    2. `power` ``off`` or ``cycle``: the units are switched off and stay so for `off_s`.
+    3. `settings` are commanded, those that are new; then all of `wait_settled` have settled.
+    4. `power` ``on`` or ``cycle``: the units are switched on; `warm_up_s` is waited.
+    5. If `record_s` is not 0 the step begins in the data (StepStarted with `words`): `settle_s` that is dropped in the
+       evaluation, then `record_s`. Otherwise `settle_s` is just waited, and nothing is said in the data.
+
+    Units have power when the first step begins, unless it says otherwise.
+
+    Parameters
+    ----------
+    number : int
+        Place in the procedure, from 1.
+    words : StepWords
+        What is said of it in the data.
+    settings : dict
+        What instruments are set to by the name of the setting, in the units of `SETTINGS`; the rest stays as it is.
+    settle_s, record_s : float
+        Seconds dropped at its start, and recorded after that.
+    wait_settled : tuple of str
+        Settings that must have settled.
+    power : str or None
+        ``off``, ``on``, ``cycle``.
+    off_s, warm_up_s : float
+        Seconds without power; seconds with power before the step.
+    prompt : Names or None
+        What an operator is asked, in two languages.
+    part : str
+        The part of the procedure that it belongs to.
+    key : str
+        Where in the file it stands.
+    """
+
+    number: int
+    words: StepWords
+    settings: dict[str, float] = {}
+    settle_s: float = 0.0
+    record_s: float = 0.0
+    wait_settled: tuple[str, ...] = ()
+    power: Power | None = None
+    off_s: float = 0.0
+    warm_up_s: float = 0.0
+    prompt: Names | None = None
+    part: str = ""
+    key: str = ""
+
+    @property
+    def is_recorded(self) -> bool:
+        """Whether the step leaves data."""
+        return self.record_s > 0.0
+
+
+class Used(msgspec.Struct, frozen=True):
+    """A procedure that another uses: its steps, and where they stand."""
+
+    items: tuple[Item, ...]
+    source: str
+    procedures: Mapping[str, "Used"]
+
+
+class Planner:
+    """Unrolls the steps of a procedure.
+
+    Parameters
+    ----------
+    procedure : str
+        Its name, for the words of every step.
+    """
+
+    def __init__(self, procedure: str) -> None:
+        self._procedure = procedure
+        self._state: dict[str, float] = {}
+        self._is_powered = True
+        self._steps: list[PlannedStep] = []
+
+    def plan(self, used: Used, variables: Variables) -> tuple[PlannedStep, ...]:
+        """All steps.
+
+        Raises
+        ------
+        BadInput
+            If a value cannot be found or makes no sense; the message names the file and the key.
+        """
+        for i, item in enumerate(used.items):
+            key = f"$.step[{i}]"
+            self._item(item, used, key, dict(variables), {}, _part_name(item))
+        return tuple(self._steps)
+
+    def _item(
+        self, item: Item, used: Used, key: str, variables: dict[str, Scalar | tuple[Scalar, ...]],
+        handed: dict[str, object], part: str,
+    ) -> None:  # fmt: skip
+        where = f"{used.source}: {key}"
+        check_form(item, where)
+        if item.use is None and not item.items:
+            self._step(item, where, key, variables, handed, part)
+            return
+        for bound in rounds(item, variables, where):
+            inner = {**variables, **bound}
+            # filled in here: what a loop says is meant in its own words, not in those of what it uses
+            down = {**handed, **_filled(item, inner, where)}
+            if "repeat" in bound and item.times is not None:
+                down["repeat"] = bound["repeat"]
+            if item.use is not None:
+                other = used.procedures[item.use]
+                for name, value in item.overrides.items():
+                    inner[name] = bound_value(value, inner, f"{where}.set.{name}")
+                for i, each in enumerate(other.items):
+                    self._item(each, other, f"$.step[{i}]", inner, down, part)
+            for i, each in enumerate(item.items):
+                self._item(each, used, f"{key}.step[{i}]", inner, down, part)
+
+    def _step(
+        self, item: Item, where: str, key: str, variables: Variables, handed: dict[str, object], part: str
+    ) -> None:
+        said = {**handed, **_filled(item, variables, where)}
+        settings = {name: float(said[field]) for field, name in _FIELDS.items() if field in said}  # type: ignore[arg-type]
+        times = {
+            name: self._seconds(said.get(name, 0.0), f"{where}.{name}")
+            for name in ("settle_s", "record_s", "warm_up_s")
+        }
+        power, off_s = self._power(item, variables, where)
+        self._check_safe(item, where)
+        changed = tuple(name for name, value in settings.items() if self._state.get(name) != value)
+        wait = said.get("wait_settled", changed)
+        assert isinstance(wait, tuple)
+        self._check_settings(settings, wait, where)
+        self._state = {name: value for name, value in self._state.items() if _ENDS.get(name) not in settings} | settings
+        if power is not None:
+            self._is_powered = power != "off"
+        if times["record_s"] > 0.0 and not self._is_powered:
+            raise BadInput(
+                f"{where}: records {times['record_s']:g} s while the units have no power; switch them on before"
+            )
+        if len(self._steps) >= _MOST_STEPS:
+            raise BadInput(f"{where}: more than {_MOST_STEPS:,} steps; look at the loops around it")
+        self._steps.append(
+            PlannedStep(
+                number=len(self._steps) + 1,
+                words=self._words(item, said, times["settle_s"], variables, where),
+                settings=settings,
+                settle_s=times["settle_s"],
+                record_s=times["record_s"],
+                wait_settled=wait,
+                power=power,
+                off_s=off_s,
+                warm_up_s=times["warm_up_s"],
+                prompt=_prompt(item, variables, where),
+                part=part,
+                key=key,
+            )
+        )
+
+    def _words(
+        self,
+        item: Item,
+        said: dict[str, object],
+        settle_s: float,
+        variables: Variables,
+        where: str,
+    ) -> StepWords:
+        assert item.name is not None
+        now = self._state
+        position = said.get("position") or (f"{now['angle']:g} deg" if "angle" in now else None)
+        repeat = said.get("repeat")
+        shakes = now.get("amplitude", 0.0) != 0.0
+        return StepWords(
+            procedure=self._procedure,
+            step=text_of(item.name, variables, f"{where}.name"),
+            repeat=None if repeat is None else int(repeat),  # type: ignore[call-overload]
+            position=position,  # type: ignore[arg-type]
+            axis=said.get("axis"),  # type: ignore[arg-type]
+            phase=said.get("phase"),  # type: ignore[arg-type]
+            rate_command_deg_per_s=now.get("rate"),
+            temperature_command_deg_c=now.get("temperature"),
+            frequency_hz=now["frequency"] if shakes else None,
+            amplitude=now["amplitude"] if shakes else None,
+            settle_s=settle_s or None,
+            room=said.get("room") or None,  # type: ignore[arg-type]
+        )
+
+    def _seconds(self, value: object, where: str) -> float:
+        assert isinstance(value, float)
+        if not 0.0 <= value <= _LONGEST_S:
+            raise BadInput(f"{where}: {value:g} s; expected are 0 to {_LONGEST_S:g} s (a year)")
+        return value
+
+    def _power(self, item: Item, variables: Variables, where: str) -> tuple[Power | None, float]:
+        """What is done with the power, and for how long the units are without it."""
+        power = "none" if item.power is None else text_of(item.power, variables, f"{where}.power")
+        if power not in _POWER:
+            raise BadInput(f"{where}.power: {power!r} is none of {', '.join(_POWER)}")
+        off_s = 0.0
+        if item.off_s is not None:
+            off_s = self._seconds(number_of(item.off_s, variables, f"{where}.off_s"), f"{where}.off_s")
+        if power == "cycle" and off_s == 0.0:
+            raise BadInput(f"{where}: power is cycled without off_s, the seconds that the units are off")
+        if off_s > 0.0 and item.power in {None, "on", "none"}:
+            raise BadInput(f'{where}.off_s: the units are not switched off here; say power = "cycle" or "off"')
+        if power == "none":
+            return None, 0.0
+        return power, off_s if power != "on" else 0.0  # type: ignore[return-value]
+
+    def _check_safe(self, item: Item, where: str) -> None:
+        """An operator is not sent to a table that moves."""
+        if item.prompt is None:
+            return
+        if (rate := self._state.get("rate", 0.0)) != 0.0:
+            raise BadInput(
+                f"{where}.prompt: an operator is called while the table turns at {rate:g} deg/s; "
+                f"put a step with rate_deg_per_s = 0 before it"
+            )
+        if self._state.get("amplitude", 0.0) != 0.0:
+            raise BadInput(
+                f"{where}.prompt: an operator is called while the table vibrates; "
+                f"put a step with amplitude_deg_per_s = 0 before it"
+            )
+
+    def _check_settings(self, settings: dict[str, float], wait: tuple[str, ...], where: str) -> None:
+        for name in wait:
+            if name not in SETTINGS:
+                raise BadInput(f"{where}.wait_settled: {name!r} is no setting; there is {', '.join(SETTINGS)}")
+            if name not in settings and name not in self._state:
+                raise BadInput(f"{where}.wait_settled: {name} has not been set to anything before")
+        if "rate" in settings and "angle" in settings:
+            raise BadInput(f"{where}: a table turns or stands at an angle, it cannot be set to both in one step")
+        if not settings.get("frequency", 1.0) > 0.0:
+            raise BadInput(f"{where}.frequency_hz: {settings['frequency']:g} Hz is not positive")
+        if settings.get("amplitude", 0.0) < 0.0:
+            raise BadInput(f"{where}.amplitude_deg_per_s: {settings['amplitude']:g} deg/s is negative")
+        if settings.get("amplitude", 0.0) > 0.0 and "frequency" not in {**self._state, **settings}:
+            raise BadInput(f"{where}.amplitude_deg_per_s: an amplitude without a frequency_hz")
+
+
+def _filled(item: Item, variables: Variables, where: str) -> dict[str, object]:
+    """What an item says, in numbers and texts."""
+    found: dict[str, object] = {}
+    for name in _HANDED_DOWN:
+        value = getattr(item, name)
+        if value is None:
+            continue
+        if name in {"position", "axis", "phase"}:
+            found[name] = text_of(value, variables, f"{where}.{name}")
+        elif name in {"room", "wait_settled"}:
+            found[name] = value
+        else:
+            found[name] = number_of(value, variables, f"{where}.{name}")
+    return found
+
+
+def _prompt(item: Item, variables: Variables, where: str) -> Names | None:
+    if item.prompt is None:
+        return None
+    return Names(
+        en=text_of(item.prompt.en, variables, f"{where}.prompt.en"),
+        zh=text_of(item.prompt.zh, variables, f"{where}.prompt.zh"),
+    )
+
+
+def _part_name(item: Item) -> str:
+    if item.name is not None:
+        return item.name
+    if item.use is not None:
+        return item.use
+    return f"for {item.over}" if item.over is not None else "repeats"

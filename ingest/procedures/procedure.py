@@ -1,0 +1,267 @@
+"""Test procedures: what is commanded, how long it settles, what is recorded, as data in TOML.
+
+A file names the procedure in two languages and the clauses that it follows, has parameters that a user may choose, and
+steps. A `[[step]]` is a step, a loop over `[[step.step]]`, or the `use` of another procedure; `ingest.procedures.file`
+says what each may hold.
+"""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import msgspec
+
+from ingest.procedures.file import Names, Parameter, ProcedureFile, check_value, read_procedure, ready_names
+from ingest.procedures.loops import items_of
+from ingest.procedures.plan import SETTINGS, PlannedStep, Planner, Used
+from ingest.procedures.time import Spent, StationRates, spent_by_part
+from ingest.procedures.values import Scalar
+from stream.errors import BadInput
+
+__all__ = [
+    "SETTINGS",
+    "Names",
+    "Parameter",
+    "PlannedStep",
+    "Procedure",
+    "Requirement",
+    "Spent",
+    "StationRates",
+    "load_procedure",
+    "ready_names",
+]
+
+_MOST_NESTED = 8
+
+Choice = Scalar | tuple[Scalar, ...]
+
+
+class Requirement(msgspec.Struct, frozen=True, kw_only=True):
+    """A setting that a procedure needs: from `least` to `most`, in `unit`, and how many steps set it."""
+
+    setting: str
+    unit: str
+    least: float
+    most: float
+    steps: int
+
+
+class Procedure:
+    """A procedure that can be planned.
+
+    Parameters
+    ----------
+    file : ProcedureFile
+        What its file says.
+    used : Used
+        Its steps and those of the procedures that it uses.
+    parameters : mapping
+        Its parameters, and those of the procedures that it uses.
+
+    Attributes
+    ----------
+    name : str
+        For the data and the command line.
+    names : Names
+        For people, ``en`` and ``zh``.
+    source : tuple of str
+        The clauses that it follows.
+    parameters : mapping
+        What a user may choose, by name.
+    """
+
+    def __init__(self, file: ProcedureFile, used: Used, parameters: Mapping[str, Parameter]) -> None:
+        self.name = file.name
+        self.names = file.names
+        self.source = file.source
+        self.notes = file.notes
+        self.parameters = parameters
+        self._used = used
+
+    def chosen(self, given: Mapping[str, str | Choice] | None = None) -> dict[str, Choice]:
+        """Every parameter's value: as given, else its default.
+
+        Parameters
+        ----------
+        given : mapping, optional
+            Values by name; texts, as a command line has them, are read as what the default is.
+
+        Raises
+        ------
+        BadInput
+            If there is no such parameter, or its value cannot be read or is out of bounds.
+
+        Examples
+        --------
+        >>> load_procedure("scale_factor").chosen({"max_rate_deg_per_s": "200"})["max_rate_deg_per_s"]
+        200.0
+        """
+        values: dict[str, Choice] = {name: each.default for name, each in self.parameters.items()}
+        for name, value in (given or {}).items():
+            if name not in self.parameters:
+                raise BadInput(
+                    f"procedure {self.name} has no parameter {name!r}; it has {', '.join(self.parameters) or 'none'}"
+                )
+            values[name] = _read(self.parameters[name], value, f"procedure {self.name}: {name}")
+        return values
+
+    def steps(self, parameters: Mapping[str, str | Choice] | None = None) -> tuple[PlannedStep, ...]:
+        """All steps, one after the other.
+
+        Parameters
+        ----------
+        parameters : mapping, optional
+            Values of parameters, see `chosen`.
+
+        Raises
+        ------
+        BadInput
+            If a parameter or a step makes no sense; the message names the file and the key.
+
+        Examples
+        --------
+        >>> steps = load_procedure("static_bias").steps({"bias_record_s": 7200})
+        >>> [(each.words.step, each.record_s) for each in steps if each.is_recorded]
+        [('static', 7200.0)]
+        """
+        return Planner(self.name).plan(self._used, self.chosen(parameters))
+
+    def requirements(self, parameters: Mapping[str, str | Choice] | None = None) -> tuple[Requirement, ...]:
+        """What a station must be able to set, over which range.
+
+        Examples
+        --------
+        >>> load_procedure("scale_factor").requirements()[0]
+        Requirement(setting='rate', unit='deg/s', least=-300.0, most=300.0, steps=24)
+        """
+        found: dict[str, list[float]] = {}
+        for step in self.steps(parameters):
+            for name, value in step.settings.items():
+                found.setdefault(name, []).append(value)
+        return tuple(
+            Requirement(setting=name, unit=SETTINGS[name], least=min(values), most=max(values), steps=len(values))
+            for name in SETTINGS
+            if (values := found.get(name))
+        )
+
+    def unmet(self, settings: Iterable[str], parameters: Mapping[str, str | Choice] | None = None) -> tuple[str, ...]:
+        """What a station lacks that can set `settings`, in sentences; empty where it can do the procedure.
+
+        Examples
+        --------
+        >>> load_procedure("scale_factor").unmet(["temperature"])
+        ('24 steps set the rate, from -300 to 300 deg/s, and no instrument of the station has that setting',)
+        """
+        able = set(settings)
+        return tuple(
+            f"{each.steps} steps set the {each.setting}, from {each.least:g} to {each.most:g} {each.unit}, and no "
+            "instrument of the station has that setting"
+            for each in self.requirements(parameters)
+            if each.setting not in able
+        )
+
+    def spent(
+        self, rates: StationRates | None = None, parameters: Mapping[str, str | Choice] | None = None
+    ) -> dict[str, Spent]:
+        """What each part takes at a station, see `spent_by_part`."""
+        return spent_by_part(self.steps(parameters), rates or StationRates())
+
+    def duration_s(
+        self, rates: StationRates | None = None, parameters: Mapping[str, str | Choice] | None = None
+    ) -> float:
+        """How long it takes, seconds: power-off, ramps, warm-up, settling, recording and prompts.
+
+        Examples
+        --------
+        >>> load_procedure("static_bias").duration_s(StationRates(prompt_s=0.0))
+        5400.0
+        """
+        return sum((each.total_s for each in self.spent(rates, parameters).values()), 0.0)
+
+
+def load_procedure(name: str | Path) -> Procedure:
+    """Read a procedure, and check it with its defaults.
+
+    Parameters
+    ----------
+    name : str or Path
+        Name of a ready procedure, or path of a file.
+
+    Raises
+    ------
+    BadInput
+        If there is none, or it makes no sense; the message names the file and the key.
+
+    Examples
+    --------
+    >>> load_procedure("static_bias").names.zh
+    '零偏与零偏稳定性'
+    """
+    file, source, folder = read_procedure(name)
+    used, parameters = _gather(file, source, folder, (source,))
+    procedure = Procedure(file, used, parameters)
+    procedure.steps()
+    return procedure
+
+
+def _gather(
+    file: ProcedureFile, source: str, folder: Path | None, chain: tuple[str, ...]
+) -> tuple[Used, dict[str, Parameter]]:
+    """The procedures that one uses, and the parameters of all; its own go before theirs."""
+    procedures: dict[str, Used] = {}
+    theirs: dict[str, tuple[Parameter, str]] = {}
+    for key, item in items_of(file.items):
+        if item.use is None:
+            continue
+        where = f"{source}: {key}.use"
+        other, other_source, other_folder = read_procedure(item.use, folder)
+        if other_source in chain or len(chain) > _MOST_NESTED:
+            raise BadInput(f"{where}: {' uses '.join((*chain, other_source))}: a procedure cannot use itself")
+        inner, parameters = _gather(other, other_source, other_folder, (*chain, other_source))
+        procedures[item.use] = inner
+        for name in item.overrides:
+            if name not in parameters:
+                raise BadInput(
+                    f"{where}: {other_source} has no parameter {name!r}; it has {', '.join(parameters) or 'none'}"
+                )
+        for name, parameter in parameters.items():
+            if name in file.parameters:
+                continue
+            before = theirs.setdefault(name, (parameter, other_source))
+            if before[0].default != parameter.default:
+                raise BadInput(
+                    f"{where}: {name} is {parameter.default} in {other_source} and {before[0].default} in "
+                    f"{before[1]}; say in [parameters.{name}] what it is here"
+                )
+    return (
+        Used(file.items, source, procedures),
+        {**file.parameters, **{name: parameter for name, (parameter, _) in theirs.items()}},
+    )
+
+
+def _read(parameter: Parameter, value: str | Choice, where: str) -> Choice:
+    default = parameter.default
+    if isinstance(default, tuple):
+        parts = value.split(",") if isinstance(value, str) else value if isinstance(value, tuple) else (value,)
+        return tuple(_read_one(parameter, default[0], each, where) for each in parts)
+    if isinstance(value, tuple):
+        raise BadInput(f"{where}: one value is expected, not a list")
+    return _read_one(parameter, default, value, where)
+
+
+def _read_one(parameter: Parameter, like: Scalar, value: Scalar, where: str) -> Scalar:
+    read: Scalar = value.strip() if isinstance(value, str) else value
+    if not isinstance(like, str):
+        try:
+            read = float(value)
+        except ValueError as error:
+            raise BadInput(
+                f"{where}: {value!r} is no number{' in ' + parameter.unit if parameter.unit else ''}"
+            ) from error
+        if isinstance(like, int) and not parameter.unit:
+            if not read.is_integer():
+                raise BadInput(f"{where}: {value} is no whole number")
+            read = int(read)
+    elif not isinstance(value, str):
+        raise BadInput(f"{where}: a word is expected, not {value:g}")
+    check_value(parameter, read, where)
+    return read

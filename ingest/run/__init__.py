@@ -1,0 +1,1 @@
+"""Runs of live sources, and stored runs sent once more."""

@@ -1,0 +1,152 @@
+"""The whole path in one process: source -> Zenoh -> recorder (log, lake) and estimators. No server, no open port."""
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from storage.log.event_log import EventLog
+from storage.log.recovery import Recovery
+from storage.log.tail import LogTail
+from storage.recording.recorder import Recorder
+from storage.store import Store, WriterLock
+from stream.batch import SampleBatch
+from stream.console import notes
+from stream.delivery.publisher import DurablePublisher
+from stream.delivery.spool import Spool
+from stream.errors import GyrofleetError
+from stream.events import AnyDocument
+from stream.transport.zenoh_bus import ZenohBus
+from stream.worker.estimated_signals import EstimatedSignals
+from stream.worker.worker import EstimationWorker
+
+# Small enough that most of the lake is made while samples still come in.
+EMBEDDED_ROTATE_BYTES = 32 << 20
+
+
+class EmbeddedPipeline:
+    """Everything between a source and a store, started together and ended in order.
+
+    Parameters
+    ----------
+    folder : Path
+        The store; made if it does not exist.
+    role : str
+        Who writes, for the message that another writer gets.
+    estimate_every_s : float
+        Interval between estimates in the signals' time, seconds.
+    listen : sequence of str
+        Endpoints on which others may listen in; none by default.
+    rotate_bytes : int
+        Payload after which a segment of the log is sealed.
+    on_document : callable, optional
+        Called with every estimate and decision, in the worker's thread.
+    on_warning : callable, optional
+        Called with what the recorder warns of, such as a full disk, for which it waits; by default it is printed.
+    spool : Spool, optional
+        Keeps on disk what the source sends; what it holds from before is sent first.
+    estimated : EstimatedSignals
+        Which signals are estimated; by default angular rates, and those that limits of a run are on.
+
+    Raises
+    ------
+    StoreError
+        If the store cannot be written, or another process writes it.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        role: str,
+        *,
+        estimate_every_s: float = 600.0,
+        listen: Sequence[str] = (),
+        rotate_bytes: int = EMBEDDED_ROTATE_BYTES,
+        on_document: Callable[[AnyDocument], None] | None = None,
+        on_warning: Callable[[str], None] | None = None,
+        spool: Spool | None = None,
+        estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
+    ) -> None:
+        with ExitStack() as stack:
+            self.store = Store.create(folder)
+            stack.enter_context(WriterLock(self.store, role))
+            log = EventLog(self.store, rotate_bytes=rotate_bytes)
+            self.recovered: list[Recovery] = log.recovered
+            bus = stack.enter_context(ZenohBus(listen=listen))
+            self._estimates = stack.enter_context(DurablePublisher(bus))
+            publishers = [self._estimates]
+
+            def give_up(failure: GyrofleetError) -> None:
+                for publisher in publishers:
+                    publisher.fail(str(failure))
+
+            # the worker listens first: what the recorder acknowledges, the worker has
+            self.worker = EstimationWorker(
+                bus,
+                self._estimates,
+                every_s=estimate_every_s,
+                on_document=on_document,
+                estimated=estimated,
+                log=LogTail(self.store),  # a run that was begun before is estimated from its beginning
+            )
+            self.recorder = stack.enter_context(
+                Recorder(self.store, bus, log, on_warning=on_warning or _print, on_failure=give_up)
+            )
+            # the source comes last: with a spool it sends at once
+            self.publisher = stack.enter_context(DurablePublisher(bus, spool=spool))
+            publishers.append(self.publisher)
+            if self.recorder.failure is not None:
+                give_up(self.recorder.failure)
+            self._stack = stack.pop_all()
+
+    def send_batch(self, key: str, batch: SampleBatch) -> None:
+        """Send samples; waits while recorder or estimators are far behind.
+
+        Raises
+        ------
+        DeliveryError
+            If nothing is acknowledged for a minute.
+        """
+        self.worker.wait_for_room()
+        self.publisher.send_batch(key, batch)
+
+    def send_event(self, key: str, document: AnyDocument) -> None:
+        """Send a run document; waits and raises like `send_batch`."""
+        self.publisher.send_event(key, document)
+
+    def complete_estimates(self) -> None:
+        """Wait until everything sent is in the log and the estimates of the runs that have ended are published.
+
+        Raises
+        ------
+        GyrofleetError
+            If any part failed.
+        """
+        self.publisher.drain()
+        self.worker.close()
+        self._estimates.drain()
+
+    def finish(self) -> None:
+        """Wait until everything sent and estimated is in the lake.
+
+        Raises
+        ------
+        GyrofleetError
+            If any part failed.
+        """
+        self.complete_estimates()
+        self.publisher.drain()
+        self.recorder.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, traceback)
+
+
+def _print(warning: str) -> None:
+    notes().print(f"warning: {warning}", soft_wrap=True, markup=False)

@@ -1,0 +1,208 @@
+"""Where a live run is sent: to a recorder elsewhere, or into a store that this process records."""
+
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import NamedTuple
+from uuid import NAMESPACE_URL, uuid5
+
+from ingest.run.pipeline import EmbeddedPipeline
+from ingest.run.replaying import estimated_every_s
+from storage.recording.client import HeldClaim, RecorderClient
+from storage.store import Store
+from stream.console import notes
+from stream.delivery.publisher import DurablePublisher, Sender
+from stream.delivery.spool import Spool
+from stream.errors import BadInput, DeliveryError
+from stream.transport.zenoh_bus import ZenohBus
+from stream.worker.estimated_signals import EstimatedSignals
+
+_LONGEST_FOLDER_BYTES = 200
+_RECORDER_PATIENCE_S = 3.0
+
+
+class Elsewhere(NamedTuple):
+    """A recorder in another process, and the bus on which it is reached."""
+
+    bus: ZenohBus
+    endpoint: str
+
+
+class RunPath(NamedTuple):
+    """Where a run is sent to; `folder` is the store, None where it is another process's."""
+
+    sender: Sender
+    publisher: DurablePublisher
+    finish: Callable[[], None]
+    where: str
+    folder: Path | None
+
+
+class TroubleWatch:
+    """Tells what keeps samples from being recorded: once when it begins or changes, and once when it is over.
+
+    Parameters
+    ----------
+    publisher : DurablePublisher
+        What sends them.
+    tell : callable
+        Takes the sentence.
+    """
+
+    def __init__(self, publisher: DurablePublisher, tell: Callable[[str], None]) -> None:
+        self._publisher = publisher
+        self._tell = tell
+        self._trouble: str | None = None
+
+    def look(self) -> None:
+        """Say what has changed since the last look."""
+        paused = self._publisher.paused
+        trouble = self._publisher.warning or (f"the recorder pauses: {paused}" if paused else None)
+        if trouble != self._trouble:
+            self._trouble = trouble
+            self._tell(f"warning: {trouble}" if trouble else "recording goes on")
+
+
+def spools_of(folder: Path, *, is_remote: bool) -> Path:
+    """Where the spools of a store's runs lie: in it; where samples go elsewhere, in no folder that could become one.
+
+    Examples
+    --------
+    >>> str(spools_of(Path("data"), is_remote=False)), str(spools_of(Path("data"), is_remote=True))
+    ('data/spool', 'data-spool')
+    """
+    if is_remote and not (folder / "store.json").exists():
+        return folder.with_name(folder.name + "-spool")
+    return folder / "spool"
+
+
+def check_spool_name(run: str) -> None:
+    """Raise BadInput where the folder of a run's spool, which has its name, could not be made."""
+    if (size := len(run.encode())) > _LONGEST_FOLDER_BYTES:
+        raise BadInput(
+            f"--run {run} has {size} bytes in UTF-8, and the folder of its spool is named after it: "
+            f"{_LONGEST_FOLDER_BYTES} at most; give a shorter one, or --spool FOLDER"
+        )
+
+
+@contextmanager
+def recorder_at(connect: str | None) -> Iterator[Elsewhere | None]:
+    """Reach the recorder that listens at `connect`; None for the one in this process.
+
+    It is reached before a spool is opened: what cannot be sent to anybody leaves no folders behind.
+
+    Raises
+    ------
+    BusError
+        If it cannot be reached.
+    """
+    if connect is None:
+        yield None
+        return
+    with ZenohBus(connect=[connect]) as bus:
+        yield Elsewhere(bus, connect)
+
+
+@contextmanager
+def opened_spool(folder: Path, spool_folder: Path, max_bytes: int, *, is_remote: bool) -> Iterator[Spool]:
+    """Open a run's spool, and say what was found damaged in it.
+
+    Parameters
+    ----------
+    folder : Path
+        The store. Where this process records, it is made first: a folder that holds a spool could not become one.
+    spool_folder : Path
+        The spool's own.
+    max_bytes : int
+        How much may wait in it.
+    is_remote : bool
+        Whether another process records.
+
+    Raises
+    ------
+    GyrofleetError
+        If either cannot be written, or another process has the spool.
+    """
+    if not is_remote:
+        Store.create(folder)
+    with Spool(spool_folder, max_bytes=max_bytes) as spool:
+        for damage in spool.damages:
+            notes().print(f"warning: the spool is damaged: {damage}", soft_wrap=True, markup=False)
+        yield spool
+
+
+@contextmanager
+def path_to(
+    folder: Path,
+    run: str,
+    elsewhere: Elsewhere | None,
+    spool: Spool,
+    every_s: float | None = None,
+    estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
+    units: Sequence[str] = (),
+) -> Iterator[RunPath]:
+    """Open the way to a recorder, or record in this process.
+
+    Parameters
+    ----------
+    folder : Path
+        The store, where it is recorded in this process.
+    run : str
+        Id of the run.
+    elsewhere : Elsewhere, optional
+        The recorder in another process, if there is one; it is left to the caller to close.
+    spool : Spool
+        Keeps what the recorder does not have yet.
+    every_s : float, optional
+        Interval between estimates, seconds of the signals' time; by default that which the run was begun with.
+    estimated : EstimatedSignals
+        Which signals are estimated, where it is recorded in this process.
+    units : sequence of str
+        Units of the run, which nobody else may send in it to the same recorder meanwhile.
+
+    Raises
+    ------
+    GyrofleetError
+        If the store cannot be written, or another source sends the same units in a run of this id.
+    """
+    if elsewhere is not None:
+        with ExitStack() as stack:
+            client = _client(elsewhere.bus, folder, spool)
+            claim = None
+            if client is not None:
+                holder = uuid5(NAMESPACE_URL, f"{socket.gethostname()}/{spool.folder.absolute()}").hex
+                claim = stack.enter_context(
+                    HeldClaim(client, [(unit, run) for unit in units], f"gyrofleet run {run}", holder=holder)
+                )
+            publisher = stack.enter_context(
+                DurablePublisher(elsewhere.bus, spool=spool, only_store=None if client is None else client.store)
+            )
+            if claim is not None:
+                claim.on_loss = publisher.fail
+            where = f"to the recorder at {elsewhere.endpoint}"
+            yield RunPath(publisher, publisher, publisher.drain, where, None)
+    else:
+        # of the same interval as those of a `gyrofleet estimate` that may have begun them, else they would differ
+        every_s = every_s or estimated_every_s(folder, run)
+        with EmbeddedPipeline(
+            folder, "gyrofleet run", spool=spool, estimate_every_s=every_s, estimated=estimated
+        ) as pipeline:
+            where = f"recorded in this process to {folder}"
+            yield RunPath(pipeline, pipeline.publisher, pipeline.finish, where, folder)
+
+
+def _client(bus: ZenohBus, folder: Path, spool: Spool) -> RecorderClient | None:
+    """The recorder of the store that has the run already, or of that in `folder`, or whichever is there.
+
+    None where none answers: what is measured waits in the spool until one does.
+    """
+    wanted = spool.store
+    if not wanted and (folder / "store.json").exists():
+        wanted = Store.open(folder).identity
+    try:
+        return RecorderClient(bus, wanted=wanted or None, patience_s=_RECORDER_PATIENCE_S)
+    except DeliveryError:
+        told = "no recorder answers yet; whether another source sends the same run is not known"
+        notes().print(f"warning: {told}", soft_wrap=True, markup=False)
+        return None

@@ -1,0 +1,1 @@
+"""Gyros on serial lines."""

@@ -1,0 +1,241 @@
+"""How the frames of a serial gyro are laid out, as a TOML file says it."""
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+
+from ingest.serial.frame_checksum import CHECKSUM_BYTES, ByteArray, ChecksumKind
+from stream.batch import FloatArray, IntArray
+from stream.errors import BadInput
+from stream.identity import check_name
+from stream.toml_text import decode_toml
+
+FieldType = Literal["u8", "i8", "u16", "i16", "u24", "i24", "u32", "i32", "float32", "float64"]
+ByteOrder = Literal["little", "big"]
+Index = Annotated[int, msgspec.Meta(ge=0)]
+
+SIZES: dict[str, int] = {
+    "u8": 1, "i8": 1, "u16": 2, "i16": 2, "u24": 3, "i24": 3, "u32": 4, "i32": 4, "float32": 4, "float64": 8,
+}  # fmt: skip
+_LONGEST = 4096
+
+
+class FrameField(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A quantity in a frame: `at` is its first byte, counted from the frame's first; value = raw * scale + offset."""
+
+    signal: str
+    at: Index
+    type: FieldType
+    scale: float = 1.0
+    offset: float = 0.0
+    unit: str = "1"
+    byte_order: ByteOrder | None = None
+
+
+class FrameNumber(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A whole number in a frame that is no quantity: its counter, its length.
+
+    A counter starts anew at `modulus`, by default at what its type holds. A length counts the whole frame once `add` is
+    added to it.
+    """
+
+    at: Index
+    type: Literal["u8", "u16", "u24", "u32"]
+    modulus: Annotated[int, msgspec.Meta(ge=2)] | None = None
+    add: int = 0
+    byte_order: ByteOrder | None = None
+
+
+class FrameChecksum(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A checksum over the bytes from `start` up to, not including, `stop`; negative ones count from the frame's end."""
+
+    kind: ChecksumKind
+    at: int = -1
+    start: int = 0
+    stop: int | None = None
+    initial: int | None = None
+    byte_order: ByteOrder | None = None
+
+
+class FrameLayout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Layout of a frame.
+
+    Parameters
+    ----------
+    sync : str
+        Bytes with which each frame begins, in hexadecimal: ``"AA 55"``.
+    interval_s : float
+        Nominal time between frames, seconds.
+    length : int, optional
+        Bytes of a frame, from its first sync byte to its last; or
+    length_field : FrameNumber, optional
+        where the frame says it.
+    longest : int
+        Bytes of the longest frame, where the frame says it: a length beyond it is garbage.
+    byte_order : str
+        ``big`` or ``little``, where a field does not say.
+    fields : tuple of FrameField
+        Its quantities.
+    counter : FrameNumber, optional
+        Its counter, by which lost frames are found.
+    checksum : FrameChecksum, optional
+        Its checksum.
+    data_bits, parity, stop_bits
+        Of the serial line.
+
+    Raises
+    ------
+    BadInput
+        By `check`, if it contradicts itself.
+
+    Examples
+    --------
+    >>> layout = decode_layout(b'''
+    ... sync = "AA 55"
+    ... length = 7
+    ... interval_s = 0.005
+    ... counter = {at = 2, type = "u8"}
+    ... checksum = {kind = "xor", at = -1, start = 2}
+    ... [[fields]]
+    ... signal = "rate"
+    ... at = 3
+    ... type = "i24"
+    ... scale = 1e-5
+    ... unit = "deg/s"
+    ... ''', "layout.toml")
+    >>> layout.shortest
+    7
+    """
+
+    sync: str
+    interval_s: float
+    length: int | None = None
+    length_field: FrameNumber | None = None
+    longest: int = 256
+    byte_order: ByteOrder = "big"
+    fields: tuple[FrameField, ...]
+    counter: FrameNumber | None = None
+    checksum: FrameChecksum | None = None
+    data_bits: Literal[7, 8] = 8
+    parity: Literal["N", "E", "O"] = "N"
+    stop_bits: Literal[1, 2] = 1
+
+    @property
+    def sync_bytes(self) -> bytes:
+        """The sync bytes themselves."""
+        return bytes.fromhex(self.sync)
+
+    @property
+    def shortest(self) -> int:
+        """Bytes of the shortest frame that holds everything."""
+        ends = [len(self.sync_bytes)]
+        ends += [field.at + SIZES[field.type] for field in self.fields]
+        ends += [number.at + SIZES[number.type] for number in (self.counter, self.length_field) if number is not None]
+        if (checksum := self.checksum) is not None:
+            size = CHECKSUM_BYTES[checksum.kind]
+            ends.append(checksum.at + size if checksum.at >= 0 else max(ends) - checksum.at)
+        return max(ends)
+
+    def check(self, where: str) -> None:
+        """Refuse a layout that contradicts itself.
+
+        Raises
+        ------
+        BadInput
+            Naming what, after `where`.
+        """
+        try:
+            is_there = bool(self.sync_bytes)
+        except ValueError:
+            is_there = False
+        shortest = self.shortest if is_there else 0
+        checksum, counter = self.checksum, self.counter
+        rules = (
+            (is_there, f'sync is {self.sync!r}, hexadecimal bytes are needed, for example "AA 55"'),
+            (0.0 < self.interval_s < 1e6, f"interval_s is {self.interval_s}, more than 0 is needed"),
+            ((self.length is None) != (self.length_field is None), "either length or length_field is needed"),
+            (
+                self.length is None or shortest <= self.length <= _LONGEST,
+                f"length is {self.length}, but its parts need {shortest} bytes, and {_LONGEST} are allowed",
+            ),
+            (
+                self.length is not None or shortest <= self.longest <= _LONGEST,
+                f"longest is {self.longest}, but its parts need {shortest} bytes, and {_LONGEST} are allowed",
+            ),
+            (bool(self.fields), "it has no fields: nothing would come of it"),
+            (len({each.signal for each in self.fields}) == len(self.fields), "two fields have the same signal"),
+            (
+                all(math.isfinite(each.scale) and each.scale and math.isfinite(each.offset) for each in self.fields),
+                "a scale is 0, or a scale or offset is not finite",
+            ),
+            (
+                counter is None or (counter.modulus or 2) <= 256 ** SIZES[counter.type],
+                "the counter's modulus is more than its type holds",
+            ),
+            (
+                checksum is None or checksum.at >= 0 or -checksum.at >= CHECKSUM_BYTES[checksum.kind],
+                "the checksum reaches beyond the frame",
+            ),
+        )
+        for is_kept, complaint in rules:
+            if not is_kept:
+                raise BadInput(f"{where}: {complaint}")
+        for each in self.fields:
+            check_name("signal", each.signal)
+
+    def order(self, part: FrameField | FrameNumber | FrameChecksum) -> ByteOrder:
+        """Byte order of a part."""
+        return part.byte_order or self.byte_order
+
+
+def decode_layout(text: bytes, where: str) -> FrameLayout:
+    """Read a layout from TOML.
+
+    Raises
+    ------
+    BadInput
+        Naming `where` and the place in it.
+    """
+    try:
+        layout = decode_toml(text, FrameLayout)
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise BadInput(f"{where}: {error}") from None
+    layout.check(where)
+    return layout
+
+
+def load_layout(path: Path) -> FrameLayout:
+    """Read a layout from a TOML file.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be read, or is no layout.
+    """
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise BadInput(f"{path}: the layout of the frames cannot be read: {error.strerror}") from error
+    return decode_layout(text, str(path))
+
+
+def integers(data: ByteArray, at: int, kind: str, order: ByteOrder) -> IntArray:
+    """Whole numbers of one place in many frames, shape (n,)."""
+    part = data[:, at : at + SIZES[kind]].astype(np.int64)
+    columns = part.T if order == "big" else part.T[::-1]
+    value = np.zeros(len(data), np.int64)
+    for column in columns:
+        value = (value << 8) | column
+    bits = 8 * SIZES[kind]
+    return value - ((value >> (bits - 1)) << bits) if kind.startswith("i") else value
+
+
+def floats(data: ByteArray, at: int, kind: str, order: ByteOrder) -> FloatArray:
+    """Floating-point numbers of one place in many frames, shape (n,)."""
+    size = SIZES[kind]
+    part = np.ascontiguousarray(data[:, at : at + size])
+    with np.errstate(invalid="ignore"):  # a device may well send a signalling NaN: it is passed on as NaN
+        return np.asarray(part.view(f"{'>' if order == 'big' else '<'}f{size}").ravel(), np.float64)

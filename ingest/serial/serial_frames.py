@@ -1,0 +1,238 @@
+"""Frames of a gyro on a serial line (RS-422): found in the bytes, checked, decoded and placed in time."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+from uuid import UUID
+
+import numpy as np
+
+from ingest.serial.frame_checksum import CHECKSUM_BYTES, ByteArray, checksums
+from ingest.serial.frame_layout import SIZES, FrameField, FrameLayout, decode_layout, floats, integers, load_layout
+from ingest.serial.frame_times import FrameTimes
+from stream.batch import BoolArray, IntArray, SampleBatch
+
+__all__ = ["FrameCounts", "FrameLayout", "SerialFrames", "decode_layout", "load_layout"]
+
+_REGULAR = 0.05  # of an interval: what times may differ from an exact grid and still be given as one
+_FIT_INT32 = {"u8", "i8", "u16", "i16", "u24", "i24", "i32"}
+
+
+@dataclass
+class FrameCounts:
+    """What became of the bytes of a line.
+
+    Attributes
+    ----------
+    frames : int
+        Whole frames found.
+    bad_checksums, bad_lengths : int
+        Places that began like a frame and were none.
+    dropped_bytes : int
+        Bytes that belong to no frame.
+    lost, repeated, restarts : int
+        Frames that the counters miss, frames that came twice, times that the counter began anew.
+    """
+
+    frames: int = 0
+    bad_checksums: int = 0
+    bad_lengths: int = 0
+    dropped_bytes: int = 0
+    lost: int = 0
+    repeated: int = 0
+    restarts: int = 0
+
+
+@dataclass
+class _Found:
+    starts: list[int] = field(default_factory=list)
+    end: int = 0  # of the last frame
+    consumed: int = 0
+
+
+class _Candidates(NamedTuple):
+    starts: IntArray
+    lengths: IntArray  # -1 where it is not known yet
+    is_legal: BoolArray
+    is_whole: BoolArray
+    is_right: BoolArray
+
+
+class SerialFrames:
+    """Decodes the bytes of one gyro.
+
+    Bytes are read from left to right. Where the sync bytes begin a stretch of a legal length with the right checksum,
+    that stretch is a frame and reading goes on behind it; else one byte is dropped. So every whole frame is found,
+    except where bytes before it look like a frame themselves (sync, length and checksum) and reach into it. With
+    garbage that holds no sync bytes that cannot be, and nothing but the garbage is dropped. How the bytes are cut into
+    pieces makes no difference to which frames are found.
+
+    Parameters
+    ----------
+    layout : FrameLayout
+        The frames.
+    unit, run : str
+        Whose samples they are.
+    epoch : UUID
+        What they are numbered under.
+    resync_s : float
+        Largest delay of the line, see `FrameTimes`.
+
+    Examples
+    --------
+    >>> layout = decode_layout(b'''
+    ... sync = "AA 55"
+    ... length = 5
+    ... interval_s = 0.01
+    ... counter = {at = 2, type = "u8"}
+    ... fields = [{signal = "rate", at = 3, type = "i16", scale = 0.01, unit = "deg/s"}]
+    ... ''', "layout.toml")
+    >>> frames = SerialFrames(layout, "FOG-1", "r1", UUID(int=1))
+    >>> [batch] = frames.feed(bytes.fromhex("00 AA55 07 0064 AA55 08 FFFF AA"), 1_010_000_000)
+    >>> batch.value_array.tolist(), batch.time_array.tolist(), frames.counts.dropped_bytes
+    ([1.0, -0.01], [1000000000, 1010000000], 1)
+    """
+
+    def __init__(self, layout: FrameLayout, unit: str, run: str, epoch: UUID, *, resync_s: float = 0.25) -> None:
+        layout.check(f"unit {unit}: layout of its frames")
+        self.layout = layout
+        self.counts = FrameCounts()
+        self._unit, self._run, self._epoch = unit, run, epoch
+        self._sync = np.frombuffer(layout.sync_bytes, np.uint8)
+        self._shortest = layout.shortest
+        self._longest = layout.longest if layout.length is None else layout.length
+        counter = layout.counter
+        modulus = None if counter is None else counter.modulus or 256 ** SIZES[counter.type]
+        self.times = FrameTimes(layout.interval_s, modulus, resync_s)
+        self._dt_ns = max(1, round(layout.interval_s * 1e9))
+        self._kept = b""
+        self._seq = 0
+
+    def feed(self, data: bytes, t_ns: int) -> list[SampleBatch]:
+        """Take bytes, the last of which arrived at `t_ns`: a batch of each signal, none where no frame is complete."""
+        return self._decode(self._kept + data, t_ns, is_last=False)
+
+    def finish(self, t_ns: int) -> list[SampleBatch]:
+        """Take it that no more bytes come: what waited for the rest of a frame is looked through for shorter ones."""
+        return self._decode(self._kept, t_ns, is_last=True)
+
+    def _decode(self, data: bytes, t_ns: int, *, is_last: bool) -> list[SampleBatch]:
+        array = np.frombuffer(data, np.uint8)
+        found = self._find(array, is_last=is_last)
+        self._kept = data[found.consumed :]
+        if not found.starts:
+            return []
+        head = array[np.array(found.starts)[:, None] + np.arange(self._shortest)]
+        counter = self.layout.counter
+        numbers = None
+        if counter is not None:
+            numbers = integers(head, counter.at, counter.type, self.layout.order(counter))
+            numbers %= counter.modulus or 256 ** SIZES[counter.type]
+        placed = self.times.place(numbers, len(head), t_ns)
+        self.counts.lost, self.counts.repeated = self.times.lost, self.times.repeated
+        self.counts.restarts = self.times.restarts
+        if not len(placed.times_ns):
+            return []
+        head = head[placed.is_new]
+        batches = [self._batch(each, head, placed.times_ns) for each in self.layout.fields]
+        self._seq += len(head)
+        return batches
+
+    def _batch(self, part: FrameField, head: ByteArray, times_ns: IntArray) -> SampleBatch:
+        order = self.layout.order(part)
+        counts = values = None
+        scale, offset = part.scale, part.offset
+        if part.type in _FIT_INT32:
+            counts = integers(head, part.at, part.type, order).astype(np.int32)
+        else:
+            read = floats if part.type.startswith("float") else integers
+            with np.errstate(over="ignore", invalid="ignore"):
+                values = np.asarray(read(head, part.at, part.type, order) * scale + offset, np.float64)
+            scale, offset = 1.0, 0.0
+        grid = times_ns[0] + self._dt_ns * np.arange(len(times_ns), dtype=np.int64)
+        is_regular = bool((np.abs(times_ns - grid) <= _REGULAR * self._dt_ns).all())
+        return SampleBatch(
+            self._unit,
+            part.signal,
+            self._run,
+            self._epoch,
+            self._seq,
+            int(times_ns[0]),
+            self._dt_ns,
+            part.unit,
+            counts=counts,
+            values=values,
+            times_ns=None if is_regular else times_ns,
+            scale=scale,
+            offset=offset,
+        )
+
+    def _find(self, data: ByteArray, *, is_last: bool) -> _Found:
+        """Go through the places that begin like a frame, from left to right."""
+        candidates = self._candidates(data)
+        found = _Found()
+        counts = self.counts
+        for start, length, is_legal, is_whole, is_right in zip(*(each.tolist() for each in candidates), strict=True):
+            if start < found.end:
+                continue
+            if not is_legal:
+                counts.bad_lengths += 1
+            elif not is_whole and not is_last:
+                found.consumed = start
+                break
+            elif is_whole and is_right:
+                found.starts.append(start)
+                counts.frames += 1
+                counts.dropped_bytes -= length
+                found.end = start + length
+            elif is_whole:
+                counts.bad_checksums += 1
+        else:
+            found.consumed = len(data) if is_last else self._rest(data, found.end)
+        counts.dropped_bytes += found.consumed
+        return found
+
+    def _rest(self, data: ByteArray, end: int) -> int:
+        """Where the sync bytes may have begun at the end of the bytes; their length if nowhere."""
+        text = data[max(end, len(data) - len(self._sync) + 1) :].tobytes()
+        sync = self.layout.sync_bytes
+        for n in range(len(text), 0, -1):
+            if text.endswith(sync[:n]):
+                return len(data) - n
+        return len(data)
+
+    def _candidates(self, data: ByteArray) -> _Candidates:
+        places = max(0, len(data) - len(self._sync) + 1)
+        begins = np.ones(places, np.bool_)
+        for i, byte in enumerate(self._sync):
+            begins &= data[i : i + places] == byte
+        starts = np.flatnonzero(begins)
+        lengths = self._lengths(data, starts)
+        is_legal = (lengths == -1) | ((lengths >= self._shortest) & (lengths <= self._longest))
+        is_whole = is_legal & (lengths != -1) & (starts + lengths <= len(data))
+        is_right = is_whole.copy()
+        if self.layout.checksum is not None:
+            for length in np.unique(lengths[is_whole]):
+                these = np.flatnonzero(is_whole & (lengths == length))
+                is_right[these] = self._is_right(data[starts[these][:, None] + np.arange(length)])
+        return _Candidates(starts, lengths, is_legal, is_whole, is_right)
+
+    def _lengths(self, data: ByteArray, starts: IntArray) -> IntArray:
+        number = self.layout.length_field
+        if number is None:
+            return np.full(len(starts), self._longest, np.int64)
+        lengths = np.full(len(starts), -1, np.int64)
+        known = starts + number.at + SIZES[number.type] <= len(data)
+        head = data[starts[known][:, None] + np.arange(number.at + SIZES[number.type])]
+        # a negative length is as illegal as 0, and must not be taken for one that is not known yet
+        lengths[known] = np.maximum(0, integers(head, number.at, number.type, self.layout.order(number)) + number.add)
+        return lengths
+
+    def _is_right(self, frames: ByteArray) -> BoolArray:
+        part = self.layout.checksum
+        assert part is not None
+        length = frames.shape[1]
+        at = part.at % length if part.at < 0 else part.at
+        kind = "u8" if CHECKSUM_BYTES[part.kind] == 1 else "u16"
+        covered = frames[:, part.start : at if part.stop is None else part.stop]
+        said = integers(frames, at, kind, self.layout.order(part))
+        return np.asarray(checksums(part.kind, covered, part.initial) == said)

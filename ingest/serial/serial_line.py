@@ -1,0 +1,203 @@
+"""A serial port with a gyro: read in a thread, opened again when it was unplugged."""
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+from uuid import UUID
+
+from ingest.serial.serial_frames import FrameLayout, SerialFrames
+from ingest.station_clock import StationClock
+from stream.batch import SampleBatch
+from stream.errors import InstrumentError
+
+_LOOK_S = 0.05
+_MOST_BYTES = 1 << 16
+_FIRST_PAUSE_S = 0.5
+_LONGEST_PAUSE_S = 10.0
+_COMPLAIN_EVERY_S = 10.0
+
+
+class SerialLine:
+    """Reads one gyro from a serial port.
+
+    Parameters
+    ----------
+    port : str
+        ``/dev/ttyUSB0``, or any address that pyserial opens.
+    baud : int
+        Bits a second.
+    layout : FrameLayout
+        Its frames.
+    unit, run : str
+        Whose samples they are.
+    epoch : UUID
+        What they are numbered under.
+    clock : StationClock
+        The station's clock.
+    deliver : callable
+        Given each batch, in this line's thread. While it does not return nothing is read, and once the operating
+        system's buffer is full frames are lost, which their counters tell. If it raises, reading ends and that is
+        reported.
+    report : callable
+        Given sentences for people.
+    batch_s : float
+        How long bytes are collected for a batch, seconds of the computer.
+
+    Attributes
+    ----------
+    frames : SerialFrames
+        The decoder, with its counts.
+    error : Exception or None
+        What ended it before its time.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        baud: int,
+        layout: FrameLayout,
+        unit: str,
+        run: str,
+        epoch: UUID,
+        clock: StationClock,
+        deliver: Callable[[SampleBatch], None],
+        report: Callable[[str], None],
+        *,
+        batch_s: float = 0.25,
+    ) -> None:
+        self.frames = SerialFrames(layout, unit, run, epoch)
+        self.error: Exception | None = None
+        self._who = f"unit {unit} at {port}"
+        self._address, self._baud = port, baud
+        self._clock = clock
+        self._deliver, self._report = deliver, report
+        self._batch_s = batch_s
+        self._port: Any = None
+        self._bytes = bytearray()
+        self._arrived_ns = 0
+        self._said = (0, 0, 0, 0)
+        self._said_s = -_COMPLAIN_EVERY_S
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def open(self) -> None:
+        """Open the port.
+
+        Raises
+        ------
+        InstrumentError
+            If it cannot be opened.
+        """
+        if self._port is None:
+            self._port = open_port(self._address, self._baud, self.frames.layout, self._who)
+
+    def start(self) -> None:
+        """Begin to read; a port that cannot be opened is reported and tried again."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name=f"serial {self._address}", daemon=True)
+            self._thread.start()
+
+    def stop(self) -> None:
+        """Deliver what has come, and end; never raises."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            try:
+                self._read_on()
+            finally:
+                self._close()
+            self._decode()
+            self._give(self.frames.finish(self._clock.now_ns()))
+            self._complain(at_once=True)
+        except Exception as error:  # noqa: BLE001  whatever it is, people are to know that nothing is read any more
+            self.error = error
+            self._report(f"{self._who} is not read any more: {error}")
+
+    def _read_on(self) -> None:
+        pause_s, is_down = _FIRST_PAUSE_S, False
+        while not self._stop.is_set():
+            try:
+                self.open()
+                if is_down:
+                    self._report(f"{self._who} is there again")
+                pause_s, is_down = _FIRST_PAUSE_S, False
+                self._read_until_stopped()
+            except (InstrumentError, OSError) as error:
+                self._close()
+                if not is_down:
+                    text = str(error) if isinstance(error, InstrumentError) else f"{self._who} cannot be read: {error}"
+                    self._report(f"{text}; it is tried again until it is there")
+                is_down = True
+                self._stop.wait(pause_s)
+                pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
+
+    def _read_until_stopped(self) -> None:
+        due_s = time.monotonic() + self._batch_s
+        while not self._stop.is_set():
+            part = self._port.read(max(1, min(self._port.in_waiting, _MOST_BYTES)))
+            if part:
+                self._bytes += part
+                self._arrived_ns = self._clock.now_ns()
+            if time.monotonic() >= due_s or len(self._bytes) >= _MOST_BYTES:
+                self._decode()
+                due_s = time.monotonic() + self._batch_s
+
+    def _decode(self) -> None:
+        if self._bytes:
+            data = bytes(self._bytes)
+            self._bytes.clear()
+            self._give(self.frames.feed(data, self._arrived_ns))
+            self._complain()
+
+    def _give(self, batches: list[SampleBatch]) -> None:
+        for batch in batches:
+            self._deliver(batch)
+
+    def _complain(self, *, at_once: bool = False) -> None:
+        """Say what went wrong since it was last said, not more than once in 10 s."""
+        counts = self.frames.counts
+        now = (counts.lost, counts.repeated, counts.dropped_bytes, counts.restarts)
+        if now == self._said or not (at_once or time.monotonic() - self._said_s >= _COMPLAIN_EVERY_S):
+            return
+        lost, repeated, dropped, restarts = (after - before for after, before in zip(now, self._said, strict=True))
+        self._said, self._said_s = now, time.monotonic()
+        self._report(
+            f"{self._who}: {lost} frames lost, {repeated} repeated, {dropped} bytes that belong to no frame, "
+            f"{restarts} new starts of the counter; {counts.frames} frames in all are good"
+        )
+
+    def _close(self) -> None:
+        port, self._port = self._port, None
+        if port is not None:
+            with suppress(Exception):  # what cannot be closed is gone
+                port.close()
+
+
+def open_port(address: str, baud: int, layout: FrameLayout, who: str) -> Any:
+    """Open a serial port for frames of a layout; a port of pyserial.
+
+    Raises
+    ------
+    InstrumentError
+        If it cannot be opened.
+    """
+    import serial
+
+    try:
+        return serial.serial_for_url(
+            address,
+            baud,
+            bytesize=layout.data_bits,
+            parity=layout.parity,
+            stopbits=layout.stop_bits,
+            timeout=_LOOK_S,
+        )
+    except (OSError, ValueError) as error:  # serial's own errors are OSErrors
+        raise InstrumentError(
+            f"{who}: the port cannot be opened: {error}; see that it is plugged in and free"
+        ) from error

@@ -1,0 +1,96 @@
+"""What was planted, for those who judge what was found. Nothing but tests and their judges may read it."""
+
+from collections.abc import Iterable, Iterator
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from ingest.simulator.physics.arrivals import Stretch
+from ingest.simulator.physics.gyro_model import SimulatedGyroModel
+from ingest.simulator.physics.plan import Plan, each_power_on
+from stream.errors import BadInput
+
+
+def truth(gyro: SimulatedGyroModel, duration_s: float) -> dict[str, Any]:
+    """Everything that is planted in one power-on and drawn for it over its first `duration_s` seconds.
+
+    Noise is known by its coefficients; it is drawn again by running the gyro again.
+
+    Returns
+    -------
+    dict
+        ``unit``, ``power_on``, ``day``, ``age_h``, ``seed``, ``duration_s``; ``parameters``, as drawn for the unit;
+        ``drawn``, by power-on and day; ``jumps``, pairs of seconds from power-on and deg/h, planned ones too;
+        ``dropouts`` and ``stuck``, pairs of the first sample and the one after the last.
+
+    Examples
+    --------
+    >>> from ingest.simulator.physics.bias import Bias, Step
+    >>> from ingest.simulator.physics.gyro_model import GyroModelParameters
+    >>> parameters = GyroModelParameters(bias=Bias(step=(Step(at_s=5.0, size_deg_per_h=2.0),)))
+    >>> truth(SimulatedGyroModel(parameters, seed=1, unit="FOG-1"), 60.0)["jumps"]
+    [(5.0, 2.0)]
+    """
+    samples = -(-round(duration_s * 1e9) // gyro.parameters.sample_interval_ns)
+    bias, readout = gyro.bias_effect, gyro.readout_effect
+    return {
+        "unit": gyro.unit,
+        "power_on": gyro.power_on,
+        "day": gyro.day,
+        "age_h": gyro.age_h,
+        "seed": gyro.seed,
+        "duration_s": duration_s,
+        "parameters": msgspec.to_builtins(gyro.parameters),
+        "drawn": {
+            "bias_turn_on_deg_per_h": bias.turn_on_deg_per_h if bias else 0.0,
+            "bias_day_deg_per_h": bias.day_deg_per_h if bias else 0.0,
+            "scale_turn_on_ppm": gyro.scale_effect.turn_on_ppm,
+            "scale_day_ppm": gyro.scale_effect.day_ppm,
+        },
+        "jumps": [tuple(jump) for jump in bias.jumps_until(duration_s)] if bias else [],
+        "dropouts": _within(readout.dropouts(), samples),
+        "stuck": _within(readout.stuck(), samples),
+    }
+
+
+def write_truth(path: Path, plan: Plan, *, power_ons: int, duration_s: float) -> None:
+    """Write what is planted in the first power-ons of every unit of a plan, a line of JSON each.
+
+    Parameters
+    ----------
+    path : Path
+        The file; it is there whole or not at all.
+    plan : Plan
+        The fleet.
+    power_ons : int
+        How many of each unit.
+    duration_s : float
+        How long each lasts.
+
+    Raises
+    ------
+    BadInput
+        If a number is negative or the file cannot be written.
+    """
+    write_lines(path, each_power_on(plan, power_ons), duration_s)
+
+
+def write_lines(path: Path, gyros: Iterable[SimulatedGyroModel], duration_s: float) -> None:
+    """Write what is planted in these power-ons, a line of JSON each; see `write_truth`."""
+    if not 0.0 <= duration_s < float("inf"):
+        raise BadInput(f"truth {path}: a duration of {duration_s} s, a finite number from 0 on is needed")
+    part = path.with_name(f"{path.name}.part")
+    try:
+        with part.open("wb") as file:
+            file.writelines(msgspec.json.encode(truth(gyro, duration_s)) + b"\n" for gyro in gyros)
+        part.replace(path)
+    except OSError as error:
+        raise BadInput(f"truth {path}: cannot be written ({error.strerror or error})") from error
+
+
+def _within(stretches: Iterator[Stretch], samples: int) -> list[tuple[int, int]]:
+    """Those that begin within the samples, cut at their end."""
+    begun = takewhile(lambda stretch: stretch.first < samples, stretches)
+    return [(stretch.first, min(stretch.stop, samples)) for stretch in begun]

@@ -1,0 +1,150 @@
+"""What all simulated SCPI instruments have in common: headers, the queue of errors, and faults on demand."""
+
+import re
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+from typing import Any
+
+from ingest.simulator.timeline import Timeline
+from ingest.station_clock import StationClock
+from stream.batch import FloatArray
+
+Handler = Callable[[str], str | None]
+
+
+class Fault(StrEnum):
+    """What a simulated instrument can be made to do wrong."""
+
+    NONE = "NONE"
+    DROP = "DROP"  # the connection closes at the next line, once
+    REFUSE = "REFUSE"  # commands are refused with an error
+    UNSETTLED = "UNSETTLED"  # commands are accepted and do nothing
+    GARBAGE = "GARBAGE"  # answers are no answers
+    SILENT = "SILENT"  # nothing is answered
+
+
+class Refused(Exception):
+    """A command that the instrument answers with an error of its queue."""
+
+
+class SimulatedDevice:
+    """One simulated instrument, given a line at a time.
+
+    Parameters
+    ----------
+    identity : str
+        Its answer to ``*IDN?``.
+    clock : StationClock
+        The station's clock.
+    settings, queries : mapping
+        Handlers by header, in SCPI's manner: ``TEMPerature:SETPoint`` is TEMP:SETP as well. A setting takes one number.
+
+    Examples
+    --------
+    >>> device = SimulatedDevice("GYROFLEET,NOTHING,0,1", StationClock(), {}, {"TEMPerature:ACTual?": lambda: "25.0"})
+    >>> device.handle("temp:act?;*idn?")
+    '25.0;GYROFLEET,NOTHING,0,1'
+    >>> device.handle("VOLT 5")
+    >>> device.handle("SYST:ERR?")
+    '-113,"Undefined header"'
+    >>> device.handle("SYST:ERR?")
+    '0,"No error"'
+    """
+
+    def __init__(
+        self,
+        identity: str,
+        clock: StationClock,
+        settings: Mapping[str, Callable[[float], None]],
+        queries: Mapping[str, Callable[[], str]],
+    ) -> None:
+        self.clock = clock
+        self.identity = identity
+        self.fault = Fault.NONE
+        self.lines: deque[str] = deque(maxlen=1000)
+        self.course: Timeline[Any] | None = None
+        self._errors: deque[str] = deque(maxlen=20)
+        self._lock = threading.Lock()
+        self._settings = [(_header(name), handler) for name, handler in settings.items()]
+        common = {
+            "*IDN?": lambda: self.identity,
+            "*OPC?": lambda: "1",
+            "SYSTem:ERRor[:NEXT]?": lambda: self._errors.popleft() if self._errors else '0,"No error"',
+            "SIMulation:FAULt?": lambda: self.fault.value,
+        }
+        self._queries = [(_header(name), handler) for name, handler in {**common, **queries}.items()]
+
+    def handle(self, line: str) -> str | None:
+        """Do what a line says; what is answered, if anything is."""
+        with self._lock:
+            self.lines.append(line)
+            answers = [
+                answer for part in line.split(";") if (answer := self._part(part.strip().lstrip(":"))) is not None
+            ]
+        if not answers or self.fault is Fault.SILENT:
+            return None
+        return "\x07?garbage\xb0" if self.fault is Fault.GARBAGE else ";".join(answers)
+
+    def _part(self, text: str) -> str | None:
+        header, _, parameter = text.partition(" ")
+        for pattern, query in self._queries:
+            if pattern.fullmatch(header):
+                return query()
+        try:
+            self._do(header, parameter.strip())
+        except Refused as refused:
+            self._errors.append(str(refused))
+        return None
+
+    def _do(self, header: str, parameter: str) -> None:
+        if header.upper() in {"", "*CLS"}:
+            self._errors.clear()
+            return
+        if _FAULT.fullmatch(header):
+            if parameter.upper() not in Fault.__members__:
+                raise Refused('-224,"Illegal parameter value"')
+            self.fault = Fault(parameter.upper())
+            return
+        for pattern, setting in self._settings:
+            if pattern.fullmatch(header):
+                try:
+                    value = float({"ON": "1", "OFF": "0"}.get(parameter.upper(), parameter))
+                except ValueError:
+                    raise Refused('-104,"Data type error"') from None
+                if self.fault is Fault.REFUSE:
+                    raise Refused('-221,"Settings conflict;door open"')
+                if self.fault is not Fault.UNSETTLED:
+                    setting(value)
+                return
+        raise Refused('-113,"Undefined header"')
+
+
+def within(value: float, low: float, high: float) -> float:
+    """Return a parameter that is within its range.
+
+    Raises
+    ------
+    Refused
+        If it is not.
+    """
+    if not low <= value <= high:
+        raise Refused('-222,"Data out of range"')
+    return value
+
+
+def single(values: FloatArray) -> float:
+    """The one value of a quantity at one time."""
+    return float(values.reshape(()))
+
+
+def _header(name: str) -> re.Pattern[str]:
+    """Regular expression of a header: capitals are its short form, what is in brackets may be left out."""
+    words = re.sub(
+        r"([A-Z]+)([a-z]+)", r"\1(?:\2)?", re.sub(r"([*?])", r"\\\1", name).replace("[", "(~").replace("]", ")?")
+    )
+    return re.compile(words.replace("(~", "(?:"), re.IGNORECASE)
+
+
+_FAULT = _header("SIMulation:FAULt")

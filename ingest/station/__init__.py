@@ -1,0 +1,1 @@
+"""A station: its instruments, units and clock, and the run of a procedure there."""

@@ -1,0 +1,149 @@
+"""The operator of a run at a terminal: prompts, pause, stop and abort by a word and Enter."""
+
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from ingest.procedures.procedure import PlannedStep
+from ingest.station.run import RunStopped
+from stream.console import Stop
+
+_TOLD_EVERY_S = 5.0
+_WORDS = {"p": "pause", "pause": "pause", "c": "continue", "continue": "continue", "a": "abort", "abort": "abort"}
+_HELP = "p Enter pauses, c Enter goes on, a Enter aborts; Ctrl-C stops, to go on later"
+
+
+class ConsoleOperator:
+    """Attends a run at a terminal, or, where there is none, tells how it goes on.
+
+    Parameters
+    ----------
+    console : Console
+        Where it is told.
+    stop : Stop
+        Whether the process was asked to end.
+    says_yes : bool
+        Whether every prompt is taken as done.
+    quiet : bool
+        Tell nothing but what is wrong.
+    listens : bool
+        Whether words are read from standard input.
+    """
+
+    def __init__(self, console: Console, stop: Stop, *, says_yes: bool, quiet: bool, listens: bool) -> None:
+        self._console = console
+        self._stop = stop
+        self._says_yes = says_yes
+        self._quiet = quiet
+        self._words: SimpleQueue[str] = SimpleQueue()
+        self._paused = self._aborted = False
+        self._done = 0
+        self._asked: str | None = None
+        self._told_at = time.monotonic()
+        self._progress = Progress(
+            TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(), console=console,
+            disable=quiet or not console.is_terminal, transient=True,
+        )  # fmt: skip
+        self._task = self._progress.add_task("", total=1.0)
+        self._total_s = 0.0
+        self._look: Callable[[], None] | None = None
+        self._hears = listens
+        if listens:
+            signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # in the background reading fails, and the run goes on
+            threading.Thread(target=self._listen, name="gyrofleet-operator", daemon=True).start()
+
+    def __enter__(self) -> "ConsoleOperator":
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def watch(self, look: Callable[[], None]) -> None:
+        """Have `look` called now and then, which tells what else is wrong."""
+        self._look = look
+
+    def told(self, text: str) -> None:
+        """Print what has happened."""
+        self._console.print(text, soft_wrap=True, markup=False)
+
+    def ready(self, prompt: str) -> bool:
+        """Whether Enter was given since the prompt was first shown.
+
+        Raises
+        ------
+        RunStopped
+            If nobody can give it, as standard input has ended.
+        """
+        if self._says_yes:
+            return True
+        if self._asked != prompt:
+            self._asked = prompt
+            self._done = 0
+            self._console.print(f"{prompt}: then press Enter", soft_wrap=True, markup=False)
+        self._read()
+        if self._done:
+            self._asked = None
+            self._done = 0
+            return True
+        if not self._hears and self._words.empty():
+            raise RunStopped(
+                f"nobody can confirm {prompt!r}: standard input has ended; run it at a terminal, or say --yes"
+            )
+        return False
+
+    def wishes(self) -> str | None:
+        """What was asked for by word or by signal; asked all the time, so other troubles are told meanwhile."""
+        self._read()
+        if self._look is not None:
+            self._look()
+        if self._stop.asked_at is not None:
+            return "stop"
+        if self._aborted:
+            return "abort"
+        return "pause" if self._paused else None
+
+    def at(self, step: PlannedStep, doing: str, left_s: float) -> None:
+        """Show the step, what is done, and the time left; at the station's pace."""
+        self._total_s = max(self._total_s, left_s)
+        text = f"step {step.number} {step.words.step or ''}: {doing}, {_hours(left_s)} left"
+        self._progress.update(self._task, description=text, completed=1.0 - left_s / max(self._total_s, 1e-9))
+        now = time.monotonic()
+        if not self._quiet and not self._console.is_terminal and now - self._told_at >= _TOLD_EVERY_S:
+            self._told_at = now
+            self._console.print(text, soft_wrap=True, markup=False)
+
+    def _listen(self) -> None:
+        try:
+            for line in sys.stdin:
+                self._words.put(line.strip().lower())
+        except (OSError, ValueError):  # in the background, or what is typed is no text
+            pass
+        finally:
+            self._hears = False
+
+    def _read(self) -> None:
+        while True:
+            try:
+                word = self._words.get_nowait()
+            except Empty:
+                return
+            if word == "":
+                self._done += 1
+            elif word not in _WORDS:
+                self._console.print(_HELP, markup=False)
+            else:
+                wish = _WORDS[word]
+                self._aborted = self._aborted or wish == "abort"
+                self._paused = wish == "pause"
+
+
+def _hours(seconds: float) -> str:
+    minutes = round(seconds / 60.0)
+    return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"

@@ -1,0 +1,181 @@
+"""What stands in the way of a run at a station, found before the run has a name and before anything is written."""
+
+import ctypes
+import datetime as dt
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import NamedTuple
+from zoneinfo import ZoneInfo
+
+from ingest.instruments.base import Instrument
+from ingest.station.sources import StationSources
+from ingest.station.station import Station
+from storage.recording.disk_watch import DiskWatch, told_bytes
+from storage.segments.disk import DISK, Disk
+from storage.sql.catalog import Catalog
+from storage.store import Store
+from stream.errors import GyrofleetError, InstrumentError
+
+_EARLIEST = dt.datetime(2024, 1, 1, tzinfo=dt.UTC)  # a computer without a battery begins in 1970 or 2000
+_CLOCK_TOLERANCE_S = 300.0
+_TIME_ERROR = 5  # of adjtimex(2): nothing keeps the clock right
+
+
+class Preflight(NamedTuple):
+    """What was found.
+
+    Parameters
+    ----------
+    instruments : mapping of str
+        What each instrument says it is, by its name.
+    warnings : tuple of str
+        What does not stand in the way and is to be known.
+    """
+
+    instruments: Mapping[str, str]
+    warnings: tuple[str, ...]
+
+
+def preflight(
+    stack: ExitStack,
+    station: Station,
+    instruments: Mapping[str, Instrument],
+    sources: StationSources,
+    *,
+    folders: Sequence[Path],
+    now_ns: int,
+    duration_s: float,
+    disk: Disk = DISK,
+) -> Preflight:
+    """Look at instruments, buses, serial lines, disks, clock and calibration dates, all of them before one is told of.
+
+    Parameters
+    ----------
+    stack : ExitStack
+        Instruments stay open until it is left.
+    station : Station
+        Where.
+    instruments : mapping of Instrument
+        By name; opened here.
+    sources : StationSources
+        Its buses and lines are opened and closed.
+    folders : sequence of Path
+        What will be written to; those that do not exist are looked at where they would be made. With the newest run
+        of those that are stores the clock is compared.
+    now_ns : int
+        Time at the station, nanoseconds UTC.
+    duration_s : float
+        How long the run will take.
+    disk : Disk
+        Whose room.
+
+    Raises
+    ------
+    InstrumentError
+        If the run could not be recorded; the message has everything that stands in its way.
+    """
+    stops: list[str] = []
+    found: dict[str, str] = {}
+    for name, instrument in instruments.items():
+        try:
+            found[name] = _opened(stack, instrument, station)
+        except InstrumentError as error:
+            stops.append(str(error))
+    stops += sources.cannot_be_opened()
+    disks = [_disk_trouble(folder, disk) for folder in folders]
+    stops += [trouble for trouble in disks if trouble is not None]
+    warnings = list(station.overdue(_day(station, now_ns), _day(station, now_ns + round(duration_s * 1e9))))
+    if not station.table.simulated:
+        stops += filter(None, [_clock_trouble(now_ns, folders)])
+        warnings += filter(None, [_drifting_clock()])
+    if len(stops) == 1:
+        raise InstrumentError(stops[0])
+    if stops:
+        listed = "".join(f"\n- {stop}" for stop in stops)
+        raise InstrumentError(f"{len(stops)} things stand in the way of the run; nothing was written:{listed}")
+    return Preflight(found, tuple(f"warning: {warning}" for warning in warnings))
+
+
+def _day(station: Station, t_ns: int) -> dt.date:
+    return dt.datetime.fromtimestamp(t_ns / 1e9, ZoneInfo(station.table.time_zone)).date()
+
+
+def _opened(stack: ExitStack, instrument: Instrument, station: Station) -> str:
+    """Connect to an instrument until the stack is left; what it says it is."""
+    try:
+        identity = instrument.open()
+    except InstrumentError as error:
+        if not station.table.simulated:
+            raise
+        folder = shlex.quote(str(station.path.parent))
+        raise InstrumentError(f"{error}; this station is simulated: `gyrofleet simulate {folder}` plays it") from error
+    stack.callback(instrument.close)
+    return identity
+
+
+def _disk_trouble(folder: Path, disk: Disk) -> str | None:
+    """Why a folder could not take a run; None where it could."""
+    there = next((each for each in (folder, *folder.absolute().parents) if each.is_dir()), Path("/"))
+    try:
+        reserve = DiskWatch(there, disk).reserve_bytes
+        space = disk.space(there)
+    except OSError as error:
+        return f"the disk of {folder} cannot be looked at: {error.strerror}"
+    if space.free >= 2 * reserve:
+        return None
+    return (
+        f"{told_bytes(space.free)} free of {told_bytes(space.total)} on the disk of {folder}, and recording pauses "
+        f"below {told_bytes(reserve)}: free space, or give --store on another disk"
+    )
+
+
+def _clock_trouble(now_ns: int, folders: Sequence[Path]) -> str | None:
+    """Why the time of day cannot be right; None where it can."""
+    now = dt.datetime.fromtimestamp(now_ns / 1e9, dt.UTC)
+    shown = f"the computer's clock shows {now:%Y-%m-%d %H:%M} UTC"
+    if now < _EARLIEST:
+        return f"{shown}: set it, since every sample carries its time"
+    for store in folders:
+        newest_ns = _newest_ns(store)
+        if newest_ns is not None and newest_ns > now_ns + _CLOCK_TOLERANCE_S * 1e9:
+            newest = dt.datetime.fromtimestamp(newest_ns / 1e9, dt.UTC)
+            return f"{shown}, but {store} has a run of a station that ended {newest:%Y-%m-%d %H:%M} UTC: set the clock"
+    return None
+
+
+def _newest_ns(store: Path) -> int | None:
+    """When the newest run that was measured here ended; None where none was, or it cannot be told."""
+    if not (store / "store.json").exists():
+        return None
+    query = (
+        "select epoch_ns(max(ended)) as newest from runs where starts_with(source, 'station ') and not simulated "
+        "and date_known"
+    )
+    try:
+        with Catalog(Store.open(store)) as catalog:
+            (row,) = [row for batch in catalog.batches(query) for row in batch.to_pylist()]
+    except GyrofleetError:
+        return None  # whoever opens the store to write says what is wrong with it
+    newest: int | None = row["newest"]
+    return newest
+
+
+def _drifting_clock(read: Callable[[], int | None] | None = None) -> str | None:
+    """What to warn of where nothing keeps the computer's clock right."""
+    if (read or _clock_state)() != _TIME_ERROR:
+        return None
+    return (
+        "nothing keeps the computer's clock right (no NTP or PTP): times of two computers cannot be compared; "
+        "`timedatectl set-ntp true` mends it"
+    )
+
+
+def _clock_state() -> int | None:
+    """What the kernel says of its clock, see adjtimex(2); None where it cannot be asked."""
+    try:
+        library = ctypes.CDLL(None, use_errno=True)
+        return int(library.adjtimex(ctypes.create_string_buffer(512)))  # all zero: it is only read
+    except (OSError, AttributeError):
+        return None

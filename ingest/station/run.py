@@ -1,0 +1,298 @@
+"""A procedure's run at a station: instruments are set, settled and left to measure."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Protocol
+
+from ingest.instruments.base import Instrument
+from ingest.procedures.procedure import PlannedStep
+from ingest.procedures.run_steps import lasts_s, settings_before
+from ingest.station.bench import StationBench
+from ingest.station.log import RunLog
+from ingest.station.station import Station
+from ingest.station_clock import StationClock
+from stream.errors import InstrumentError, RunAborted
+
+_LOOK_S = 0.05
+_SAVE_EVERY_S = 5.0
+_ASK_SETTLED_S = 1.0  # at the station
+_RETRY_S = 2.0
+_ARRIVE_S = 2.0  # how long the last samples of a step may take to come
+
+
+class Source(Protocol):
+    """Where samples come from: a bus, a serial line, the sampler of an instrument."""
+
+    def start(self) -> None:
+        """Begin to deliver."""
+
+    def stop(self) -> None:
+        """Deliver what has come, and end; never raises."""
+
+
+class Operator(Protocol):
+    """Whoever attends the run."""
+
+    def told(self, text: str) -> None:
+        """Something has happened that people should know."""
+
+    def ready(self, prompt: str) -> bool:
+        """Whether what a prompt asks for has been done; asked again and again until it has."""
+
+    def wishes(self) -> str | None:
+        """``pause``, ``stop`` (to go on later) or ``abort``; None to go on."""
+
+    def at(self, step: PlannedStep, doing: str, left_s: float) -> None:
+        """The step that is worked on, what is being done, and how long the rest of the run will take."""
+
+
+class RunStopped(RunAborted):
+    """A run that was stopped and can be gone on with."""
+
+
+class StationRun:
+    """Works off the steps of a procedure that are left.
+
+    Parameters
+    ----------
+    log : RunLog
+        What is said of the run, and how far it is.
+    steps : sequence of PlannedStep
+        All its steps.
+    station : Station
+        Where.
+    instruments : mapping of Instrument
+        The station's instruments, by name.
+    operator : Operator
+        Who attends.
+    clock : StationClock
+        The station's clock.
+    settle_timeout_s : float
+        Seconds at the station after which an instrument that has not settled is given up.
+
+    Attributes
+    ----------
+    unsafe : tuple of str
+        Instruments that could not be made safe at the end.
+    """
+
+    def __init__(
+        self,
+        log: RunLog,
+        steps: Sequence[PlannedStep],
+        station: Station,
+        instruments: Mapping[str, Instrument],
+        operator: Operator,
+        clock: StationClock,
+        *,
+        settle_timeout_s: float = 6 * 3600.0,
+    ) -> None:
+        self._log = log
+        self._steps = steps
+        self._bench = StationBench(station, instruments)
+        self._operator = operator
+        self._clock = clock
+        self._settle_timeout_s = settle_timeout_s
+        self._is_set_up = False
+        self.unsafe: tuple[str, ...] = ()
+
+    def report(self, text: str) -> None:
+        """Remember what a source or instrument says, and tell the operator; from any thread."""
+        self._log.note(text)
+        self._operator.told(text)
+
+    def go(self, sources: Callable[[], Sequence[Source]], samplers: Sequence[Source] = ()) -> None:
+        """Work off the steps; the station is made safe behind the last one, and whatever happens.
+
+        Parameters
+        ----------
+        sources : callable
+            Makes the sources of the units for their epochs as they are; called again after every power-on.
+        samplers : sequence of Source
+            Those of the instruments, which measure all the time.
+
+        Raises
+        ------
+        RunStopped
+            If the operator stops it, or an instrument fails; it can be gone on with.
+        RunAborted
+            If the operator aborts it.
+        InstrumentError
+            If a source cannot be started.
+        """
+        active: list[Source] = []
+        outcome = "interrupted"
+        try:
+            for sampler in samplers:
+                sampler.start()
+            self._power_up()
+            if self._log.state.is_powered:
+                self._restart(active, sources)
+            while self._log.state.step < len(self._steps):
+                self._work(self._steps[self._log.state.step], active, partial(self._restart, active, sources))
+        except RunAborted as aborted:
+            outcome = "interrupted" if isinstance(aborted, RunStopped) else "aborted"
+            raise
+        finally:
+            cut_ns = self._clock.now_ns()
+            troubles = self._bench.rest()  # before anything is said, which may have to wait for a recorder
+            rest_ns = self._clock.now_ns()
+            _stop(active)
+            _stop(list(samplers))
+            self._log.end_steps(outcome, cut_ns)
+            self._tell_rest(troubles, rest_ns)
+
+    def make_safe(self) -> None:
+        """Bring every instrument to where it can be left alone; what fails is said, and hinders no other."""
+        troubles = self._bench.rest()
+        self._tell_rest(troubles, self._clock.now_ns())
+
+    def _tell_rest(self, troubles: Mapping[str, str], rest_ns: int) -> None:
+        self.unsafe = tuple(troubles)
+        supplies = self._bench.supplies()
+        if supplies and not any(name in troubles for name in supplies):
+            self._log.power_off(rest_ns)
+        for name, trouble in troubles.items():
+            self.report(f"warning: {name} could not be made safe: {trouble}; see to it by hand")
+
+    def _power_up(self) -> None:
+        """Have the units powered, unless the step that is due begins without power; whoever lost it has a new epoch."""
+        if self._log.state.is_powered and self._bench.is_dead():
+            self.report("the units have lost their power since the run was left")
+            self._log.save(is_powered=False)
+        if self._log.state.is_powered:
+            return
+        self._log.power_off()  # where a crash came before it was said
+        rest = self._steps[self._log.state.step :]
+        if rest and rest[0].power not in {"cycle", "off"}:
+            self._bench.switch(1.0)
+            self._log.power_on()
+
+    def _restart(self, active: list[Source], sources: Callable[[], Sequence[Source]]) -> None:
+        _stop(active)
+        for source in sources():
+            active.append(source)
+            source.start()
+
+    def _work(self, step: PlannedStep, active: list[Source], restart: Callable[[], None]) -> None:
+        """One step, from its commands to its last sample."""
+        if step.prompt is not None:
+            prompt = f"{step.prompt.en} / {step.prompt.zh}"
+            self._until(step, "waiting for the operator", partial(self._operator.ready, prompt), None)
+        if step.power in {"cycle", "off"}:
+            self._log.save(is_powered=False)  # before it is: who takes the run up after a crash switches on, or off
+            self._until(step, "switching off", partial(self._bench.switch, 0.0), self._settle_timeout_s)
+            off_ns = self._clock.now_ns()
+            _stop(active)
+            self._log.power_off(off_ns)
+            self._pause(step, "power off", step.off_s)
+        due = self._due(step)
+        for what, value in due.items():
+            self._until(
+                step, f"setting {what} to {value:g}", partial(self._bench.set, what, value), self._settle_timeout_s
+            )
+        # what was set before an interruption has to be reached anew
+        for what in dict.fromkeys([*(each for each in due if each not in step.settings), *step.wait_settled]):
+            self._until(step, f"{what} settles", partial(self._bench.is_settled, what), self._settle_timeout_s)
+        if step.power in {"cycle", "on"}:
+            self._until(step, "switching on", partial(self._bench.switch, 1.0), self._settle_timeout_s)
+            self._log.power_on()
+            restart()
+        self._pause(step, "warming up", step.warm_up_s)
+        if step.is_recorded:
+            began_ns = self._log.begin_step(step)
+            # what settles is in the data, and dropped when the step is evaluated
+            lasts_s = step.settle_s + step.record_s
+            self._pause(step, "recording", lasts_s, began_ns)
+            end_ns = began_ns + round(lasts_s * 1e9)
+            self._await_last(step)
+            self._log.end_steps("completed", end_ns - 1)
+        else:
+            self._pause(step, "settling", step.settle_s)
+            state = self._log.state
+            self._log.save(step=state.step + 1, steps_done=state.steps_done + 1)
+
+    def _await_last(self, step: PlannedStep) -> None:
+        """Wait until the samples of a step have come, which they do a little later; say which units lack some."""
+        coverage = self._log.coverage
+        until_s = time.monotonic() + _ARRIVE_S + self._clock.computer_s(2.0 * coverage.longest_interval_s)
+        is_enough = lambda: coverage.is_whole or time.monotonic() > until_s  # noqa: E731
+        self._until(step, "the last samples come", is_enough, None)
+        named = step.words.step or step.words.procedure
+        lacking = coverage.lacking()
+        for unit, what in lacking:
+            text = f"warning: step {step.number} ({named}), unit {unit}: {what}; see its wiring and power"
+            self._log.note(text, unit)
+            self._operator.told(text)
+        if lacking:
+            self._log.save(short_records=self._log.state.short_records + len(dict(lacking)))
+
+    def _due(self, step: PlannedStep) -> dict[str, float]:
+        """What is to be commanded: what is new, and after an interruption, since all was made safe, what held then."""
+        due = {} if self._is_set_up else settings_before(self._steps, self._log.state.step)
+        self._is_set_up = True
+        return due | step.settings
+
+    def _pause(self, step: PlannedStep, doing: str, station_s: float, since_ns: int | None = None) -> None:
+        """Wait so long at the station, while the operator may pause or stop the run."""
+        end_ns = (self._clock.now_ns() if since_ns is None else since_ns) + round(station_s * 1e9)
+        self._until(step, doing, lambda: self._clock.now_ns() >= end_ns, None)
+
+    def _until(self, step: PlannedStep, doing: str, is_so: Callable[[], bool], timeout_s: float | None) -> None:
+        """Wait until it is so; an instrument that fails meanwhile is opened and tried again for as long."""
+        began_ns = self._clock.now_ns()
+        asked_ns = 0
+        trouble = ""
+        while True:
+            before_ns = self._clock.now_ns()
+            self._obey()
+            now_ns = self._clock.now_ns()
+            began_ns += now_ns - before_ns  # a pause is nobody's delay
+            passed_s = (now_ns - began_ns) / 1e9
+            if timeout_s is None or now_ns - asked_ns >= _ASK_SETTLED_S * 1e9:
+                asked_ns = now_ns
+                try:
+                    if is_so():
+                        return
+                except InstrumentError as error:
+                    if not trouble:
+                        self.report(f"{doing}: {error}; trying again")
+                    trouble = f": {error}"
+                    time.sleep(_RETRY_S)
+            if timeout_s is not None and passed_s > timeout_s:
+                named = step.words.step or step.words.procedure
+                raise RunStopped(
+                    f"run {self._log.state.run}, step {step.number} ({named}): {doing} is not done after "
+                    f"{passed_s:,.0f} s{trouble}; the station was made safe"
+                )
+            self._operator.at(step, doing, self._left_s(step, passed_s))
+            if now_ns - self._log.state.seen_ns > _SAVE_EVERY_S * self._clock.speed * 1e9:
+                self._log.save()
+            time.sleep(_LOOK_S)
+
+    def _obey(self) -> None:
+        """Wait while the run is paused; raise where it is to end."""
+        at = f"run {self._log.state.run} {{}} at step {self._log.state.step + 1}"
+        paused = False
+        while (wish := self._operator.wishes()) is not None:
+            if wish == "stop":
+                raise RunStopped(at.format("was stopped"))
+            if wish == "abort":
+                raise RunAborted(at.format("was aborted"))
+            if not paused:
+                paused = True
+                self.report(at.format("is paused"))
+            time.sleep(_LOOK_S)
+        if paused:
+            self.report(at.format("goes on"))
+
+    def _left_s(self, step: PlannedStep, passed_s: float) -> float:
+        rest = self._steps[self._log.state.step + 1 :]
+        return max(0.0, sum(map(lasts_s, (step, *rest))) - passed_s)
+
+
+def _stop(sources: list[Source]) -> None:
+    for source in sources:
+        source.stop()
+    sources.clear()

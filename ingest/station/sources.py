@@ -1,0 +1,142 @@
+"""The sources of a station: its buses, serial lines and instruments, each delivering batches of samples."""
+
+from collections.abc import Callable, Mapping
+from uuid import uuid4
+
+from ingest.can.bus.bus import CanBus
+from ingest.can.bus.clock import ReceiveClock
+from ingest.can.bus.intake import open_intake
+from ingest.can.mapping import CanPlan, load_mapping
+from ingest.can.stream import CanDecoder
+from ingest.instruments.base import Instrument
+from ingest.serial.frame_layout import load_layout
+from ingest.serial.serial_line import SerialLine, open_port
+from ingest.station.log import RunLog
+from ingest.station.run import Source
+from ingest.station.sampling import Sampler
+from ingest.station.station import Station
+from ingest.station_clock import StationClock
+from stream.errors import BadInput, InstrumentError
+
+
+class StationSources:
+    """Makes the sources of a run at a station.
+
+    Parameters
+    ----------
+    station : Station
+        Where.
+    instruments : mapping of Instrument
+        Opened, by name.
+    clock : StationClock
+        The station's clock.
+    units : tuple of str
+        The units that are tested; each must come from a bus or a line.
+
+    Raises
+    ------
+    BadInput
+        If a database, mapping or layout cannot be read, or a unit comes from nowhere.
+    """
+
+    def __init__(
+        self, station: Station, instruments: Mapping[str, Instrument], clock: StationClock, units: tuple[str, ...]
+    ) -> None:
+        self._station = station
+        self._instruments = instruments
+        self._clock = clock
+        self._units = frozenset(units)
+        self._epoch = uuid4()
+        self._plans = {
+            name: _of_units(load_mapping(station.beside(bus.mapping), list(map(station.beside, bus.dbc))), self._units)
+            for name, bus in station.buses.items()
+        }
+        self._layouts = {name: load_layout(station.beside(line.layout)) for name, line in station.lines.items()}
+        self._check_twice()
+        known = {unit for plan in self._plans.values() for unit in plan.units}
+        known |= {line.unit for line in station.lines.values()}
+        if strangers := sorted(self._units - known):
+            raise BadInput(
+                f"no bus or line of station {station.table.name} ({station.path}) has unit {', '.join(strangers)}: add "
+                f"it to a mapping file, or take it out of --units"
+            )
+        if taken := sorted(self._units & set(instruments)):
+            raise BadInput(f"{', '.join(taken)}: a unit and an instrument of {station.path} have the same name")
+
+    def _check_twice(self) -> None:
+        """Refuse a signal that comes on two ways: its samples could not be numbered."""
+        ways: dict[tuple[str, str], str] = {}
+        found = [
+            (f"buses.{name}", unit, signal) for name, plan in self._plans.items() for unit, signal, _ in plan.signals
+        ]
+        found += [
+            (f"lines.{name}", line.unit, "") for name, line in self._station.lines.items() if line.unit in self._units
+        ]
+        for way, unit, signal in found:
+            if (other := ways.setdefault((unit, signal), way)) != way:
+                what = f"signal {signal} of unit {unit}" if signal else f"unit {unit}"
+                raise BadInput(
+                    f"{self._station.path}: {what} comes from {other} and from {way} as well: take it out of one"
+                )
+
+    def cannot_be_opened(self) -> list[str]:
+        """Which buses and lines cannot be opened now, each as a sentence; each is closed again."""
+        found = []
+        for name in self._plans:
+            try:
+                open_intake(self._station.buses[name].bus, ReceiveClock(self._clock, _nobody))[0].close()
+            except InstrumentError as error:
+                found.append(f"buses.{name} of {self._station.path}: {error}")
+        for name, line in self._station.lines.items():
+            if line.unit in self._units:
+                try:
+                    open_port(line.port, line.baud, self._layouts[name], f"unit {line.unit} at {line.port}").close()
+                except InstrumentError as error:
+                    found.append(f"lines.{name} of {self._station.path}: {error}")
+        return found
+
+    def make(self, log: RunLog, report: Callable[[str], None]) -> list[Source]:
+        """Sources for the power-ons as they are; of units that are not tested nothing is taken."""
+        made: list[Source] = [
+            CanBus(
+                self._station.buses[name].bus,
+                self._clock,
+                CanDecoder(plan, run=log.state.run, epoch_of=log.epoch_of),
+                log.deliver,
+                report,
+                wanted={route.arbitration_id for route in plan.routes},
+            )
+            for name, plan in self._plans.items()
+        ]
+        for name, line in self._station.lines.items():
+            if line.unit in self._units:
+                made.append(
+                    SerialLine(
+                        line.port,
+                        line.baud,
+                        self._layouts[name],
+                        line.unit,
+                        log.state.run,
+                        log.epoch_of(line.unit),
+                        self._clock,
+                        log.deliver,
+                        report,
+                    )
+                )
+        return made
+
+    def samplers(self, log: RunLog, report: Callable[[str], None]) -> list[Source]:
+        """Samplers of all instruments, for the whole of a process."""
+        return [
+            Sampler(instrument, log.state.run, self._epoch, log.deliver, report)
+            for instrument in self._instruments.values()
+            if instrument.signals
+        ]
+
+
+def _of_units(plan: CanPlan, units: frozenset[str]) -> CanPlan:
+    return CanPlan(tuple(route for route in plan.routes if route.unit in units), plan.remarks)
+
+
+def _nobody(_sentence: str) -> None:
+    """Nothing of a bus that is closed at once is told."""

@@ -1,0 +1,265 @@
+"""Rows of a table held against the contract: names, times, step words; what passes comes by unit and run."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ingest.tables.columns import Columns, TableOptions
+from ingest.tables.rows import BadRow, BadRowLog, CellBlock, NumberCells, TextCells
+from ingest.tables.steps import cell_text, step_words, with_common_words
+from ingest.tables.times import RunClock, ns_from_index, seconds_text
+from stream.batch import IntArray
+from stream.errors import BadInput
+from stream.events import StepWords
+from stream.identity import check_name
+
+IndexArray = npt.NDArray[np.intp]
+
+_NEVER_NS = np.iinfo(np.int64).min
+_MOST_OWNERS = 10_000
+_LONGEST_S = 1e8
+
+
+class Owner(NamedTuple):
+    """Whose rows these are."""
+
+    unit: str
+    run: str
+
+
+@dataclass(frozen=True)
+class GoodRows:
+    """Rows of one unit and run that keep the contract, in time order.
+
+    Parameters
+    ----------
+    owner : Owner
+        Unit and run.
+    times_ns : ndarray of int64, shape (n,)
+        Strictly increasing, on the run's clock.
+    signals : dict of str to NumberCells
+        By name of the signal, shape (n,) each.
+    stretches : list of (int, int, StepWords or None)
+        Consecutive stretches of rows (from, to, words of their step).
+    done : float
+        Fraction of the file that is read, 0 to 1.
+    """
+
+    owner: Owner
+    times_ns: IntArray
+    signals: dict[str, NumberCells]
+    stretches: list[tuple[int, int, StepWords | None]]
+    done: float
+
+
+class RowFilter:
+    """Lets the good rows of a file through, block after block, and logs the bad ones.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages and the run's default name.
+    columns : Columns
+        What its columns are.
+    options : TableOptions
+        What the command line adds.
+
+    Raises
+    ------
+    BadInput
+        If a name given by the options cannot be used.
+    """
+
+    def __init__(self, path: Path, columns: Columns, options: TableOptions) -> None:
+        self._path = path
+        self._columns = columns
+        self._rate_hz = options.sample_rate_hz
+        self._common_words = options.words
+        self._unit = None if columns.unit else check_name("unit", options.unit or "")
+        self._run = None if columns.run else _run_name(path, options.run)
+        self._last_ns: dict[Owner, int] = {}
+        self._seen: dict[Owner, int] = {}
+        self.clock = RunClock(options.start_ns)
+        self.log = BadRowLog()
+        self.rows = 0
+
+    def good(self, block: CellBlock) -> list[GoodRows]:
+        """Good rows of the next block, by unit and run."""
+        units = self._names(block, "unit", self._columns.unit)
+        runs = self._names(block, "run", self._columns.run)
+        words = [self._words(block, number) for number in range(len(self._columns.words))]
+        passed: list[tuple[Owner, IndexArray, IntArray]] = []
+        owned = list(self._owned(units, runs, len(block.numbers)))
+        written_ns = self._written_times(block, owned)
+        self._settle_clock(block, written_ns)
+        times_ns = self.clock.place(written_ns)
+        for owner, rows in owned:
+            rows = rows[~block.sieve.bad[rows]]
+            rows = self._in_order(block, owner, rows, times_ns)
+            if len(rows):
+                passed.append((owner, rows, times_ns))
+        self.rows += len(block.numbers)
+        self.log.add(int(block.sieve.bad.sum()), block.sieve.reasons())
+        return [self._good_rows(block, owner, rows, times_ns, words) for owner, rows, times_ns in passed]
+
+    def _names(self, block: CellBlock, kind: str, title: str | None) -> TextCells | None:
+        if title is None:
+            return None
+
+        def read(cell: object) -> str:
+            name = cell_text(cell)
+            if not name:
+                raise BadInput(f"the name of a {kind}")
+            try:
+                return check_name(kind, name)
+            except BadInput as error:
+                raise BadInput("a name without white space or / * $ ? #") from error
+
+        names = _read_texts(block, title, read)
+        _refuse_empty(block, title, names, f"the name of a {kind}")
+        return names
+
+    def _words(self, block: CellBlock, number: int) -> TextCells:
+        column = self._columns.words[number]
+        return _read_texts(block, column.title, column.read)
+
+    def _owned(self, units: TextCells | None, runs: TextCells | None, n: int) -> Iterator[tuple[Owner, IndexArray]]:
+        if units is None and runs is None:
+            assert self._unit is not None
+            assert self._run is not None
+            yield Owner(self._unit, self._run), np.arange(n)
+            return
+        unit_names = [self._unit] if units is None else units.values
+        run_names = [self._run] if runs is None else runs.values
+        unit_codes = np.zeros(n, np.int64) if units is None else units.codes.astype(np.int64)
+        run_codes = np.zeros(n, np.int64) if runs is None else runs.codes.astype(np.int64)
+        keys = np.where((unit_codes < 0) | (run_codes < 0), -1, unit_codes * len(run_names) + run_codes)
+        order = np.argsort(keys, kind="stable")
+        found, begins = np.unique(keys[order], return_index=True)
+        for key, rows in zip(found.tolist(), np.split(order, begins[1:]), strict=True):
+            if key >= 0:
+                unit, run = divmod(key, len(run_names))
+                yield Owner(str(unit_names[unit]), str(run_names[run])), rows
+
+    def _written_times(self, block: CellBlock, owned: list[tuple[Owner, IndexArray]]) -> IntArray:
+        if block.times_ns is not None:
+            return block.times_ns
+        assert self._rate_hz is not None
+        times_ns = np.zeros(len(block.numbers), np.int64)
+        for owner, rows in owned:
+            first = self._seen.get(owner, 0)
+            if (first + len(rows)) / self._rate_hz >= _LONGEST_S:
+                raise BadInput(f"{self._path}: at {self._rate_hz} Hz it lasts over 3 years; is --sample-rate right?")
+            times_ns[rows] = ns_from_index(np.arange(first, first + len(rows), dtype=np.int64), self._rate_hz)
+            self._seen[owner] = first + len(rows)
+        return times_ns
+
+    def _settle_clock(self, block: CellBlock, written_ns: IntArray) -> None:
+        if block.times_ns is None:
+            self.clock.is_utc = False
+            return
+        if self.clock.is_utc is None:
+            good = np.flatnonzero(~block.sieve.bad)
+            if not len(good):
+                return
+            try:
+                self.clock.settle(int(written_ns[good[0]]))
+            except BadInput as error:
+                raise BadInput(f"{self._path}: {error}") from error
+        expected = "UTC, as the first time of the file" if self.clock.is_utc else "below 1e8 s, as the first time"
+        rows = np.flatnonzero(self.clock.misplaced(written_ns))
+        block.sieve.refuse(rows, lambda row: self._bad_time(block, row, int(written_ns[row]), expected))
+
+    def _in_order(self, block: CellBlock, owner: Owner, rows: IndexArray, times_ns: IntArray) -> IndexArray:
+        if not len(rows):
+            return rows
+        if owner not in self._last_ns and len(self._last_ns) >= _MOST_OWNERS:
+            raise BadInput(f"{self._path}: more than {_MOST_OWNERS} units and runs; does column 'unit' hold names?")
+        times = times_ns[rows]
+        # a late row never is the latest: the running maximum of all rows is that of the good ones
+        latest = np.maximum.accumulate(np.concatenate([[self._last_ns.get(owner, _NEVER_NS)], times]))
+        self._last_ns[owner] = int(latest[-1])
+        late = times <= latest[:-1]
+        if not late.any():
+            return rows
+        before = dict(zip(rows[late].tolist(), latest[:-1][late].tolist(), strict=True))
+
+        def why(row: int) -> BadRow:
+            expected = f"a time after {seconds_text(before[row])} (unit {owner.unit}, run {owner.run})"
+            return self._bad_time(block, row, int(times_ns[row]), expected)
+
+        block.sieve.refuse(rows[late], why)
+        return rows[~late]
+
+    def _bad_time(self, block: CellBlock, row: int, time_ns: int, expected: str) -> BadRow:
+        title = self._columns.time.title if self._columns.time is not None else ""
+        return BadRow(block.place, int(block.numbers[row]), title, seconds_text(time_ns), expected)
+
+    def _good_rows(
+        self, block: CellBlock, owner: Owner, rows: IndexArray, times_ns: IntArray, words: list[TextCells]
+    ) -> GoodRows:
+        signals = block.signals
+        if len(rows) < len(block.numbers):
+            times_ns = times_ns[rows]
+            signals = {name: _taken(cells, rows) for name, cells in signals.items()}
+        return GoodRows(owner, times_ns, signals, self._stretches(rows, words), block.done)
+
+    def _stretches(self, rows: IndexArray, words: list[TextCells]) -> list[tuple[int, int, StepWords | None]]:
+        codes = [cells.codes[rows] for cells in words]
+        changed = np.zeros(len(rows) - 1, np.bool_)
+        for column in codes:
+            changed |= column[1:] != column[:-1]
+        edges = [0, *(np.flatnonzero(changed) + 1).tolist(), len(rows)]
+        stretches = []
+        for begin, end in pairwise(edges):
+            values = [
+                cells.values[code[begin]] if code[begin] >= 0 else None
+                for cells, code in zip(words, codes, strict=True)
+            ]
+            said = with_common_words(step_words(self._columns.words, values), self._common_words)
+            stretches.append((begin, end, said))
+        return stretches
+
+
+def _run_name(path: Path, run: str | None) -> str:
+    if run is not None:
+        return check_name("run", run)
+    try:
+        return check_name("run", path.stem)
+    except BadInput as error:
+        raise BadInput(f"{path}: the file's name cannot name the run; give --run R ({error})") from error
+
+
+def _read_texts(block: CellBlock, title: str, read: Callable[[object], Any]) -> TextCells:
+    """Read every distinct cell once; equal meanings share a code, empty ones and unreadable ones have -1."""
+    cells = block.texts[title]
+    meanings: dict[Any, int] = {}
+    codes = np.full(len(cells.values) + 1, -1, np.int32)
+    for code, cell in enumerate(cells.values):
+        try:
+            meaning = read(cell)
+        except BadInput as error:
+            rows = np.flatnonzero(cells.codes == code)
+            block.sieve.refuse(rows, _unreadable(block, title, str(cell), str(error)))
+        else:
+            if meaning is not None:
+                codes[code] = meanings.setdefault(meaning, len(meanings))
+    # code -1 (empty) finds the last place
+    return TextCells(codes[cells.codes], list(meanings))
+
+
+def _unreadable(block: CellBlock, title: str, found: str, expected: str) -> Callable[[int], BadRow]:
+    return lambda row: BadRow(block.place, int(block.numbers[row]), title, found, expected)
+
+
+def _refuse_empty(block: CellBlock, title: str, names: TextCells, expected: str) -> None:
+    block.sieve.refuse(np.flatnonzero(names.codes < 0), _unreadable(block, title, "", expected))
+
+
+def _taken(cells: NumberCells, rows: IndexArray) -> NumberCells:
+    return NumberCells(cells.values[rows], None if cells.valid is None else cells.valid[rows])

@@ -1,0 +1,265 @@
+"""Tables of samples: CSV and Parquet files that keep the import contract, in two passes.
+
+The first pass checks every row and finds out how each signal is sampled; the second delivers batches and
+steps. Neither holds more than a few blocks of the file.
+"""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from uuid import UUID
+
+import numpy as np
+
+from ingest.tables.batches import Batcher, BatchHead
+from ingest.tables.checks import GoodRows, Owner, RowFilter
+from ingest.tables.columns import SignalColumn, TableOptions, read_header
+from ingest.tables.csv_chunks import CsvTable
+from ingest.tables.file_stamp import FileStamp
+from ingest.tables.grid import SamplingGrid
+from ingest.tables.parquet_chunks import ParquetTable
+from ingest.tables.rows import BadRows, NumberCells, TableReader
+from ingest.tables.sample_file import Keep, Progress
+from ingest.tables.steps import StepTracker
+from ingest.tables.summary import SignalChunk, SignalSummary, TableSummary
+from stream.batch import FloatArray, IntArray, SampleBatch
+from stream.errors import BadInput
+from stream.events import StepEnded, StepStarted
+
+CSV_SUFFIXES = frozenset({".csv", ".tsv", ".txt"})
+PARQUET_SUFFIXES = frozenset({".parquet", ".pq"})
+COUNT_UNITS = frozenset({"count", "LSB"})
+
+_INT32 = np.iinfo(np.int32)
+# Batches are split at gaps where that leaves at least this many samples in one on average.
+_SAMPLES_PER_GAP = 50
+
+
+class TableFile:
+    r"""A CSV or Parquet file that keeps the import contract.
+
+    Parameters
+    ----------
+    path : Path
+        The file: .csv, .tsv, .txt, .parquet or .pq.
+    options : TableOptions
+        What its columns do not say.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be read or its header does not keep the contract.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> folder = tempfile.TemporaryDirectory()
+    >>> path = Path(folder.name) / "drift.csv"
+    >>> _ = path.write_text("time[s],rate[deg/s]\n0.00,1.5\n0.01,1.6\n")
+    >>> table = TableFile(path, TableOptions(unit="FOG-0231"))
+    >>> table.check().signals[0].sampling.dt_ns
+    10000000
+    >>> [batch.value_array.tolist() for batch in table.batches(lambda unit, run: UUID(int=1))]
+    [[1.5, 1.6]]
+    >>> folder.cleanup()
+    """
+
+    def __init__(self, path: Path, options: TableOptions) -> None:
+        self._path = path
+        self._options = options
+        self._reader = _open(path)
+        self._columns = read_header(path, self._reader.titles, options)
+        self._reader.bind(self._columns)
+        self._stamp = FileStamp(path)
+        self._summary: TableSummary | None = None
+        # the names that the options give are checked before anything is read
+        self._new_filter()
+
+    def check(self, progress: Progress | None = None) -> TableSummary:
+        """Read the whole file, hold every row against the contract, and say what the file holds.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called with the fraction of the file that is read, 0 to 1.
+
+        Raises
+        ------
+        BadRows
+            If rows are bad and `skip_bad` is not set; it carries them.
+        BadInput
+            If the file as a whole cannot be used.
+        """
+        rows = self._new_filter()
+        grids: dict[tuple[Owner, str], SamplingGrid] = {}
+        may_be_counts = {signal.name: self._may_be_counts(signal) for signal in self._columns.signals}
+        tracker = StepTracker()
+        steps = 0
+        for good in self._good_rows(rows, progress):
+            for name, cells in good.signals.items():
+                times_ns, values = _samples(good.times_ns, cells)
+                if len(times_ns):
+                    grids.setdefault((good.owner, name), SamplingGrid()).add(times_ns)
+                    may_be_counts[name] = may_be_counts[name] and _are_int32(values)
+            for begin, end, words in good.stretches:
+                first_ns, last_ns = int(good.times_ns[begin]), int(good.times_ns[end - 1])
+                _, started = tracker.follow(*good.owner, words, first_ns=first_ns, last_ns=last_ns)
+                steps += started is not None
+        if rows.log.count and not self._options.skip_bad:
+            raise BadRows(self._path, tuple(rows.log.kept), rows.log.count)
+        if not grids:
+            raise BadInput(f"{self._path}: {rows.rows} rows, {rows.log.count} of them bad, and not one sample")
+        units = {signal.name: signal.unit_of_measure for signal in self._columns.signals}
+        self._summary = TableSummary(
+            rows=rows.rows,
+            bad_rows=rows.log.count,
+            bad=tuple(rows.log.kept),
+            date_known=rows.clock.date_known,
+            steps=steps,
+            signals=tuple(
+                SignalSummary(owner.unit, owner.run, name, units[name], may_be_counts[name], grid.finish())
+                for (owner, name), grid in grids.items()
+            ),
+            words=self._options.words,
+        )
+        return self._summary
+
+    def chunks(self, progress: Progress | None = None) -> Iterator[SignalChunk]:
+        """Every sample of the good rows, signal by signal and block by block.
+
+        Raises
+        ------
+        BadInput
+            As `check`, which runs first where it has not; and if the file has changed since.
+        """
+        counts = self._counts()
+        for good in self._good_rows(self._new_filter(), progress):
+            for name, cells in good.signals.items():
+                times_ns, data = _samples(good.times_ns, cells)
+                if len(times_ns):
+                    yield SignalChunk(*good.owner, name, times_ns, data.astype(np.int32) if counts[name] else data)
+
+    def batches(
+        self,
+        epoch_of: Callable[[str, str], UUID],
+        keep: Keep | None = None,
+        progress: Progress | None = None,
+    ) -> Iterator[SampleBatch | StepStarted | StepEnded]:
+        """Batches of samples and the steps around them, in time order for each unit and run.
+
+        A batch lies in one step. Samples of each signal are numbered from 0 as they are delivered.
+
+        Parameters
+        ----------
+        epoch_of : callable
+            From unit and run to the epoch of their samples.
+        keep : callable, optional
+            From unit, run, signal and times (ndarray of int64, nanoseconds) to a mask of those to deliver.
+            Steps are delivered whatever it says.
+        progress : callable, optional
+            Called with the fraction of the file that is read, 0 to 1.
+
+        Raises
+        ------
+        BadInput
+            As `check`, which runs first where it has not; and if the file has changed since.
+        """
+        counts = self._counts()
+        batchers = self._batchers(epoch_of)
+        tracker = StepTracker()
+        for good in self._good_rows(self._new_filter(), progress):
+            mine = batchers.setdefault(good.owner, {})
+            for begin, end, words in good.stretches:
+                if not tracker.is_open(*good.owner, words):
+                    yield from _flushed(mine)
+                first_ns, last_ns = int(good.times_ns[begin]), int(good.times_ns[end - 1])
+                for document in tracker.follow(*good.owner, words, first_ns=first_ns, last_ns=last_ns):
+                    if document is not None:
+                        yield document
+                for name, cells in good.signals.items():
+                    times_ns, data = _samples(good.times_ns[begin:end], _sliced(cells, begin, end))
+                    if keep is not None and len(times_ns):
+                        kept = keep(*good.owner, name, times_ns)
+                        times_ns, data = times_ns[kept], data[kept]
+                    if len(times_ns):
+                        yield from mine[name].push(times_ns, data.astype(np.int32) if counts[name] else data)
+        for owner, mine in batchers.items():
+            yield from _flushed(mine)
+            ended = tracker.close(*owner)
+            if ended is not None:
+                yield ended
+
+    def _good_rows(self, rows: RowFilter, progress: Progress | None) -> Iterator[GoodRows]:
+        self._stamp.check()
+        for block in self._reader.blocks():
+            yield from rows.good(block)
+            if progress is not None:
+                progress(block.done)
+        self._stamp.check()
+
+    def _new_filter(self) -> RowFilter:
+        return RowFilter(self._path, self._columns, self._options)
+
+    def _checked(self) -> TableSummary:
+        return self._summary if self._summary is not None else self.check()
+
+    def _counts(self) -> dict[str, bool]:
+        return {summary.signal: summary.is_counts for summary in self._checked().signals}
+
+    def _batchers(self, epoch_of: Callable[[str, str], UUID]) -> dict[Owner, dict[str, Batcher]]:
+        batchers: dict[Owner, dict[str, Batcher]] = {}
+        for found in self._checked().signals:
+            sampling = found.sampling
+            head = BatchHead(
+                unit=found.unit,
+                signal=found.signal,
+                run=found.run,
+                epoch=epoch_of(found.unit, found.run),
+                dt_ns=sampling.dt_ns,
+                unit_of_measure=found.unit_of_measure,
+                irregular=sampling.irregular,
+            )
+            splits_at_gaps = sampling.gaps * _SAMPLES_PER_GAP <= sampling.samples
+            batcher = Batcher(head, self._options.batch_samples, splits_at_gaps=splits_at_gaps)
+            batchers.setdefault(Owner(found.unit, found.run), {})[found.signal] = batcher
+        return batchers
+
+    def _may_be_counts(self, signal: SignalColumn) -> bool:
+        return signal.unit_of_measure in COUNT_UNITS or signal.title in self._reader.integer_titles
+
+
+def _open(path: Path) -> TableReader:
+    suffix = path.suffix.lower()
+    try:
+        size = path.stat().st_size
+        if path.is_dir():
+            raise BadInput(f"{path}: a directory; give a file")
+        if suffix not in CSV_SUFFIXES | PARQUET_SUFFIXES:
+            known = " ".join(sorted(CSV_SUFFIXES | PARQUET_SUFFIXES))
+            raise BadInput(f"{path}: unknown kind of file {suffix!r}; tables are {known}")
+        if size == 0:
+            raise BadInput(f"{path}: the file is empty")
+        return CsvTable(path) if suffix in CSV_SUFFIXES else ParquetTable(path)
+    except FileNotFoundError as error:
+        raise BadInput(f"{path}: no such file") from error
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be opened ({error.strerror or error})") from error
+
+
+def _samples(times_ns: IntArray, cells: NumberCells) -> tuple[IntArray, FloatArray]:
+    if cells.valid is None:
+        return times_ns, cells.values
+    return times_ns[cells.valid], cells.values[cells.valid]
+
+
+def _sliced(cells: NumberCells, begin: int, end: int) -> NumberCells:
+    return NumberCells(cells.values[begin:end], None if cells.valid is None else cells.valid[begin:end])
+
+
+def _are_int32(values: FloatArray) -> bool:
+    in_range = bool(values.min() >= _INT32.min) and bool(values.max() <= _INT32.max)
+    return in_range and bool((values == np.rint(values)).all())
+
+
+def _flushed(batchers: dict[str, Batcher]) -> Iterator[SampleBatch]:
+    for batcher in batchers.values():
+        yield from batcher.flush()

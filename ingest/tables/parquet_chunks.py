@@ -1,0 +1,221 @@
+"""Parquet files, some rows at a time."""
+
+from collections.abc import Iterator
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ingest.tables.columns import Columns
+from ingest.tables.rows import BadRow, CellBlock, NumberCells, Sieve, TextCells
+from ingest.tables.times import decimal_places, ns_from_decimals, ns_from_floats, ns_from_integers
+from stream.batch import BoolArray, IntArray
+from stream.errors import BadInput
+
+BLOCK_ROWS = 131_072
+_BLOCK_CELLS = 1_000_000
+_PAGE_BYTES = 1 << 18
+
+
+class ParquetTable:
+    """A Parquet file as blocks of rows.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    block_rows : int
+        Most rows in a block; fewer where there are many columns.
+
+    Raises
+    ------
+    BadInput
+        If it is no Parquet file, or holds no rows.
+    """
+
+    def __init__(self, path: Path, block_rows: int = BLOCK_ROWS) -> None:
+        self._path = path
+        try:
+            with self._open() as file:
+                schema: pa.Schema = file.schema_arrow
+                self._rows: int = file.metadata.num_rows
+            self._titles = tuple(str(name) for name in schema.names)
+            self._types = {name: _plain(schema.field(i).type) for i, name in enumerate(self._titles)}
+        except Exception as error:  # the decoder raises whatever a damaged file makes it meet
+            raise self._damaged(error) from error
+        if self._rows == 0:
+            raise BadInput(f"{path}: no rows; nothing to import")
+        self._block_rows = max(1, min(block_rows, _BLOCK_CELLS // max(len(self._titles), 1)))
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """Titles of the columns."""
+        return self._titles
+
+    @property
+    def integer_titles(self) -> frozenset[str]:
+        """Titles of the columns that hold integers by their type."""
+        return frozenset(title for title, kind in self._types.items() if pa.types.is_integer(kind))
+
+    def bind(self, columns: Columns) -> None:
+        """Take what the columns mean.
+
+        Raises
+        ------
+        BadInput
+            If a signal or the time is not numeric, or a name or word is neither text nor a number.
+        """
+        self._columns = columns
+        numeric = [signal.title for signal in columns.signals]
+        if columns.time is not None:
+            numeric.append(columns.time.title)
+        for title in numeric:
+            if not (_is_numeric(self._types[title]) or pa.types.is_null(self._types[title])):
+                raise BadInput(
+                    f"{self._path}: column {title!r} holds {self._types[title]}, expected numbers; convert it"
+                )
+        for title in columns.text_titles:
+            if not _is_word(self._types[title]):
+                raise BadInput(f"{self._path}: column {title!r} holds {self._types[title]}, expected text; convert it")
+
+    def blocks(self) -> Iterator[CellBlock]:
+        """Read the rows from the beginning."""
+        first = 0
+        for batch in self._batches():
+            try:
+                block = self._block(batch, first)
+            except (pa.ArrowException, UnicodeDecodeError, ValueError) as error:
+                raise self._damaged(error) from error
+            first += batch.num_rows
+            yield block
+        if first != self._rows:
+            raise BadInput(f"{self._path}: {first} rows could be read of {self._rows}; the file is damaged")
+
+    def _batches(self) -> Iterator[pa.RecordBatch]:
+        try:
+            with self._open() as file:
+                # many small row groups give as many small batches: they are put together
+                pending: list[pa.RecordBatch] = []
+                for batch in file.iter_batches(self._block_rows):
+                    pending.append(batch)
+                    if sum(part.num_rows for part in pending) >= self._block_rows:
+                        yield _joined(pending)
+                        pending = []
+                if pending:
+                    yield _joined(pending)
+        except Exception as error:  # the decoder raises whatever a damaged file makes it meet
+            raise self._damaged(error) from error
+
+    def _open(self) -> pq.ParquetFile:
+        return pq.ParquetFile(
+            self._path,
+            buffer_size=_PAGE_BYTES,
+            pre_buffer=False,
+            memory_map=False,
+            page_checksum_verification=True,
+        )
+
+    def _damaged(self, error: Exception) -> BadInput:
+        if isinstance(error, BadInput):
+            return error
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        return BadInput(f"{self._path}: not a Parquet file, or a damaged one ({reason}); write it anew")
+
+    def _block(self, batch: pa.RecordBatch, first: int) -> CellBlock:
+        sieve = Sieve(batch.num_rows)
+        times_ns = None
+        if self._columns.time is not None:
+            times_ns = self._times(batch.column(self._columns.time.title), first, sieve)
+        signals: dict[str, NumberCells] = {}
+        for signal in self._columns.signals:
+            cells = _numbers(batch.column(signal.title))
+            signals[signal.name] = cells
+            wrong = ~np.isfinite(cells.values)
+            if wrong.any():
+                self._refuse(
+                    sieve,
+                    first,
+                    signal.title,
+                    wrong,
+                    batch.column(signal.title),
+                    "a finite number (null for no sample)",
+                )
+        texts = {title: _texts(batch.column(title)) for title in self._columns.text_titles}
+        numbers = np.arange(first + 1, first + 1 + batch.num_rows, dtype=np.int64)
+        done = (first + batch.num_rows) / self._rows
+        return CellBlock("row", numbers, times_ns, signals, texts, sieve, done)
+
+    def _times(self, array: pa.Array, first: int, sieve: Sieve) -> IntArray:
+        assert self._columns.time is not None
+        title, ns_per_unit = self._columns.time.title, self._columns.time.ns_per_unit
+        kind = _plain(array.type)
+        if array.null_count:
+            empty = array.is_null().to_numpy(zero_copy_only=False)
+            self._refuse(sieve, first, title, empty, array, "a time")
+        if pa.types.is_null(kind):
+            return np.zeros(len(array), np.int64)
+        filled = _decoded(array).fill_null(pa.scalar(Decimal(0) if pa.types.is_decimal(kind) else 0, kind))
+        if pa.types.is_decimal(kind) and (places := decimal_places(ns_per_unit)) is not None:
+            times_ns, wrong = ns_from_decimals(filled, places)
+        elif pa.types.is_uint64(kind):
+            unsigned = filled.to_numpy()
+            times_ns, wrong = ns_from_integers(np.minimum(unsigned, 2**63 - 1).astype(np.int64), ns_per_unit)
+        elif pa.types.is_integer(kind):
+            times_ns, wrong = ns_from_integers(filled.cast(pa.int64()).to_numpy(), ns_per_unit)
+        else:
+            times_ns, wrong = ns_from_floats(_float64(filled).to_numpy(), ns_per_unit)
+        if wrong.any():
+            self._refuse(sieve, first, title, wrong, array, "a finite time within 146 years of 1970")
+        return times_ns
+
+    def _refuse(self, sieve: Sieve, first: int, title: str, wrong: BoolArray, array: pa.Array, expected: str) -> None:
+        def why(row: int) -> BadRow:
+            value = array[row].as_py()
+            return BadRow("row", first + row + 1, title, "null" if value is None else str(value), expected)
+
+        sieve.refuse(np.flatnonzero(wrong), why)
+
+
+def _joined(batches: list[pa.RecordBatch]) -> pa.RecordBatch:
+    if len(batches) == 1:
+        return batches[0]
+    return pa.Table.from_batches(batches).unify_dictionaries().combine_chunks().to_batches()[0]
+
+
+def _plain(kind: Any) -> Any:
+    return kind.value_type if pa.types.is_dictionary(kind) else kind
+
+
+def _is_numeric(kind: Any) -> bool:
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind))
+
+
+def _is_word(kind: Any) -> bool:
+    is_text = pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind)
+    return bool(is_text or pa.types.is_null(kind) or pa.types.is_boolean(kind) or _is_numeric(kind))
+
+
+def _decoded(array: pa.Array) -> pa.Array:
+    return array.dictionary_decode() if pa.types.is_dictionary(array.type) else array
+
+
+def _float64(array: pa.Array) -> pa.Array:
+    return array if pa.types.is_float64(array.type) else array.cast(pa.float64(), safe=False)
+
+
+def _numbers(array: pa.Array) -> NumberCells:
+    numbers = _float64(_decoded(array))
+    if numbers.null_count == 0:
+        return NumberCells(numbers.to_numpy(), None)
+    return NumberCells(numbers.fill_null(0.0).to_numpy(), numbers.is_valid().to_numpy(zero_copy_only=False))
+
+
+def _texts(array: pa.Array) -> TextCells:
+    if pa.types.is_null(array.type):
+        return TextCells(np.full(len(array), -1, np.int32), [])
+    encoded = array if pa.types.is_dictionary(array.type) else array.dictionary_encode()
+    codes = encoded.indices.cast(pa.int32()).fill_null(-1).to_numpy()
+    return TextCells(codes, encoded.dictionary.to_pylist())

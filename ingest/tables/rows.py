@@ -1,0 +1,189 @@
+"""What a table reader hands on: blocks of rows as arrays, and the rows that do not keep the contract."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from stream.batch import BoolArray, FloatArray, IntArray
+from stream.errors import BadInput
+
+if TYPE_CHECKING:
+    from ingest.tables.columns import Columns
+
+
+BAD_ROWS_KEPT = 1000
+BAD_ROWS_SHOWN = 20
+_FOUND_CHARACTERS = 60
+
+
+@dataclass(frozen=True)
+class BadRow:
+    """A row that does not keep the import contract.
+
+    Parameters
+    ----------
+    place : str
+        What `number` counts: ``line`` of a text file (as an editor counts, the header among them) or ``row``
+        of a Parquet file, both from 1.
+    number : int
+        Which one.
+    column : str
+        Title of the column, or '' where the row as a whole is meant.
+    found, expected : str
+        What stands there, and what should.
+
+    Examples
+    --------
+    >>> print(BadRow("line", 17, "rate[deg/s]", "fast", "a number"))
+    line 17, column rate[deg/s]: found 'fast', expected a number
+    """
+
+    place: str
+    number: int
+    column: str
+    found: str
+    expected: str
+
+    def __str__(self) -> str:
+        where = f"{self.place} {self.number}" + (f", column {self.column}" if self.column else "")
+        found = self.found if len(self.found) <= _FOUND_CHARACTERS else self.found[:_FOUND_CHARACTERS] + "..."
+        return f"{where}: found {found!r}, expected {self.expected}"
+
+
+class BadRows(BadInput):
+    """A file with rows that do not keep the contract.
+
+    Attributes
+    ----------
+    bad : tuple of BadRow
+        The first 1000 of them.
+    count : int
+        How many there are in all.
+    """
+
+    def __init__(self, path: Path, bad: tuple[BadRow, ...], count: int) -> None:
+        shown = [f"  {row}" for row in bad[:BAD_ROWS_SHOWN]]
+        if count > len(shown):
+            shown.append(f"  ... and {count - len(shown)} more")
+        noun = "row does" if count == 1 else "rows do"
+        advice = "correct the file, or leave them out with --skip-bad"
+        head = f"{path}: {count} {noun} not keep the import contract; {advice}"
+        super().__init__("\n".join([head, *shown]))
+        self.bad = bad
+        self.count = count
+
+
+class Sieve:
+    """Which rows of a block are bad, and why the first of them are.
+
+    Examples
+    --------
+    >>> sieve = Sieve(3)
+    >>> sieve.refuse(np.array([1]), lambda row: BadRow("row", row + 1, "rate[deg/s]", "NaN", "a number"))
+    >>> sieve.bad.tolist(), len(sieve.reasons())
+    ([False, True, False], 1)
+    """
+
+    def __init__(self, rows: int) -> None:
+        self.bad: BoolArray = np.zeros(rows, np.bool_)
+        self._reasons: dict[int, BadRow] = {}
+
+    def refuse(self, rows: npt.NDArray[np.intp], why: Callable[[int], BadRow]) -> None:
+        """Mark `rows` (indices within the block) as bad; a row that is bad already keeps its first reason."""
+        fresh = rows[~self.bad[rows]]
+        self.bad[fresh] = True
+        for row in fresh[:BAD_ROWS_KEPT].tolist():
+            self._reasons[row] = why(row)
+
+    def refuse_row(self, row: int, reason: BadRow) -> None:
+        """Mark one row as bad."""
+        self.refuse(np.array([row]), lambda _: reason)
+
+    def reasons(self) -> list[BadRow]:
+        """Why rows are bad, in the order of the rows; of many only the first."""
+        return [self._reasons[row] for row in sorted(self._reasons)]
+
+
+@dataclass
+class BadRowLog:
+    """Exact count of the bad rows of a file, with the first of them."""
+
+    count: int = 0
+    kept: list[BadRow] = field(default_factory=list)
+
+    def add(self, count: int, reasons: Iterable[BadRow]) -> None:
+        """Count `count` rows more and keep their reasons while there is room."""
+        self.count += count
+        for reason in reasons:
+            if len(self.kept) >= BAD_ROWS_KEPT:
+                return
+            self.kept.append(reason)
+
+
+@dataclass(frozen=True)
+class TextCells:
+    """Cells of one text column: its distinct `values`, and the code of each row (-1: empty)."""
+
+    codes: npt.NDArray[np.int32]
+    values: list[object]
+
+
+@dataclass(frozen=True)
+class NumberCells:
+    """Cells of one signal: `values`, and where some are empty `valid` says which are not."""
+
+    values: FloatArray
+    valid: BoolArray | None
+
+
+@dataclass(frozen=True)
+class CellBlock:
+    """A block of rows as it stands in the file.
+
+    Parameters
+    ----------
+    place : str
+        ``line`` or ``row``.
+    numbers : ndarray of int64, shape (n,)
+        Line or row number of every row.
+    times_ns : ndarray of int64, shape (n,), optional
+        Times as written, in nanoseconds; None where the file has no time column.
+    signals : dict of str to NumberCells
+        By name of the signal.
+    texts : dict of str to TextCells
+        By title of the column: unit, run and the step words.
+    sieve : Sieve
+        Rows that are bad already; what their cells hold has no meaning.
+    done : float
+        Fraction of the file that is read, 0 to 1.
+    """
+
+    place: str
+    numbers: IntArray
+    times_ns: IntArray | None
+    signals: dict[str, NumberCells]
+    texts: dict[str, TextCells]
+    sieve: Sieve
+    done: float
+
+
+class TableReader(Protocol):
+    """A table as blocks of rows, whatever the format of its file."""
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """Titles of the columns, as in the file."""
+
+    @property
+    def integer_titles(self) -> frozenset[str]:
+        """Titles of the columns that hold integers by their type."""
+
+    def bind(self, columns: "Columns") -> None:
+        """Take what the columns mean; raise BadInput where a type does not fit."""
+
+    def blocks(self) -> Iterator[CellBlock]:
+        """Read the rows from the beginning, some at a time."""

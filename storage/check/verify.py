@@ -1,0 +1,217 @@
+"""Is a store what was written to it: log, lake, and the estimators' checkpoints, held against each other."""
+
+import time
+from collections.abc import Callable, Iterable
+from functools import cache, partial
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from storage.check.verify_lake import lasting_problems
+from storage.check.verify_log import LogState, verify_log
+from storage.findings import Finding, Severity, Verification
+from storage.lake.lake import parts
+from storage.manifests.lake import Part
+from storage.specifications.copies import specification_findings
+from storage.store import Store, writer_is_active
+from stream.delivery.publisher import StreamId
+from stream.delivery.spool import held_messages
+from stream.errors import EstimatorError, GyrofleetError, StoreError
+from stream.worker.checkpoint import generations, read_checkpoint
+
+CHECKPOINT = Path("checkpoints") / "estimate.checkpoint"
+
+Check = Callable[[Store], Iterable[Finding]]
+"""Looks at what a package above this one keeps in a store; an entry point in the group `gyrofleet.verify`."""
+
+
+def verify(store: Store, progress: Callable[[float], None] | None = None) -> tuple[Verification, LogState]:
+    """Read everything in a store and say what is not as it should be; nothing is changed.
+
+    Parameters
+    ----------
+    store : Store
+        Which store; it may be written meanwhile, what is not sealed yet is then not looked at.
+    progress : callable, optional
+        Called with the fraction of the log that is read.
+    """
+    began = time.monotonic()
+    state = verify_log(store, progress)
+    findings = [
+        *state.findings,
+        *_looked_at(lambda: lake_findings(store, state), store.lake),
+        *_looked_at(lambda: checkpoint_findings(store, state), store.folder / CHECKPOINT),
+        *_looked_at(lambda: _spools(store), store.folder / "spool"),
+        *_looked_at(lambda: specification_findings(store), store.folder),
+    ]
+    for check in checks():
+        findings += _looked_at(partial(check, store), store.folder)
+    findings += kept_findings(store)
+    try:
+        in_force = parts(store)
+    except StoreError:
+        in_force = []
+    verification = Verification(
+        store=str(store.folder),
+        segments=len(state.samples),
+        messages=state.messages,
+        samples=sum(state.samples.values()),
+        parts=len(in_force),
+        lake_samples=sum(part.samples for part in in_force),
+        findings=tuple(findings),
+        seconds=time.monotonic() - began,
+    )
+    return verification, state
+
+
+@cache
+def checks() -> tuple[Check, ...]:
+    """The further checks that are installed."""
+    return tuple(each.load() for each in sorted(entry_points(group="gyrofleet.verify"), key=lambda each: each.name))
+
+
+def kept_findings(store: Store) -> list[Finding]:
+    """What is wrong with what layers of the catalogue have computed and kept."""
+    from storage.sql.catalog import layers
+
+    found: list[Finding] = []
+    for layer in layers():
+        if any((store.folder / layer.folder).glob("*")):
+            found += _looked_at(partial(layer.findings, store), store.folder / layer.folder)
+    return found
+
+
+def _looked_at(look: Callable[[], Iterable[Finding]], where: Path) -> list[Finding]:
+    """What a check finds; one that cannot go on, as over what another has found damaged, does not end the others."""
+    try:
+        return list(look())
+    except Exception as error:  # noqa: BLE001  whatever it is, what the others find must be said
+        why = str(error) if isinstance(error, GyrofleetError) else f"{type(error).__name__}: {error}"
+        what = f"what it holds cannot be looked at: {why}"
+        remedy = "put right what else is found, and give `gyrofleet verify` again"
+        return [Finding("check_failed", Severity.DAMAGE, str(where), what, remedy)]
+
+
+def lake_findings(store: Store, state: LogState) -> list[Finding]:
+    """What is wrong with the lake, by itself and beside the log; it may be changed meanwhile."""
+    found = []
+    for problem in lasting_problems(store):
+        damaged_file = store.lake / problem.part / problem.file
+        found.append(Finding("lake_damaged", Severity.DAMAGE, str(damaged_file), problem.what, problem.remedy))
+    try:
+        in_force = parts(store)
+    except StoreError:
+        return found  # said above
+    for part in in_force:
+        finding = _beside_log(store, state, part)
+        if finding is not None:
+            found.append(finding)
+        if part.quarantined:
+            what = (
+                f"{part.quarantined:,} messages of its segments cannot be built, {part.quarantined_samples:,} samples; "
+                f"the documents message_quarantined in the view events say why, the log keeps them"
+            )
+            found.append(Finding("messages_quarantined", Severity.NOTE, str(store.lake / part.name), what))
+    held = {segment for part in in_force for segment in part.segments}
+    missing = sorted({name.removesuffix(".mcap") for name in state.samples} - held)
+    if missing and not writer_is_active(store.folder):
+        what = f"{len(missing)} sealed segments are not in it: {', '.join(missing[:5])}"
+        found.append(Finding("lake_behind", Severity.UNFINISHED, str(store.lake), what, "bring them to the lake"))
+    return found
+
+
+def _beside_log(store: Store, state: LogState, part: Part) -> Finding | None:
+    """What is wrong with a part of the lake held against the segments that it was made from."""
+    where = str(store.lake / part.name)
+    gone = {segment for segment in part.segments if not (store.log / f"{segment}.mcap").exists()}
+    unsaid = sorted(gone - _said(state))
+    if unsaid:
+        what = f"segments of it are not in the log, which does not say that they are lost: {', '.join(unsaid[:5])}"
+        remedy = "restore them from a copy; else say in the log that they are lost"
+        return Finding("lake_has_more", Severity.DAMAGE, where, what, remedy)
+    there = [segment for segment in part.segments if segment not in gone]
+    is_uncounted = any(f"{segment}.mcap" not in state.samples for segment in there)  # sealed since the log was read
+    if is_uncounted or {path.stem for path in state.damaged}.intersection(there):  # of damage it is said
+        return None
+    expected = sum(state.samples[f"{segment}.mcap"] for segment in there)
+    changed = gone | (salvaged(state) & set(there))
+    others = [segment for segment in there if segment not in changed and _is_of_another(state, part, segment)]
+    held = part.samples + part.quarantined_samples
+    if held > expected and changed and not others:
+        what = f"{held - expected:,} samples that the log has lost are still in the lake"
+        return Finding("lake_has_more", Severity.NOTE, where, what, "`gyrofleet rebuild` would lose them")
+    if others:
+        what = f"it was made from other files of these names: {', '.join(others[:5])}"
+    elif held != expected:
+        what = f"{held:,} samples, its segments have {expected:,}"
+    else:
+        return None
+    return Finding("lake_disagrees", Severity.DAMAGE, where, what, "keep it aside and make it anew from the log")
+
+
+def _is_of_another(state: LogState, part: Part, segment: str) -> bool:
+    entry = state.entries.get(f"{segment}.mcap")
+    return entry is not None and part.sources.get(segment, entry.sha256) != entry.sha256
+
+
+def _said(state: LogState) -> set[str]:
+    """Segments of which the log, its manifest, or another finding says that they are not there."""
+    return state.said | {name.removesuffix(".mcap") for name in (*state.lost, *state.gone)}
+
+
+def salvaged(state: LogState) -> set[str]:
+    """Segments that are not what was recorded, but what could be saved of it."""
+    return {name.removesuffix(".mcap") for name, entry in state.entries.items() if entry.origin == "salvaged"}
+
+
+def only_in_lake(store: Store, state: LogState) -> list[str]:
+    """Segments that are lost, and nothing but the lake knows of them."""
+    try:
+        held = {segment for part in parts(store) for segment in part.segments}
+    except StoreError:
+        return []
+    return sorted(each for each in held - _said(state) if not (store.log / f"{each}.mcap").exists())
+
+
+def checkpoint_findings(store: Store, state: LogState) -> list[Finding]:
+    """What is wrong with the estimators' checkpoints, by themselves and beside the log."""
+    found = []
+    for path in generations(store.folder / CHECKPOINT):
+        try:
+            checkpoint = read_checkpoint(path)
+        except EstimatorError as error:
+            remedy = "move it aside; the one before it, or the log, has all it knew"
+            found.append(Finding("checkpoint_damaged", Severity.DAMAGE, str(path), str(error), remedy))
+            continue
+        if checkpoint is None or writer_is_active(store.folder):
+            continue
+        if checkpoint.store != store.identity:
+            what = "it is of another store; it is not gone on from"
+            found.append(Finding("checkpoint_foreign", Severity.NOTE, str(path), what))
+            continue
+        ahead = [
+            StreamId(key, epoch)
+            for key, epoch, next_seq in checkpoint.positions
+            if next_seq > state.check.next_seq.get(StreamId(key, epoch), 0)
+        ]
+        if not ahead or state.damaged or any(each.kind == "segment_unfinished" for each in state.findings):
+            continue
+        what = (
+            f"it has seen {len(ahead)} streams further than the log has them, the first {ahead[0].key}: their sources "
+            "send that again, or it is lost and said so"
+        )
+        found.append(Finding("checkpoint_ahead", Severity.NOTE, str(path), what))
+    return found
+
+
+def _spools(store: Store) -> list[Finding]:
+    found = []
+    for folder in sorted(path for path in (store.folder / "spool").glob("*") if path.is_dir()):
+        try:
+            held = held_messages(folder)
+        except GyrofleetError as error:
+            found.append(Finding("spool_damaged", Severity.DAMAGE, str(folder), str(error), "look at it by hand"))
+            continue
+        if held:
+            what = f"{held:,} messages of a source wait there to be sent; they are safe"
+            found.append(Finding("spool_waits", Severity.NOTE, str(folder), what, "give the `gyrofleet run` again"))
+    return found

@@ -1,0 +1,193 @@
+"""The lake held against its manifest and the log: what is wrong, where, and how it is put right."""
+
+import hashlib
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pyarrow as pa
+
+from storage.lake.lake import Lake, remade_manifest
+from storage.lake.part import without_samples
+from storage.lake.tables import open_table
+from storage.manifests.lake import (
+    MANIFEST,
+    PART,
+    LakeManifestDamaged,
+    Manifest,
+    Part,
+    PartFile,
+    found_parts,
+    read_manifest,
+    read_part,
+    write_manifest,
+)
+from storage.manifests.lake_switch import NEW_LAKE
+from storage.store import Store
+from stream.errors import StoreError
+
+_BLOCK = 1 << 20
+_SETTLED_WITHIN_S = 60.0
+
+
+class LakeProblem(NamedTuple):
+    """Something wrong in the lake.
+
+    `part` is empty where the manifest itself is meant; `remedy` says what `mend` does.
+    """
+
+    part: str
+    file: str
+    what: str
+    segments: tuple[str, ...]
+    t_first_ns: int | None
+    t_last_ns: int | None
+    remedy: str
+
+
+def lake_problems(store: Store) -> Iterator[LakeProblem]:
+    """Everything wrong in the lake of a store: every file is read and held against its hash.
+
+    Segments that are not in the lake yet are not a problem.
+    """
+    yield from _problems(store, {})
+
+
+def lasting_problems(store: Store) -> list[LakeProblem]:
+    """Like `lake_problems`, of a lake that may be changed meanwhile: what was changed by then is judged again."""
+    sound: dict[str, Part] = {}
+    until = time.monotonic() + _SETTLED_WITHIN_S
+    while True:
+        before = _version(store)
+        found = list(_problems(store, sound))
+        if found and not store.lake.is_dir() and (store.folder / NEW_LAKE).is_dir():
+            time.sleep(0.05)  # the new one is about to take its place
+        now = _version(store)
+        if not found or before == now or time.monotonic() >= until:
+            return found
+        if before[0] != now[0]:
+            sound.clear()
+
+
+def _version(store: Store) -> tuple[int, int, int]:
+    """Which lake it is, and which manifest of it; 0 for what is not there at this moment."""
+    folder, _ = _stamp(store.lake)
+    return folder, *_stamp(store.lake / MANIFEST)
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    try:
+        found = path.stat()
+    except OSError:
+        return 0, 0
+    return found.st_ino, found.st_mtime_ns  # the number of a file that has gone is given again
+
+
+def _problems(store: Store, sound: dict[str, Part]) -> Iterator[LakeProblem]:
+    """Problems of the parts that are not in `sound`; those that have none are put there."""
+    try:
+        manifest = read_manifest(store)
+    except LakeManifestDamaged as error:
+        remedy = "make the manifest anew from what the parts say of themselves; missing parts are made from the log"
+        yield LakeProblem("", MANIFEST, str(error), (), None, None, remedy)
+        manifest = Manifest(parts=tuple(found_parts(store)))
+    seen: set[str] = set()
+    for part in manifest.parts:
+        if sound.get(part.name) != part:
+            found = list(_part_problems(store, part))
+            yield from found
+            if not found:
+                sound[part.name] = part
+        again = seen.intersection(part.segments)
+        if again:
+            yield _problem(part, MANIFEST, f"segments {', '.join(sorted(again))} are in another part as well")
+        seen.update(part.segments)
+
+
+def mend(store: Store) -> Iterator[LakeProblem]:
+    """Put right what `lake_problems` finds; a problem is yielded when it is. The caller holds `builder_lock`.
+
+    What is damaged is moved to ``lake-aside/``, never removed. Parts are made anew from the log.
+
+    Raises
+    ------
+    StoreError
+        If a part cannot be made anew, as its segment is damaged too; the others are mended first.
+    """
+    found = list(lake_problems(store))
+    for problem in found:
+        if not problem.part:
+            _remake_manifest(store)
+            yield problem
+    if not any(problem.part for problem in found):
+        return
+    lake, failure = Lake(store), None
+    for name in dict.fromkeys(problem.part for problem in found if problem.part):
+        try:
+            if name in {part.name for part in lake.manifest.parts}:  # else its folder had gone, and it is missing now
+                lake.remake(name, aside=True)
+        except StoreError as error:
+            failure = failure or error
+            continue
+        yield from (problem for problem in found if problem.part == name)
+    if failure is not None:
+        raise failure
+
+
+def _part_problems(store: Store, part: Part) -> Iterator[LakeProblem]:
+    folder = store.lake / part.name
+    if not folder.is_dir():
+        yield _problem(part, "", "its folder is missing")
+        return
+    try:
+        said = read_part(folder)
+        if said.dropped is not None and part.dropped is None:
+            is_as_listed = said == without_samples(part, said.dropped.document)  # the part says so before the manifest
+        else:
+            is_as_listed = said == part
+        if not is_as_listed:
+            yield _problem(part, PART, "it does not agree with the manifest")
+    except StoreError as error:
+        yield _problem(part, PART, str(error))
+    for name, file in part.files.items():
+        wrong = _wrong_with(folder / name, file)
+        if wrong is not None:
+            yield _problem(part, name, wrong)
+    raw = part.files.get("samples.parquet")
+    if raw is not None and raw.rows != part.samples:
+        yield _problem(part, "samples.parquet", f"{raw.rows} rows, its segments have {part.samples} samples")
+
+
+def _wrong_with(path: Path, file: PartFile) -> str | None:
+    try:
+        size = path.stat().st_size
+        if size != file.bytes:
+            return f"{size} bytes, {file.bytes} are expected"
+        if _sha256(path) != file.sha256:
+            return "its content does not agree with its hash"
+        with open_table(path) as table:
+            rows = table.metadata.num_rows
+    except FileNotFoundError:
+        return "it is missing"
+    except (StoreError, OSError, pa.ArrowException) as error:
+        return str(error)
+    return None if rows == file.rows else f"{rows} rows, {file.rows} are expected"
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256", _bufsize=_BLOCK).hexdigest()
+
+
+def _problem(part: Part, file: str, what: str) -> LakeProblem:
+    remedy = f"keep {part.name} aside and make its {len(part.segments)} segments anew from the log"
+    return LakeProblem(part.name, file, what, part.segments, part.t_first_ns, part.t_last_ns, remedy)
+
+
+def _remake_manifest(store: Store) -> None:
+    if (store.lake / MANIFEST).exists():
+        aside = store.folder / "lake-aside"
+        aside.mkdir(exist_ok=True)
+        (store.lake / MANIFEST).rename(aside / f"{MANIFEST}.{time.time_ns()}")
+    write_manifest(store, remade_manifest(store))

@@ -1,0 +1,185 @@
+"""The command `gyrofleet estimate`."""
+
+import functools
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from stream.console import estimates_option, notes, print_json, reporting, store_option, until_stopped
+from stream.worker.compile_kernels import compile_kernels
+
+if TYPE_CHECKING:
+    from stream.events import AnyDocument
+
+
+@click.command("estimate")
+@store_option
+@click.option(
+    "--average",
+    "averages_s",
+    type=click.FloatRange(min=1e-9),
+    multiple=True,
+    metavar="SECONDS",
+    help="Bias stability of averages this long as well, beside raw samples and 1, 10 and 100 s.",
+)
+@click.option(
+    "--checkpoint-every",
+    "checkpoint_every_s",
+    type=click.FloatRange(min=0.1),
+    default=30.0,
+    show_default=True,
+    help="Seconds between checkpoints, from which it goes on after it was stopped or killed.",
+)
+@click.option("--connect", help="Where the recorder listens; by default, where the one listens that writes the store.")
+@click.option(
+    "--every",
+    "every_s",
+    type=click.FloatRange(min=0.001),
+    default=60.0,
+    show_default=True,
+    help="Seconds of a signal's time between estimates; signals that it goes on with keep theirs.",
+)
+@click.option("--no-spectrum", is_flag=True, help="Leave out the spectral density and its lines, a third of the work.")
+@estimates_option
+@reporting
+def estimate(
+    folder: Path,
+    connect: str | None,
+    every_s: float,
+    averages_s: tuple[float, ...],
+    checkpoint_every_s: float,
+    estimated: tuple[str, ...],
+    *,
+    no_spectrum: bool,
+    as_json: bool,
+) -> None:
+    """Estimate bias stability, Allan deviation, spectrum and noise of the rates on the bus, until stopped.
+
+    Estimated are angular rates, signals that a run's limits are on, and those that --estimates names.
+    In the store it keeps a checkpoint, and goes on from it with what was recorded since, also when it was killed.
+    Estimates go to the recorder; shown are early decisions and the final ones of each run (of a curve its lowest
+    point), with --json all.
+    """
+    from storage.log.tail import LogTail
+    from storage.recording.client import is_recorded
+    from storage.store import Store, only_one, writer_endpoint
+    from stream.delivery.publisher import DurablePublisher
+    from stream.errors import BusError
+    from stream.estimators.base import default_estimators
+    from stream.estimators.bias_stability import BiasStability
+    from stream.transport.zenoh_bus import ZenohBus
+    from stream.worker.estimated_signals import EstimatedSignals
+    from stream.worker.worker import EstimationWorker
+
+    connect = connect or writer_endpoint(folder)
+    if connect is None:
+        raise BusError(f"no `gyrofleet record` writes {folder} now; start one, or give --connect with its address")
+    console = notes()
+    printing = threading.Lock()
+    said: set[str] = set()
+
+    also = {BiasStability(each).key: functools.partial(BiasStability, each) for each in averages_s}
+
+    def show(document: "AnyDocument") -> None:
+        with printing:
+            if as_json:
+                print_json(document)
+                return
+            line = told(document)
+            if line and line not in said:
+                said.add(line)
+                console.print(line, soft_wrap=True, markup=False)
+
+    compile_kernels(quiet=as_json)
+    with ExitStack() as stack:
+        bus = stack.enter_context(ZenohBus(connect=[connect]))
+        # the log of a store that another recorder writes would not go with what comes over the bus
+        store = Store.open(folder) if is_recorded(bus, folder, connect) else None
+        log = None if store is None else LogTail(store)
+        checkpoint = None if log is None else folder / "checkpoints" / "estimate.checkpoint"
+        if checkpoint is not None:
+            stack.enter_context(only_one(checkpoint.with_suffix(".lock"), "gyrofleet estimate"))
+        only_store = None if store is None else store.identity
+        publisher = stack.enter_context(DurablePublisher(bus, timeout_s=10.0, only_store=only_store))
+        stopped = stack.enter_context(until_stopped())
+        worker = EstimationWorker(
+            bus,
+            publisher,
+            every_s=every_s,
+            estimators={**default_estimators(), **also},
+            on_document=show,
+            log=log,
+            checkpoint=checkpoint,
+            checkpoint_every_s=checkpoint_every_s,
+            spectrum=not no_spectrum,
+            estimated=EstimatedSignals.named(estimated),
+        )
+        with worker:
+            going_on = f", going on from {checkpoint}" if worker.resumed else ""
+            console.print(f"estimating what arrives on {connect}{going_on}; Ctrl-C ends", soft_wrap=True)
+            if log is None:
+                console.print(
+                    f"without a checkpoint, and what is missed is not read again: {folder} is not the store that is "
+                    "recorded to; give --store with the recorder's folder",
+                    soft_wrap=True,
+                )
+            told_at, told_samples = time.monotonic(), 0
+            warned = 0
+            while not stopped.wait(0.2) and worker.failure is None:
+                for warning in worker.warnings[warned:]:
+                    warned += 1
+                    console.print(f"warning: {warning}", soft_wrap=True, markup=False)
+                if time.monotonic() - told_at >= 5.0 and worker.counts.samples != told_samples and not as_json:
+                    told_at, told_samples = time.monotonic(), worker.counts.samples
+                    console.print(f"{told_samples:,} samples, {worker.counts.estimates:,} estimates published")
+        publisher.drain()
+    if not as_json:
+        counts = worker.counts
+        console.print(f"{counts.samples:,} samples, {counts.estimates:,} estimates, {counts.lost:,} samples missed")
+
+
+def told(document: "AnyDocument") -> str | None:
+    """One line on a document for people; None where it is not for them at this moment.
+
+    Examples
+    --------
+    >>> from stream.events import EstimatePublished
+    >>> told(EstimatePublished(run="r1", t_ns=0, unit="FOG-1", signal="rate", estimator="allan_deviation",
+    ...     unit_of_measure="deg/h", confidence=0.95, samples=1, missing=0, sample_interval_s=1.0, reason="too few",
+    ...     final=True))
+    'FOG-1 rate allan_deviation: no estimate (too few)'
+    """
+    from stream.events import EarlyDecision, EstimatePublished, NoiseFitted, SpectralLinesFound
+
+    match document:
+        case EstimatePublished(final=True):
+            head = f"{document.unit} {document.signal} {document.estimator}"
+            if not document.points:
+                return f"{head}: no estimate ({document.reason})"
+            least = min(document.points, key=lambda point: point.value)
+            return (
+                f"{head}: {least.value:.4g} {document.unit_of_measure} ({least.lo:.4g} to {least.hi:.4g}) "
+                f"at {least.tau_s:g} s, {document.samples:,} samples"
+            )
+        case NoiseFitted(coefficients=dict(coefficients)):
+            seen = [
+                f"{name.replace('_', ' ')} {found['value']:.4g} {found['unit_of_measure']} "
+                f"({found['lo']:.4g} to {found['hi']:.4g})"
+                for name, found in coefficients.items()
+                if isinstance(found, dict) and found.get("observable")
+            ]
+            return f"{document.unit} {document.signal} noise: {', '.join(seen) or 'no term observable'}"
+        case SpectralLinesFound(lines=tuple(lines)) if lines:
+            seen = [f"{line['frequency_hz']:.4g} Hz {line['amplitude']:.3g}" for line in lines]
+            return f"{document.unit} {document.signal} lines: {', '.join(seen)} {document.unit_of_measure}"
+        case EarlyDecision() if document.outcome != "UNDECIDED" and document.looked_at_fraction < 1.0:
+            limit = document.limit
+            return (
+                f"{document.unit} {document.signal} {limit.characteristic} at {limit.tau_s or 0:g} s: "
+                f"{document.outcome} after {document.looked_at_fraction:.0%} of the test; {document.reason}"
+            )
+    return None

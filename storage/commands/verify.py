@@ -1,0 +1,89 @@
+"""The commands `gyrofleet verify` and `gyrofleet recover`."""
+
+import sys
+from collections import Counter
+from pathlib import Path
+
+import click
+from rich.table import Table
+
+from stream.console import notes, print_json, progress_bar, reporting, results, store_option, styled
+
+_SHOWN_OF_A_KIND = 8
+_COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "default"}
+
+
+@click.command("verify")
+@store_option
+@reporting
+def verify(folder: Path, *, as_json: bool) -> None:
+    """Read everything in the store and say what is wrong, where, and what would be done; nothing is changed.
+
+    The exit code is 0 only for a sound store: every segment is what was written, the numbers of every stream go on
+    without a gap that is not said in the log, the lake agrees with the log, and so do the estimators' checkpoints, the
+    error models in use and the copies of the specifications, whose documents in the log form an unbroken chain.
+    """
+    from storage.check.verify import verify as verify_store
+    from storage.store import Store
+
+    store = Store.open(folder)
+    with progress_bar(hidden=as_json) as progress:
+        task = progress.add_task(f"reading {folder}", total=1.0)
+        found, _ = verify_store(store, lambda done: progress.update(task, completed=done))
+    if as_json:
+        print_json({"sound": found.is_sound, **{name: getattr(found, name) for name in found.__struct_fields__}})
+        sys.exit(0 if found.is_sound else 1)
+    if found.findings:
+        table = Table(header_style="bold")
+        for title in ("", "where", "what", "what `gyrofleet recover` does"):
+            table.add_column(title, overflow="fold")
+        shown: Counter[str] = Counter()
+        for finding in found.findings:
+            shown[finding.kind] += 1
+            if shown[finding.kind] > _SHOWN_OF_A_KIND:
+                continue
+            colour = _COLOURS[finding.severity]
+            table.add_row(styled(finding.severity, colour), finding.where, finding.what, finding.remedy)
+        results().print(table)
+        for kind, count in shown.items():
+            if count > _SHOWN_OF_A_KIND:
+                results().print(f"{count - _SHOWN_OF_A_KIND:,} more of {kind}; --json lists all")
+    results().print(
+        f"{found.segments:,} segments with {found.samples:,} samples in {found.messages:,} messages, {found.parts:,} "
+        f"parts of the lake with {found.lake_samples:,} samples, read in {found.seconds:.1f} s: "
+        + ("the store is sound" if found.is_sound else "the store is NOT sound")
+    )
+    sys.exit(0 if found.is_sound else 1)
+
+
+@click.command("recover")
+@store_option
+@click.option("--quarantine", is_flag=True, help="Also move files that are not the store's from log/ to log/aside.")
+@reporting
+def recover(folder: Path, *, quarantine: bool, as_json: bool) -> None:
+    """Put right what `gyrofleet verify` finds, and verify again; nothing is destroyed.
+
+    Damaged files are kept in log/aside and lake-aside, and the log says what is lost. Files in the log that are not
+    the store's are never read; --quarantine moves them to log/aside.
+    """
+    from storage.check.recover import Action
+    from storage.check.recover import recover as recover_store
+    from storage.check.verify import verify as verify_store
+    from storage.store import Store
+
+    store, told = Store.open_or_repair(folder)
+    actions = [] if told is None else [Action("store_marked", str(folder / "store.json"), told)]
+    if told is not None and not as_json:
+        notes().print(f"{folder / 'store.json'}: {told}", soft_wrap=True, markup=False)
+    for action in recover_store(store, quarantine=quarantine):
+        actions.append(action)
+        if not as_json:
+            notes().print(f"{action.what} {action.where}: {action.text}", soft_wrap=True, markup=False)
+    found, _ = verify_store(store)
+    if as_json:
+        print_json({"sound": found.is_sound, "actions": actions, "findings": found.findings})
+    else:
+        done = f"{len(actions)} steps done" if actions else "nothing to do"
+        state = "the store is sound" if found.is_sound else "the store is still NOT sound, see `gyrofleet verify`"
+        results().print(f"{done}; {state}")
+    sys.exit(0 if found.is_sound else 1)

@@ -1,0 +1,1 @@
+"""The columnar lake: parts of Parquet files made from sealed segments."""

@@ -1,0 +1,106 @@
+"""Messages of a segment that cannot be built into the lake: left out, counted, and reported as events of the store.
+
+A recorder rejects such messages when they arrive; a log may hold them from before there were bounds.
+"""
+
+from dataclasses import dataclass
+from uuid import NAMESPACE_OID, uuid5
+
+import msgspec
+
+from storage.log.sequence import place_of
+from storage.segments.records import LogRecord
+from stream.errors import GyrofleetError
+from stream.events import StoreNoted
+
+QUARANTINED = "message_quarantined"
+_MOST_LISTED = 1000
+
+
+@dataclass
+class _Kind:
+    """Messages of one key that are quarantined for one reason."""
+
+    key: str
+    reason: str
+    arrival_ns: int
+    first_seq: int | None
+    messages: int = 0
+    samples: int = 0
+
+
+class Quarantine:
+    """The messages of one segment that cannot be built.
+
+    Parameters
+    ----------
+    store : str
+        Identity of the store.
+    segment : str
+        Name of the segment.
+
+    Attributes
+    ----------
+    messages, samples : int
+        How many messages, and samples in them as far as that can be read.
+    """
+
+    def __init__(self, store: str, segment: str) -> None:
+        self._store = store
+        self._segment = segment
+        self._kinds: dict[tuple[str, str], _Kind] = {}
+        self.messages = 0
+        self.samples = 0
+
+    def add(self, record: LogRecord, error: Exception) -> None:
+        """Leave a message out, for that reason."""
+        seq, samples = None, 0
+        try:
+            place = place_of(record)
+            if place is not None:
+                seq, samples = place.seq, place.samples
+        except GyrofleetError:
+            pass  # it cannot be read at all
+        self.messages += 1
+        self.samples += samples
+        reason = f"{type(error).__name__}: {error}" if not isinstance(error, GyrofleetError) else str(error)
+        name = (record.topic[:200], reason[:300])
+        kind = self._kinds.get(name)
+        if kind is None:
+            if len(self._kinds) >= _MOST_LISTED:
+                return
+            kind = self._kinds[name] = _Kind(*name, record.arrival_ns, seq)
+        kind.messages += 1
+        kind.samples += samples
+
+    def rows(self) -> list[dict[str, object]]:
+        """Rows of the table of events, one for each key and reason; the same segment gives the same rows."""
+        return [self._row(kind) for kind in self._kinds.values()]
+
+    def _row(self, kind: _Kind) -> dict[str, object]:
+        text = (
+            f"segment {self._segment}: {kind.messages} messages with {kind.samples} samples of {kind.key} cannot be "
+            f"brought to the lake: {kind.reason}; the log keeps them"
+        )
+        details = {
+            "store": self._store,
+            "segment": self._segment,
+            "key": kind.key,
+            "reason": kind.reason,
+            "messages": kind.messages,
+            "samples": kind.samples,
+            "first_seq": kind.first_seq,
+        }
+        uid = uuid5(NAMESPACE_OID, f"{self._store}\x00{self._segment}\x00{kind.key}\x00{kind.reason}").hex
+        document = StoreNoted(run="", t_ns=kind.arrival_ns, uid=uid, what=QUARANTINED, text=text, details=details)
+        return {
+            "site": "store",
+            "station": "lake",
+            "kind": type(document).__name__,
+            "run": "",
+            "unit": None,
+            "uid": uid,
+            "t_ns": kind.arrival_ns,
+            "arrival_ns": kind.arrival_ns,
+            "document": msgspec.json.encode(document).decode(),
+        }

@@ -1,0 +1,104 @@
+"""The lake made anew from the log, beside the one there is, which goes when the new one stands."""
+
+import shutil
+from collections import deque
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import NamedTuple
+
+from storage.lake.compaction import FAN_IN, compact
+from storage.lake.lake import Lake
+from storage.manifests.lake import MANIFEST, LakeManifestDamaged, read_manifest
+from storage.manifests.lake_switch import NEW_LAKE, finish_switch, switch
+from storage.store import Store
+from stream.errors import StoreError
+
+
+class RebuildStep(NamedTuple):
+    """Segments in the new lake, and in all."""
+
+    done: int
+    of: int
+
+
+def rebuild(store: Store, *, force: bool = False) -> Iterator[RebuildStep]:
+    """Make the lake of a store anew; killed in the middle, it goes on the next time. The caller holds `builder_lock`.
+
+    Parameters
+    ----------
+    store : Store
+        Whose.
+    force : bool
+        Also where the old lake holds what the log no longer gives; the old one is kept aside then.
+
+    Raises
+    ------
+    StoreError
+        If a segment is damaged, the old lake holds more than the log gives, or the disk refuses; the old lake stays
+        in force.
+    """
+    try:
+        yield from _rebuilt(store, force=force)
+    except OSError as error:
+        raise StoreError(
+            f"the new lake of {store.folder} cannot be written: {error}; the old one stays in force, and what is made "
+            f"of the new one waits: free the disk and give `gyrofleet rebuild` again"
+        ) from error
+
+
+def _rebuilt(store: Store, *, force: bool) -> Iterator[RebuildStep]:
+    finish_switch(store)
+    beside = Store(store.folder, store.identity)
+    beside.lake = store.folder / NEW_LAKE
+    lake = _begun(store, beside)
+    missing = lake.missing()
+    of = len(missing) + len(lake.manifest.segments)
+    failed: dict[str, StoreError] = {}
+    for number, _ in enumerate(lake.bring(missing, failed), start=1):
+        yield RebuildStep(of - len(missing) + number, of)
+        if number % FAN_IN == 0:
+            deque(compact(lake), maxlen=0)
+    problems = [str(error) for error in failed.values()]
+    lost = _only_in_old(store, lake)
+    if lost:
+        problems.append(f"the lake holds {len(lost)} segments that the log no longer gives: {', '.join(lost[:5])}")
+    if problems and not force:
+        raise StoreError(
+            f"{'; '.join(problems)}. The old lake stays in force, the new one waits in {beside.lake}: mend the log "
+            f"(`gyrofleet recover`) and give the command again, or give --force to go on without"
+        )
+    deque(compact(lake), maxlen=0)
+    lake.purge(grace_s=0.0)
+    switch(store, keep_old=bool(problems))
+
+
+def _begun(store: Store, beside: Store) -> Lake:
+    try:
+        lake = Lake(beside)
+    except LakeManifestDamaged:
+        shutil.rmtree(beside.lake)
+        lake = Lake(beside)
+    # the document that says what came back may be in a segment that is still being written
+    with suppress(StoreError):
+        if restored := read_manifest(store).restored:
+            lake.restore_raw(restored)
+    return lake
+
+
+def _only_in_old(store: Store, new: Lake) -> list[str]:
+    """Segments that the old lake has and the new one has not, or has from another file of that name.
+
+    Of a lake that cannot be read, none can be told.
+    """
+    if not (store.lake / MANIFEST).exists():
+        return []
+    try:
+        old = read_manifest(store)
+    except StoreError:
+        return []
+    before, now = (
+        {segment: sha256 for part in manifest.parts for segment, sha256 in part.sources.items()}
+        for manifest in (old, new.manifest)
+    )
+    others = {segment for segment in before.keys() & now.keys() if before[segment] != now[segment]}
+    return sorted(old.segments - new.manifest.segments | others)

@@ -1,0 +1,151 @@
+"""Rollups: count, mean, M2, least and greatest value of each second and each ten seconds of the source's clock."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numba import njit
+
+from storage.lake.tables import ROLLUP_COLUMNS
+from stream.batch import BoolArray, CountArray, FloatArray, IntArray
+
+_SECOND_NS = 1_000_000_000
+
+
+class Rollup(NamedTuple):
+    """Buckets of one channel: arrays of one row each; M2 is the sum of squares about the bucket's mean."""
+
+    bucket: IntArray
+    n: IntArray
+    mean: FloatArray
+    m2: FloatArray
+    lo: FloatArray
+    hi: FloatArray
+
+
+def roll_up(t_ns: IntArray, data: CountArray | FloatArray, scale: float = 1.0, offset: float = 0.0) -> Rollup:
+    """Buckets of one second, floor(t / 1 s); values that are not finite are left out.
+
+    Examples
+    --------
+    >>> half_seconds = np.arange(4) * 500_000_000
+    >>> rollup = roll_up(half_seconds, np.array([1, 3, 5, 9], np.int32), scale=0.5)
+    >>> rollup.bucket.tolist(), rollup.n.tolist(), rollup.mean.tolist(), rollup.m2.tolist()
+    ([0, 1], [2, 2], [1.0, 3.5], [0.5, 2.0])
+    """
+    bucket, n, mean, m2, lo, hi = _buckets(t_ns, data)
+    lo, hi = lo * scale + offset, hi * scale + offset
+    rollup = Rollup(bucket, n, mean * scale + offset, m2 * (scale * scale), np.minimum(lo, hi), np.maximum(lo, hi))
+    return rollup if np.all(np.diff(bucket) > 0) else merge(rollup)
+
+
+def merge(rollup: Rollup, every: int = 1) -> Rollup:
+    """Put buckets together that are one, or `every` so many into one, by the formula of Chan, Golub and LeVeque.
+
+    Examples
+    --------
+    >>> seconds = roll_up(np.arange(20) * 1_000_000_000, np.arange(20.0))
+    >>> tens = merge(seconds, every=10)
+    >>> tens.bucket.tolist(), tens.n.tolist(), tens.mean.tolist(), tens.m2.tolist()
+    ([0, 1], [10, 10], [4.5, 14.5], [82.5, 82.5])
+    """
+    bucket = rollup.bucket // every
+    if len(bucket) == 0:
+        return rollup
+    if np.any(np.diff(bucket) < 0):
+        order = np.argsort(bucket, kind="stable")
+        bucket, rollup = bucket[order], _rows(rollup, order)
+    is_first = np.diff(bucket, prepend=bucket[0] - 1) != 0
+    starts = np.flatnonzero(is_first)
+    n = np.add.reduceat(rollup.n, starts)
+    sums = np.add.reduceat(rollup.n * rollup.mean, starts) / n
+    mean = np.where(np.diff(starts, append=len(bucket)) == 1, rollup.mean[starts], sums)
+    from_mean = rollup.mean - mean[np.cumsum(is_first) - 1]
+    with np.errstate(over="ignore"):  # squares of numbers beyond 1e154 are infinite
+        m2 = np.add.reduceat(rollup.m2 + rollup.n * from_mean**2, starts)
+    return Rollup(
+        bucket[starts],
+        n,
+        mean,
+        m2,
+        np.minimum.reduceat(rollup.lo, starts),
+        np.maximum.reduceat(rollup.hi, starts),
+    )
+
+
+def _rows(rollup: Rollup, order: IntArray) -> Rollup:
+    return Rollup(
+        bucket=rollup.bucket[order],
+        n=rollup.n[order],
+        mean=rollup.mean[order],
+        m2=rollup.m2[order],
+        lo=rollup.lo[order],
+        hi=rollup.hi[order],
+    )
+
+
+def joined(rollups: list[Rollup]) -> Rollup:
+    """Rollups of successive stretches of one channel as one."""
+    if len(rollups) == 1:
+        return rollups[0]
+    return merge(
+        Rollup(
+            bucket=np.concatenate([each.bucket for each in rollups]),
+            n=np.concatenate([each.n for each in rollups]),
+            mean=np.concatenate([each.mean for each in rollups]),
+            m2=np.concatenate([each.m2 for each in rollups]),
+            lo=np.concatenate([each.lo for each in rollups]),
+            hi=np.concatenate([each.hi for each in rollups]),
+        )
+    )
+
+
+def rollup_table(channel: int, rollup: Rollup) -> pa.Table:
+    """Rows of a rollup file."""
+    n = len(rollup.bucket)
+    edge: BoolArray = np.zeros(n, np.bool_)
+    edge[:1] = edge[-1:] = True
+    return pa.Table.from_arrays(
+        [pa.array(column) for column in (np.full(n, channel, np.int64), *rollup, edge)], schema=ROLLUP_COLUMNS
+    )
+
+
+@njit(cache=True, nogil=True)
+def _buckets(
+    t_ns: IntArray, data: CountArray | FloatArray
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Runs of consecutive samples within one second; sums of whole numbers are exact, M2 comes in a second pass."""
+    runs = 0
+    begin_ns = np.int64(0)
+    for t in t_ns:
+        if runs == 0 or t < begin_ns or t - begin_ns >= _SECOND_NS:
+            begin_ns = t // _SECOND_NS * _SECOND_NS
+            runs += 1
+    bucket, count = np.empty(runs, np.int64), np.empty(runs, np.int64)
+    mean, m2 = np.empty(runs), np.empty(runs)
+    lo, hi = np.empty(runs), np.empty(runs)
+    row = i = 0
+    while i < len(t_ns):
+        second = t_ns[i] // _SECOND_NS
+        begin_ns = second * _SECOND_NS
+        start, n, total = i, 0, 0.0
+        least, most = np.inf, -np.inf
+        # the first is in whatever its time is, so that this ends; the end of the last second of 64 bits would wrap
+        while i < len(t_ns) and (i == start or (t_ns[i] >= begin_ns and t_ns[i] - begin_ns < _SECOND_NS)):
+            x = float(data[i])
+            if x - x == 0.0:
+                n += 1
+                total += x
+                least = min(least, x)
+                most = max(most, x)
+            i += 1
+        if n == 0:
+            continue
+        middle, squares = total / n, 0.0
+        for j in range(start, i):
+            x = float(data[j])
+            if x - x == 0.0:
+                squares += (x - middle) ** 2
+        bucket[row], count[row], mean[row], m2[row], lo[row], hi[row] = second, n, middle, squares, least, most
+        row += 1
+    return bucket[:row], count[:row], mean[:row], m2[:row], lo[:row], hi[:row]

@@ -1,0 +1,1 @@
+"""The append-only event log: segments written, sealed, recovered and read on."""

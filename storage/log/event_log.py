@@ -1,0 +1,226 @@
+"""The event log: append-only segments, and how far every stream has come in it.
+
+What `sync` has returned for is on disk. After an error of the disk the open segment is abandoned, under a name that
+says how much of it is durable, the positions go back to that, and the next message begins a new segment.
+"""
+
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from storage.log.files import sealed_segments, unknown_files
+from storage.log.numbers import highest_number
+from storage.log.recovery import Recovery, abandoned_name, left_open, reached_in, recover_segment, take_in
+from storage.log.sequence import Place, place_of, stream_of
+from storage.log.tally import SegmentTally
+from storage.log.writer import SegmentWriter
+from storage.manifests.log import ManifestWriter, SegmentEntry
+from storage.segments.disk import DISK, Disk
+from storage.segments.reader import SegmentScan, read_marks
+from storage.segments.records import LogRecord
+from storage.store import Store
+from stream.delivery.publisher import StreamId
+from stream.errors import StoreError
+
+DEFAULT_ROTATE_BYTES = 128 << 20
+DEFAULT_ROTATE_S = 300.0
+_MOST_CHANNELS = 60_000  # of 65,535 that a segment has room for
+
+
+class EventLog:
+    """The log of one store, open for appending.
+
+    Parameters
+    ----------
+    store : Store
+        Whose log; the caller holds its writer lock.
+    rotate_bytes : int
+        Payload after which a segment is sealed.
+    rotate_s : float
+        Age after which a segment is sealed, in seconds.
+    disk : Disk
+        Where to.
+
+    Attributes
+    ----------
+    marks : dict of StreamId to int
+        Number that each stream expects next, from the log itself.
+    recovered : list of Recovery
+        Segments that an earlier process had left open.
+    warnings : list of str
+        What was found that is not as it should be, and does not hinder recording.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        *,
+        rotate_bytes: int = DEFAULT_ROTATE_BYTES,
+        rotate_s: float = DEFAULT_ROTATE_S,
+        disk: Disk = DISK,
+    ) -> None:
+        self._store = store
+        self._disk = disk
+        self._rotate_bytes = rotate_bytes
+        self._rotate_s = rotate_s
+        self._segment: SegmentWriter | None = None
+        self._tally = SegmentTally()
+        self._opened_at = 0.0
+        self._unsynced: dict[StreamId, int] = {}  # streams with messages that are not durable, and where they stood
+        self._unnamed: tuple[Path, Path] | None = None
+        self._unlisted: list[SegmentEntry] = []
+        self.marks: dict[StreamId, int] = {}
+        self.recovered: list[Recovery] = []
+        self.warnings: list[str] = []
+        self._manifest = ManifestWriter(store, disk)
+        if self._manifest.found.damage:
+            lines = ", ".join(str(each.line) for each in self._manifest.found.damage)
+            self.warnings.append(f"the log's manifest is damaged in line {lines}; see `gyrofleet verify`")
+        self._number = highest_number(store)
+        for sealed in sealed_segments(store):
+            self._read_marks(sealed)
+        unknown = [each.path.name for each in unknown_files(store)]
+        if unknown:
+            self.warnings.append(
+                f"files in {store.log} that are not the store's are passed over: {', '.join(unknown[:5])}; see "
+                "`gyrofleet verify`"
+            )
+        gone = sorted(name for name in self._manifest.found.entries if not (store.log / name).exists())
+        if gone:
+            more = f" and {len(gone) - 5} more" if len(gone) > 5 else ""
+            names = ", ".join(gone[:5]) + more
+            self.warnings.append(f"segments that were sealed are not in {store.log}: {names}; see `gyrofleet verify`")
+        self.recover()
+
+    def append(self, place: Place, record: LogRecord) -> None:
+        """Append a message that stands at `place` of its stream; durable after the next `sync`."""
+        self._writer().append(record)
+        stream = place.stream
+        before = self.marks.get(stream, 0)
+        self._unsynced.setdefault(stream, before)
+        self.marks[stream] = max(before, place.next_seq)
+        self._tally.add(record, place)
+
+    def append_aside(self, record: LogRecord) -> None:
+        """Append a message that belongs to no numbered stream."""
+        self._writer().append(record)
+        self._tally.add(record, None)
+
+    def sync(self) -> None:
+        """Bring everything appended to the disk."""
+        if self._segment is not None:
+            self._segment.sync()
+        self._unsynced.clear()
+
+    @property
+    def due(self) -> bool:
+        """Whether the open segment has reached its size or age."""
+        segment = self._segment
+        return segment is not None and (
+            segment.payload_bytes >= self._rotate_bytes
+            or segment.channels >= _MOST_CHANNELS
+            or time.monotonic() - self._opened_at >= self._rotate_s
+        )
+
+    def seal(self) -> Path | None:
+        """Seal the open segment, and return it if there was one; what it holds is durable whatever becomes of that."""
+        if self._segment is None:
+            return None
+        self.sync()
+        wanted = self._segment.path
+        sealed = self._segment.seal(self._tally.marks)
+        self._segment = None
+        if sealed.path != wanted:
+            self.warnings.append(
+                f"{wanted} was there already, written by another process; what was recorded meanwhile is sealed as "
+                f"{sealed.path.name}; stop that process and look at `gyrofleet verify`"
+            )
+            self._number = int(sealed.path.stem)
+        self._list(self._tally.entry(sealed, "recorded"))
+        return sealed.path
+
+    def abandon(self) -> dict[StreamId, int]:
+        """Give the open segment up after an error of the disk; returns by how many numbers streams have gone back."""
+        before, self._unsynced = self._unsynced, {}
+        undone = {stream: self.marks[stream] - next_seq for stream, next_seq in before.items()}
+        self.marks.update(before)
+        segment, self._segment = self._segment, None
+        if segment is None:
+            return undone
+        with suppress(OSError):
+            segment.abandon()
+        self._unnamed = (segment.open_path, abandoned_name(segment.path, segment.durable_bytes))
+        with suppress(OSError):
+            self._name_abandoned()
+        return undone
+
+    def recover(self) -> list[Recovery]:
+        """Seal what lies there unfinished, from an earlier process or after an error of the disk.
+
+        Raises
+        ------
+        OSError
+            As the disk has it; what is left can be tried again.
+        """
+        found = []
+        self._name_abandoned()
+        mine = None if self._segment is None else self._segment.open_path
+        for path in left_open(self._store):
+            if path == mine:
+                continue
+            recovery = recover_segment(self._store, path, dict(self.marks), self._disk)
+            for stream, next_seq in recovery.positions.items():
+                self.marks[stream] = max(self.marks.get(stream, 0), next_seq)
+            found.append(recovery)
+            if recovery.entry is not None:
+                self._list(recovery.entry)
+        self.recovered += found
+        return found
+
+    def _writer(self) -> SegmentWriter:
+        if self._segment is None:
+            self._name_abandoned()
+            segment = SegmentWriter(
+                self._store.log / f"{self._number + 1:08d}.mcap", disk=self._disk, store=self._store.identity
+            )
+            self._number += 1
+            self._tally = SegmentTally()
+            self._opened_at = time.monotonic()
+            self._segment = segment
+            self._disk.sync_folder(self._store.log)
+        return self._segment
+
+    def _name_abandoned(self) -> None:
+        """Before anything new is written: by its name the durable part of an abandoned segment is known."""
+        if self._unnamed is None:
+            return
+        path, name = self._unnamed
+        if path.exists():  # else it was sealed, and only its name was not yet durable
+            self._disk.rename(path, name)
+        self._disk.sync_folder(self._store.log)
+        self._unnamed = None
+
+    def _list(self, entry: SegmentEntry) -> None:
+        """Take an entry into the manifest; one that cannot be written now is written with the next."""
+        self._unlisted.append(entry)
+        with suppress(OSError):
+            self._disk.sync_folder(self._store.log)
+            while self._unlisted:
+                self._manifest.add(self._unlisted[0])
+                self._unlisted.pop(0)
+
+    def _read_marks(self, sealed: Path) -> None:
+        try:
+            found = {stream_of(text): int(next_seq) for text, next_seq in read_marks(sealed).items()}
+            if sealed.name not in self._manifest.found.entries:
+                entry, found = take_in(self._store, sealed)
+                self._list(entry)
+        except StoreError as error:
+            self.warnings.append(str(error))
+            found = reached_in(sealed)
+            for record in SegmentScan(sealed, sealed=True):
+                place = place_of(record)
+                if place is not None:
+                    found[place.stream] = max(found.get(place.stream, 0), place.next_seq)
+        for stream, next_seq in found.items():
+            self.marks[stream] = max(self.marks.get(stream, 0), next_seq)

@@ -1,0 +1,230 @@
+"""A stored run out of the log, message by message, to be sent once more; and whether it is estimated as it was."""
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import msgspec
+
+from storage.log.files import sealed_segments
+from storage.log.sequence import place_of
+from storage.log.tail import records_of
+from storage.manifests.log import read_log_manifest
+from storage.segments.records import LogRecord
+from storage.store import Store
+from stream.errors import NotFound
+from stream.estimators.bias_stability import BiasStability
+from stream.events import (
+    AnyDocument,
+    EarlyDecision,
+    EstimatePublished,
+    NoiseFitted,
+    SpectralLinesFound,
+    decode_event,
+)
+from stream.identity import EstimateKey, SampleKey, parse_key
+
+_LISTED = 100
+
+Estimated = EstimatePublished | NoiseFitted | SpectralLinesFound | EarlyDecision
+
+
+class StoredMessage(NamedTuple):
+    """A message of a run as the log has it; `last_ns` is the source's time of its last sample, None for a document."""
+
+    key: str
+    payload: bytes
+    samples: int
+    last_ns: int | None
+
+
+class StoredEstimate(NamedTuple):
+    """What identifies a document of an estimator, and what it says as a hash."""
+
+    name: str
+    digest: bytes
+
+
+class StoredRun:
+    """A run in the log of a store.
+
+    Parameters
+    ----------
+    store : Store
+        Which store.
+    run : str
+        Which run.
+
+    Raises
+    ------
+    NotFound
+        If the log holds nothing of it.
+
+    Attributes
+    ----------
+    estimates : dict of str to StoredEstimate
+        What was published of its signals, by the identity of the document.
+    every_ns : set of int
+        Intervals in which that was done, nanoseconds.
+    averages_s : set of float
+        Averaging times of its bias stabilities.
+    signals : set of str
+        Signals that were estimated.
+    is_ended : bool
+        Whether its end is in the log.
+    """
+
+    def __init__(self, store: Store, run: str) -> None:
+        self._store = store
+        self.run = run
+        entries = read_log_manifest(store).entries
+        self._without = {name for name, entry in entries.items() if run not in entry.runs}
+        self.estimates: dict[str, StoredEstimate] = {}
+        self.every_ns: set[int] = set()
+        self.averages_s: set[float] = set()
+        self.signals: set[str] = set()
+        self.is_ended = False
+        is_there = False
+        for record in self._records():
+            place = place_of(record)
+            if place is None or place.run != run:
+                continue
+            is_there = True
+            self.is_ended = self.is_ended or place.is_end
+            if isinstance(parse_key(record.topic), EstimateKey):
+                self._keep(decode_event(record.data).document)
+        if not is_there:
+            raise NotFound(f"{store.folder} holds no run {run!r}; ask `gyrofleet sql` for the runs that it holds")
+
+    def messages(self, progress: Callable[[float], None] | None = None) -> Iterator[StoredMessage]:
+        """What its sources sent, in the order in which it was recorded; estimates are left out."""
+        for record in self._records(progress):
+            place = place_of(record)
+            if place is None or place.run != self.run:
+                continue
+            key = parse_key(record.topic)
+            if not isinstance(key, EstimateKey):
+                last_ns = place.last_ns if isinstance(key, SampleKey) else None
+                yield StoredMessage(record.topic, record.data, place.samples, last_ns)
+
+    def _records(self, progress: Callable[[float], None] | None = None) -> Iterator[LogRecord]:
+        total = len(sealed_segments(self._store))
+        seen = 0
+
+        def is_needed(segment: str) -> bool:
+            nonlocal seen
+            seen += 1
+            if progress is not None:
+                progress(min(1.0, seen / (total + 1)))
+            return segment not in self._without
+
+        return records_of(self._store, is_needed, lambda _key: True)
+
+    def _keep(self, document: AnyDocument) -> None:
+        if not isinstance(document, Estimated):
+            return
+        self.estimates.setdefault(document.uid, StoredEstimate(name_of(document), _digest(document)))
+        self.signals.add(document.signal)
+        if isinstance(document, EstimatePublished):
+            if document.every_ns:
+                self.every_ns.add(document.every_ns)
+            if document.estimator.startswith("bias_stability_"):
+                self.averages_s.update(_average_of(document))
+
+
+@dataclass
+class Comparison:
+    """Documents made once more, held against those that are stored.
+
+    Attributes
+    ----------
+    stored, made, equal : int
+        How many there are, were made, and are the same to the last bit.
+    different, missing, extra : list of str
+        Names of those that are not the same, not made, and not stored; each the first hundred.
+    """
+
+    stored: int
+    made: int = 0
+    equal: int = 0
+    different: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+    extra: list[str] = field(default_factory=list)
+
+    @property
+    def is_equal(self) -> bool:
+        """Whether each has its like."""
+        return self.equal == self.stored == self.made
+
+
+class Comparing:
+    """Takes the documents of a worker and compares each with the stored one of its identity.
+
+    Parameters
+    ----------
+    stored : dict of str to StoredEstimate
+        Those that are expected.
+    """
+
+    outstanding = 0
+
+    def __init__(self, stored: dict[str, StoredEstimate]) -> None:
+        self._open = dict(stored)
+        self.found = Comparison(len(stored))
+
+    def send_event(self, _key: str, document: AnyDocument) -> None:
+        """Compare a document."""
+        assert isinstance(document, Estimated)
+        self.found.made += 1
+        stored = self._open.pop(document.uid, None)
+        if stored is None:
+            _list(self.found.extra, name_of(document))
+        elif stored.digest == _digest(document):
+            self.found.equal += 1
+        else:
+            _list(self.found.different, name_of(document))
+
+    def drain(self) -> None:
+        """Nothing is ever outstanding."""
+
+    def result(self) -> Comparison:
+        """What was found, when all have been made."""
+        for stored in self._open.values():
+            _list(self.found.missing, stored.name)
+        return self.found
+
+
+def name_of(document: Estimated) -> str:
+    """Name an estimator's document for people.
+
+    Examples
+    --------
+    >>> name_of(NoiseFitted(run="r1", t_ns=5, unit="FOG-1", signal="rate"))
+    'FOG-1 rate NoiseFitted at 5 ns'
+    """
+    if isinstance(document, EstimatePublished):
+        what, final = document.estimator, ", final" if document.final else ""
+    else:
+        what, final = type(document).__name__, ""
+    return f"{document.unit} {document.signal} {what} at {document.t_ns} ns{final}"
+
+
+def _average_of(document: EstimatePublished) -> list[float]:
+    """Averaging time of a bias stability over the whole record, as its points have it, else as its name says."""
+    name = document.estimator.removeprefix("bias_stability_")
+    if name == "raw" or "_over_" in name:
+        return []
+    if document.points:
+        return [document.points[0].tau_s]
+    average_s = float(name.removesuffix("s"))
+    return [average_s] if BiasStability(average_s).key == document.estimator else []
+
+
+def _digest(document: AnyDocument) -> bytes:
+    return hashlib.blake2b(msgspec.json.encode(document), digest_size=16).digest()
+
+
+def _list(names: list[str], name: str) -> None:
+    if len(names) < _LISTED:
+        names.append(name)

@@ -1,0 +1,1 @@
+"""Manifests: which segments the log has, and which parts of the lake are in force."""

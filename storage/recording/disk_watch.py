@@ -1,0 +1,94 @@
+"""How long the disk will do: a warning early, and an end of recording before the disk is full to the last byte."""
+
+import time
+from pathlib import Path
+
+from storage.segments.disk import Disk
+
+_RESERVE_BYTES = 256 << 20
+_RESERVE_SHARE = 0.05
+_EARLY_H = 24.0
+_EARLY_RESERVES = 10
+_LOOK_EVERY_S = 1.0
+_RATE_OVER_S = 60.0
+
+
+class DiskWatch:
+    """Watches the room on the disk of a store.
+
+    Parameters
+    ----------
+    folder : Path
+        The store.
+    disk : Disk
+        Whose room.
+
+    Attributes
+    ----------
+    reserve_bytes : int
+        What is kept free, so that what is recorded can be finished: 256 MB, or a twentieth of a smaller disk.
+    """
+
+    def __init__(self, folder: Path, disk: Disk) -> None:
+        self._folder = folder
+        self._disk = disk
+        space = disk.space(folder)
+        self.reserve_bytes = min(_RESERVE_BYTES, int(_RESERVE_SHARE * space.total))
+        self._looked_at = 0.0
+        self._marks: list[tuple[float, int]] = []
+        self._has_warned = False
+
+    def look(self, now: float, *, again: bool = False) -> tuple[str | None, str | None]:
+        """Why nothing more may be written, and what to warn of; at most once a second unless `again`.
+
+        Both are None where there is nothing to say. It is warned once, until there is room again.
+        """
+        if not again and now - self._looked_at < _LOOK_EVERY_S:
+            return None, None
+        self._looked_at = now
+        space = self._disk.space(self._folder)
+        room = f"{told_bytes(space.free)} free of {told_bytes(space.total)} on the disk of {self._folder}"
+        if space.free < self.reserve_bytes:
+            return (
+                f"{room}, {told_bytes(self.reserve_bytes)} are kept in reserve: free space, recording then goes on",
+                None,
+            )
+        return None, self._warning(now, space.free, room)
+
+    def _warning(self, now: float, free: int, room: str) -> str | None:
+        self._marks = [(at, was) for at, was in self._marks if now - at <= _RATE_OVER_S] + [(now, free)]
+        since, was = self._marks[0]
+        rate = max(0.0, (was - free) / (now - since)) if now - since >= _RATE_OVER_S / 2 else 0.0
+        hours = (free - self.reserve_bytes) / rate / 3600 if rate > 0.0 else None
+        is_low = free < _EARLY_RESERVES * self.reserve_bytes or (hours is not None and hours < _EARLY_H)
+        if not is_low:
+            self._has_warned = False
+            return None
+        if self._has_warned:
+            return None
+        self._has_warned = True
+        forecast = "" if hours is None else f", enough for {hours:.3g} h at the rate of the last minute"
+        return f"the disk runs low: {room}{forecast}"
+
+    def has_room_again(self) -> bool:
+        """Whether twice the reserve is free, so that it does not go on and off."""
+        return self._disk.space(self._folder).free >= 2 * self.reserve_bytes
+
+
+def told_bytes(size: int) -> str:
+    """A size in words.
+
+    Examples
+    --------
+    >>> told_bytes(8_123_456), told_bytes(512), told_bytes(3_000_000_000)
+    ('8.1 MB', '512 B', '3.0 GB')
+    """
+    for factor, name in ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+        if size >= factor:
+            return f"{size / factor:.1f} {name}"
+    return f"{size} B"
+
+
+def monotonic_and_wall_ns() -> tuple[int, int]:
+    """Both clocks of this machine, nanoseconds, read together."""
+    return time.monotonic_ns(), time.time_ns()

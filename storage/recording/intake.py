@@ -1,0 +1,235 @@
+"""What a recorder does with one message: append it, know it again, ask for what is missing, or put it aside."""
+
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+from storage.log.event_log import EventLog
+from storage.log.seal import forged
+from storage.log.sequence import Place
+from storage.recording.recent_messages import RecentMessages
+from storage.segments.records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogRecord
+from storage.store import Store
+from stream.bounds import MAX_MESSAGE_BYTES, MAX_NAME_CHARS
+from stream.delivery.publisher import StreamId
+from stream.errors import GyrofleetError, WireError
+from stream.events import AnyDocument, StoreNoted
+from stream.identity import EstimateKey, EventKey, SampleKey, parse_key
+from stream.wire.batches import decode_batch, encode_preview, read_batch_head
+from stream.wire.event_validation import decode_received
+
+MAX_REJECT_BYTES = 64 << 10
+_REJECTS_BYTES = 128 << 20  # kept in one go, and per second from then on: who sends only nonsense fills no disk
+_REJECTS_BYTES_PER_S = 64 << 10
+_PREVIEW_INTERVAL_NS = 30_000_000_000
+_REWIND_INTERVAL_S = 0.2
+_MOST_ENDED = 10_000
+_parse_key = lru_cache(maxsize=200_000)(parse_key)
+
+
+@dataclass
+class RecorderCounts:
+    """What a recorder has done since it started."""
+
+    messages: int = 0
+    samples: int = 0
+    duplicates: int = 0
+    conflicts: int = 0
+    out_of_order: int = 0
+    rejected: int = 0
+    rejected_not_kept: int = 0
+    backwards: int = 0
+    left_to_sources: int = 0
+    segments: int = 0
+    interruptions: int = 0
+    rejections: deque[str] = field(default_factory=lambda: deque(maxlen=20))
+
+
+@dataclass(frozen=True)
+class ClockStep:
+    """A batch whose source clock stood before that of the one before it."""
+
+    key: str
+    run: str
+    seq: int
+    back_ns: int
+    t_ns: int
+
+
+@dataclass(frozen=True)
+class NumberConflict:
+    """A message with numbers that are recorded already, and with other content; it is kept beside what is recorded."""
+
+    key: str
+    epoch: str
+    seq: int
+    next_seq: int
+
+
+class Intake:
+    """Takes messages into a log in the order of their numbers.
+
+    Parameters
+    ----------
+    log : EventLog
+        Where to.
+    store : Store
+        Whose; documents in its name are believed only with its seal.
+
+    Attributes
+    ----------
+    counts : RecorderCounts
+        What became of the messages.
+    moved : set of StreamId
+        Streams whose source waits to hear how far they are.
+    heard : dict of StreamId to int
+        Number behind the last message that came of each stream: a source is never told of more than it has sent here.
+    rewinds : list of StreamId
+        Streams of which something is missing before what came; to be asked for.
+    clock_steps : list of ClockStep
+        Steps back of a source's clock.
+    conflicts : list of NumberConflict
+        Messages whose numbers are there with other content.
+    ended_runs, late : int
+        Ends of runs that were taken in, and messages behind the end of their run: what was sent again, estimates.
+    """
+
+    def __init__(self, log: EventLog, store: Store) -> None:
+        self._log = log
+        self._store = store
+        self._recent = RecentMessages()
+        self.conflicts: list[NumberConflict] = []
+        self.counts = RecorderCounts()
+        self.moved: set[StreamId] = set()
+        self.heard: dict[StreamId, int] = {}
+        self.rewinds: list[StreamId] = []
+        self.clock_steps: list[ClockStep] = []
+        self.ended_runs = self.late = 0
+        self._ended: dict[str, None] = {}
+        self._asked: dict[StreamId, tuple[int, float]] = {}
+        self._last_ns: dict[StreamId, int] = {}
+        self._previewed: dict[str, int] = {}
+        self._rejects_room = float(_REJECTS_BYTES)
+        self._rejected_at = time.monotonic()
+
+    def take(self, key: str, payload: bytes, arrival_ns: int) -> None:
+        """Take one message.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        self.counts.messages += 1
+        try:
+            parsed = _parse_key(key)
+            if len(payload) > MAX_MESSAGE_BYTES:
+                raise WireError(f"{len(payload)} bytes are more than the {MAX_MESSAGE_BYTES} a message may have")
+            if isinstance(parsed, SampleKey):
+                self._take_samples(key, parsed, payload, arrival_ns)
+            else:
+                self._take_document(key, parsed, payload, arrival_ns)
+        except GyrofleetError as error:
+            self.counts.rejected += 1
+            self.counts.rejections.append(f"{key[:200]}: {str(error)[:500]}")
+            self._keep_rejected(key, payload, arrival_ns)
+
+    def undo(self, undone: dict[StreamId, int]) -> None:
+        """Streams have gone back by so many numbers, which come again."""
+        for stream, count in undone.items():
+            self.moved.discard(stream)
+            self._last_ns.pop(stream, None)
+            if isinstance(_parse_key(stream.key), SampleKey):
+                self.counts.samples -= count
+
+    def _keep_rejected(self, key: str, payload: bytes, arrival_ns: int, most: int = MAX_REJECT_BYTES) -> bool:
+        """Keep the beginning of a message that cannot be taken, as far as there is room for such; whether it is."""
+        now = time.monotonic()
+        refilled = self._rejects_room + (now - self._rejected_at) * _REJECTS_BYTES_PER_S
+        self._rejects_room, self._rejected_at = min(refilled, _REJECTS_BYTES), now
+        kept = payload[:most]
+        if len(kept) > self._rejects_room:
+            self.counts.rejected_not_kept += 1
+            return False
+        self._rejects_room -= len(kept)
+        # a key that is none of ours cannot name a channel for whoever reads the log
+        self._log.append_aside(LogRecord(key[:1000], REJECTED, arrival_ns, arrival_ns, kept))
+        return True
+
+    def _take_samples(self, key: str, parsed: SampleKey, payload: bytes, arrival_ns: int) -> None:
+        unit, signal, run, epoch, seq, next_seq, t0_ns, last_ns, _ = read_batch_head(payload)
+        if unit != parsed.unit or signal != parsed.signal:
+            raise WireError(f"it holds samples of {unit[:MAX_NAME_CHARS]}/{signal[:MAX_NAME_CHARS]}")
+        stream = StreamId(key, epoch)
+        place = Place(stream, seq, next_seq, t0_ns, last_ns, run)
+        if not self._append(place, LogRecord(key, SAMPLES, arrival_ns, t0_ns, payload)):
+            return
+        self.counts.samples += next_seq - seq
+        before_ns = self._last_ns.get(stream)
+        self._last_ns[stream] = last_ns
+        if before_ns is not None and t0_ns <= before_ns:
+            self.counts.backwards += 1
+            self.clock_steps.append(ClockStep(key, run, seq, before_ns - t0_ns, t0_ns))
+        shown_ns = self._previewed.get(key)
+        if shown_ns is None or abs(t0_ns - shown_ns) >= _PREVIEW_INTERVAL_NS:
+            self._previewed[key] = t0_ns
+            batch = decode_batch(payload)
+            data = encode_preview(float(batch.value_array[0]), batch.unit_of_measure)
+            self._log.append_aside(LogRecord(f"{key}/preview", PREVIEW, arrival_ns, t0_ns, data))
+
+    def _take_document(self, key: str, parsed: EventKey | EstimateKey, payload: bytes, arrival_ns: int) -> None:
+        message = decode_received(payload)
+        document = message.document
+        if (reason := forged(self._store, document)) is not None:
+            raise WireError(f"{_told(document)}: {reason}")
+        is_end = isinstance(parsed, EventKey) and type(document).__name__ == "RunEnded"
+        stream = StreamId(key, message.epoch)
+        place = Place(stream, message.seq, message.seq + 1, document.t_ns, document.t_ns, document.run, is_end)
+        if self._append(place, LogRecord(key, EVENTS, arrival_ns, document.t_ns, payload)) and is_end:
+            self.ended_runs += 1
+            self._ended[document.run] = None
+            if len(self._ended) > _MOST_ENDED:
+                del self._ended[next(iter(self._ended))]
+
+    def _append(self, place: Place, record: LogRecord) -> bool:
+        stream, seq, next_seq = place.stream, place.seq, place.next_seq
+        expected = self._log.marks.get(stream, 0)
+        if next_seq > self.heard.get(stream, 0):
+            self.heard[stream] = next_seq
+        if seq == expected:
+            self._log.append(place, record)
+            self._recent.add(stream, seq, record.data)
+            self.moved.add(stream)
+            self.late += place.run in self._ended
+            return True
+        if next_seq <= expected:
+            if self._recent.differs(stream, seq, record.data):
+                self._keep_conflict(place, record)
+            else:
+                self.counts.duplicates += 1
+                self.moved.add(stream)  # its source missed the acknowledgement
+        elif seq < expected:
+            raise WireError(f"numbers {seq} to {next_seq - 1} overlap what is recorded up to {expected - 1}")
+        else:
+            self.counts.out_of_order += 1
+            now = time.monotonic()
+            asked, at = self._asked.get(stream, (-1, 0.0))
+            if asked != expected or now - at >= _REWIND_INTERVAL_S:
+                self._asked[stream] = (expected, now)
+                self.rewinds.append(stream)
+        return False
+
+    def _keep_conflict(self, place: Place, record: LogRecord) -> None:
+        """Keep a message whose numbers are recorded with other content, whole, beside what is recorded."""
+        self.counts.conflicts += 1
+        numbers = f"numbers {place.seq} to {place.next_seq - 1}"
+        self.counts.rejections.append(f"{record.topic[:200]}: {numbers} are recorded already, with other content")
+        self.conflicts.append(NumberConflict(record.topic, place.stream.epoch, place.seq, place.next_seq))
+        if self._keep_rejected(record.topic, record.data, record.arrival_ns, most=MAX_MESSAGE_BYTES):
+            self.moved.add(place.stream)  # else it is left to its source
+
+
+def _told(document: AnyDocument) -> str:
+    what = document.what if isinstance(document, StoreNoted) else ""
+    return f"{type(document).__name__} {what[:80]}".strip()

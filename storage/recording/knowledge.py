@@ -1,0 +1,144 @@
+"""What a store knows of runs that somebody wants to add to: asked in the same words here and of a far recorder."""
+
+import json
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+
+from stream.batch import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from storage.sql.catalog import Catalog
+
+
+class KnownSignal(NamedTuple):
+    """One signal of one run in the lake."""
+
+    unit: str
+    run: str
+    signal: str
+    unit_of_measure: str
+    t_first_ns: int
+    t_last_ns: int
+    samples: int
+
+
+class KnownStep(NamedTuple):
+    """One step of a unit in a run; `t_end_ns` is its start where it is still open."""
+
+    unit: str
+    run: str
+    procedure: str | None
+    position: str | None
+    t_start_ns: int
+    t_end_ns: int
+
+
+class KnownRuns(NamedTuple):
+    """What is known of some runs.
+
+    `dated` says of each run that is there whether its date is known; `open` are those that have no end. `uids` are the
+    documents with which runs and steps begin, `mounted` those that say which unit is what, as JSON; `stated` is what is
+    said of the station of runs: how they began, and what was stated later.
+    """
+
+    dated: dict[str, bool]
+    open: list[str]
+    uids: list[str]
+    mounted: list[str]
+    stated: dict[str, dict[str, str]]
+    steps: list[KnownStep]
+
+
+class Knowledge(Protocol):
+    """Answers from a lake that holds all that has come."""
+
+    def signals(self, runs: list[str]) -> list[KnownSignal]:
+        """The signals of these runs."""
+
+    def runs(self, runs: list[str]) -> KnownRuns:
+        """What is known of these runs."""
+
+    def samples(self, unit: str, signal: str, run: str, first_ns: int, last_ns: int) -> tuple[IntArray, FloatArray]:
+        """Times (ns, ascending) and values between two moments, both inclusive."""
+
+
+class CatalogKnowledge:
+    """Knowledge from a lake in this file system.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        The lake.
+    """
+
+    def __init__(self, catalog: "Catalog") -> None:
+        self._catalog = catalog
+
+    def signals(self, runs: list[str]) -> list[KnownSignal]:
+        """The signals of these runs."""
+        rows = self._catalog.rows(
+            "select unit, run, signal, unit_of_measure, t_first_ns, t_last_ns, samples from signals "
+            "where run in (select unnest($runs))",
+            {"runs": runs},
+        )
+        return [KnownSignal(*row) for row in rows]
+
+    def runs(self, runs: list[str]) -> KnownRuns:
+        """What is known of these runs."""
+        where = {"runs": runs}
+        found = self._catalog.rows(
+            "select run, date_known, outcome = 'open' from runs where run in (select unnest($runs))", where
+        )
+        known = self._catalog.rows(
+            "select uid from events where (kind like 'Step%' or kind = 'RunStarted') and run in (select unnest($runs))",
+            where,
+        )
+        mounted = self._catalog.rows(
+            "select document from events join units using (run, unit, uid) where run in (select unnest($runs))", where
+        )
+        stated = self._catalog.rows(
+            "select run, document->>'$.details' from lake_documents "
+            "where kind in ('RunStarted', 'StationStated') and run in (select unnest($runs)) "
+            "order by run, case kind when 'RunStarted' then -arrival_ns else arrival_ns end",
+            where,
+        )
+        steps = self._catalog.rows(
+            'select unit, run, "procedure", position, t_start_ns, coalesce(t_end_ns, t_start_ns) from steps '
+            "where run in (select unnest($runs))",
+            where,
+        )
+        details: dict[str, dict[str, str]] = {}
+        for run, text in stated:
+            details.setdefault(str(run), {}).update(json.loads(text or "{}"))
+        return KnownRuns(
+            dated={str(run): bool(is_dated) for run, is_dated, _ in found},
+            open=[str(run) for run, _, is_open in found if is_open],
+            uids=[str(uid) for (uid,) in known],
+            mounted=[str(document) for (document,) in mounted],
+            stated=details,
+            steps=[KnownStep(*row) for row in steps],
+        )
+
+    def samples(self, unit: str, signal: str, run: str, first_ns: int, last_ns: int) -> tuple[IntArray, FloatArray]:
+        """Times (ns, ascending) and values between two moments, both inclusive."""
+        from storage.sql.reading import stored_between
+
+        return stored_between(self._catalog, unit, signal, run, first_ns, last_ns)
+
+
+def packed(times_ns: IntArray, values: FloatArray) -> list[bytes]:
+    """Times and values as they travel."""
+    return [times_ns.astype("<i8").tobytes(), np.asarray(values).astype("<f8").tobytes()]
+
+
+def unpacked(times: bytes, values: bytes) -> tuple[IntArray, FloatArray]:
+    """Times and values from what travels.
+
+    Examples
+    --------
+    >>> times, values = unpacked(*packed(np.array([1, 2]), np.array([0.5, 1.5])))
+    >>> times.tolist(), values.tolist()
+    ([1, 2], [0.5, 1.5])
+    """
+    return np.frombuffer(times, "<i8").astype(np.int64), np.frombuffer(values, "<f8").astype(np.float64)

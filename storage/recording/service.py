@@ -1,0 +1,177 @@
+"""What a recorder answers to who wants to send: who alone may send a unit's run, and what the store has of it."""
+
+import threading
+import time
+from collections.abc import Callable
+from queue import Empty, Full, Queue
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from storage.store import Store
+from stream.errors import GyrofleetError, StoreError, WireError
+from stream.transport.bus import Bus
+from stream.wire.requests import (
+    LEASE_S,
+    MOST_ROWS,
+    REQUEST_KEY,
+    AskRuns,
+    AskSamples,
+    AskSignals,
+    Claim,
+    Hello,
+    Question,
+    Release,
+    Reply,
+    Request,
+    Settle,
+    decode_request,
+    encode,
+    reply_key,
+)
+
+if TYPE_CHECKING:
+    from storage.sql.catalog import Catalog
+
+_MOST_WAITING = 1000
+
+
+class _Held(NamedTuple):
+    holder: str
+    text: str
+    until: float
+
+
+class Claims:
+    """Who alone may send samples of a unit in a run.
+
+    Examples
+    --------
+    >>> claims = Claims()
+    >>> claims.claim(Claim("a", "import of a.csv", (("U1", "r1"),)), now=0.0)
+    >>> claims.claim(Claim("b", "import of b.csv", (("U2", "r1"), ("U1", "r1"))), now=1.0)
+    ['U1', 'r1', 'import of a.csv']
+    >>> claims.claim(Claim("b", "import of b.csv", (("U1", "r1"),)), now=4.0)  # the other is silent since
+    """
+
+    def __init__(self) -> None:
+        self._held: dict[tuple[str, str], _Held] = {}
+
+    def claim(self, claim: Claim, now: float) -> list[str] | None:
+        """Grant or renew a claim; where another holds one of it: unit, run and who that is, and nothing is granted."""
+        for unit, run in claim.owners:
+            held = self._held.get((unit, run))
+            if held is not None and held.holder != claim.holder and held.until > now:
+                return [unit, run, held.text]
+        for owner in claim.owners:
+            self._held[owner] = _Held(claim.holder, claim.text[:300], now + LEASE_S)
+        return None
+
+    def release(self, holder: str) -> None:
+        """The holder has ended."""
+        self._held = {owner: held for owner, held in self._held.items() if held.holder != holder}
+
+
+class RecorderService:
+    """Answers the requests on a bus for the recorder of one store, in threads of its own.
+
+    Parameters
+    ----------
+    store : Store
+        Which store.
+    bus : Bus
+        Where requests come from.
+    settle : callable
+        Brings all that has come to the lake; raises StoreError where it cannot.
+    """
+
+    def __init__(self, store: Store, bus: Bus, settle: Callable[[], None]) -> None:
+        self._store = store
+        self._bus = bus
+        self._settle = settle
+        self._claims = Claims()
+        self._catalog: Catalog | None = None
+        self._closing = False
+        # a claim is answered at once, whatever else takes its time
+        self._quick: Queue[Request] = Queue(_MOST_WAITING)
+        self._slow: Queue[Request] = Queue(_MOST_WAITING)
+        self._threads = [
+            threading.Thread(target=self._loop, args=(queue,), name="gyrofleet-service", daemon=True)
+            for queue in (self._quick, self._slow)
+        ]
+        for thread in self._threads:
+            thread.start()
+        bus.subscribe(REQUEST_KEY, self._on_request)
+
+    def close(self) -> None:
+        """Answer nothing more."""
+        self._closing = True
+        for thread in self._threads:
+            thread.join()
+        self._forget()
+
+    def _on_request(self, _key: str, payload: bytes) -> None:
+        try:
+            request = decode_request(payload)
+        except WireError:
+            return  # nobody to answer to
+        if request.store not in {"", self._store.identity} or self._closing:
+            return
+        is_quick = isinstance(request.question, Hello | Claim | Release)
+        try:
+            (self._quick if is_quick else self._slow).put_nowait(request)
+        except Full:
+            return  # asked again
+
+    def _loop(self, queue: "Queue[Request]") -> None:
+        while not self._closing:
+            try:
+                request = queue.get(timeout=0.1)
+            except Empty:
+                continue
+            try:
+                reply = Reply(request.id, self._store.identity, self._answer(request.question))
+            except GyrofleetError as error:
+                reply = Reply(request.id, self._store.identity, error=str(error))
+            except Exception as error:  # noqa: BLE001  whatever it is, who asked is to know it
+                reply = Reply(request.id, self._store.identity, error=f"{type(error).__name__}: {error}")
+            try:
+                self._bus.publish(reply_key(request.id[:64]), encode(reply))
+            except GyrofleetError:
+                return  # the bus is closed
+
+    def _answer(self, question: Question) -> Any:
+        match question:
+            case Hello():
+                return str(self._store.folder.absolute())
+            case Claim():
+                return self._claims.claim(question, time.monotonic())
+            case Release():
+                self._claims.release(question.holder)
+                return None
+            case Settle():
+                self._forget()
+                self._settle()
+                return None
+        from storage.recording.knowledge import CatalogKnowledge, packed
+
+        knowledge = CatalogKnowledge(self._lake())
+        match question:
+            case AskSignals():
+                return knowledge.signals(list(question.runs))
+            case AskRuns():
+                return knowledge.runs(list(question.runs))
+            case AskSamples(unit, signal, run, first_ns, last_ns):
+                times_ns, values = knowledge.samples(unit, signal, run, first_ns, last_ns)
+                return packed(times_ns, values) if len(times_ns) <= MOST_ROWS else None
+        raise StoreError(f"a recorder of this version does not answer {type(question).__name__}")
+
+    def _lake(self) -> "Catalog":
+        if self._catalog is None:
+            from storage.sql.catalog import Catalog  # a recorder that nobody asks needs no DuckDB
+
+            self._catalog = Catalog(self._store)
+        return self._catalog
+
+    def _forget(self) -> None:
+        if self._catalog is not None:
+            self._catalog.close()
+            self._catalog = None

@@ -1,0 +1,1 @@
+"""MCAP segments: their records, how they are read, and the disk below them."""

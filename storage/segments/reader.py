@@ -1,0 +1,362 @@
+"""One segment of the event log, read: a sealed one strictly, one that was left open or is damaged chunk by chunk.
+
+Every read checks the CRCs: the library's default reader reports nothing for a flipped byte.
+"""
+
+import mmap
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import NamedTuple
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Header, Metadata
+
+from storage.segments.records import (
+    CHECKSUM,
+    CHUNK,
+    CHUNK_BYTES,
+    COMPRESSION,
+    FRAME,
+    MAGIC,
+    MARKS,
+    MESSAGE,
+    SCHEMA_IDS,
+    ChannelIndex,
+    ChunkHead,
+    LogRecord,
+    SegmentSummary,
+    checksum,
+    encode_index,
+    origin_of,
+)
+from stream.bounds import MAX_MESSAGE_BYTES
+from stream.errors import OutOfMemory, StoreError
+
+Buffer = bytes | mmap.mmap
+
+_SCHEMAS = {number: name for name, number in SCHEMA_IDS.items()}
+_HEAD_BYTES = 4096
+MAX_CONTENT_BYTES = CHUNK_BYTES + 2 * MAX_MESSAGE_BYTES  # of a chunk, with room for messages of an older gyrofleet
+_FOOTER_BYTES = FRAME.size + 8 + 8 + 4
+_ZSTD_HEAD_BYTES = 18  # at most, RFC 8878 section 3.1.1
+# what stands at a fixed distance behind the beginning of every chunk
+_NEEDLE = struct.pack("<I", len(COMPRESSION)) + COMPRESSION
+_NEEDLE_AT = CHUNK.size - 8 - len(_NEEDLE)
+_DAMAGE = (McapError, ValueError, LookupError, EOFError, struct.error, zstandard.ZstdError, UnicodeDecodeError)
+
+
+class ByteSpan(NamedTuple):
+    """Bytes `begin` to `end` of a file."""
+
+    begin: int
+    end: int
+
+
+class _Chunk(NamedTuple):
+    begin: int
+    head: ChunkHead
+    content: bytes
+
+
+def read_origin(path: Path) -> tuple[str, str] | None:
+    """Identity of the store that wrote a segment, and the segment's number, from its head; None if it says neither."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+        opcode, length = FRAME.unpack_from(head, len(MAGIC))
+        begin = len(MAGIC) + FRAME.size
+        if head[: len(MAGIC)] != MAGIC or opcode != Opcode.HEADER or begin + length > len(head):
+            return None
+        library = Header.read(ReadDataStream(BytesIO(head[begin : begin + length]))).library
+    except (*_DAMAGE, OSError):
+        return None
+    return origin_of(library)
+
+
+def read_marks(path: Path) -> dict[str, str]:
+    """Positions that a sealed segment's streams have reached, from its end.
+
+    Raises
+    ------
+    StoreError
+        If the segment is damaged there.
+    """
+    try:
+        with _mapped(path) as content:
+            found = _marks_in(content)
+    except (*_DAMAGE, OSError) as error:
+        raise StoreError(f"segment {path} is damaged ({type(error).__name__}: {error})") from error
+    if found is None:
+        raise StoreError(f"segment {path} carries no stream positions; was it written by gyrofleet?")
+    if found.pop(CHECKSUM, None) != checksum(found):
+        raise StoreError(f"segment {path} is damaged: the positions of its streams do not hold")
+    return found
+
+
+def _marks_in(content: Buffer) -> dict[str, str] | None:
+    position = _end_of_data(content) + FRAME.size + 4
+    while content[position] != Opcode.FOOTER:
+        opcode, length = FRAME.unpack_from(content, position)
+        if opcode == Opcode.METADATA_INDEX:
+            at = int.from_bytes(content[position + FRAME.size : position + FRAME.size + 8], "little")
+            end = at + FRAME.size + FRAME.unpack_from(content, at)[1]
+            metadata = Metadata.read(ReadDataStream(BytesIO(content[at + FRAME.size : end])))
+            return dict(metadata.metadata) if metadata.name == MARKS else None
+        position += FRAME.size + length
+    return None
+
+
+def read_segment(path: Path) -> Iterator[LogRecord]:
+    """Messages of a sealed segment in the order they were written, every CRC checked.
+
+    Raises
+    ------
+    StoreError
+        If the segment is damaged.
+    """
+    channels: dict[int, tuple[str, str]] = {}
+    try:
+        with _mapped(path) as content:
+            end = _end_of_data(content)
+            position, crc = len(MAGIC), zlib.crc32(MAGIC)
+            while position < end:
+                opcode, length = FRAME.unpack_from(content, position)
+                after = position + FRAME.size + length
+                if opcode == Opcode.CHUNK:
+                    chunk = _chunk_at(content, position, end)
+                    if chunk is None:
+                        raise ValueError(f"the chunk at byte {position} does not hold")
+                    yield from _messages(chunk.content, channels)
+                crc = zlib.crc32(content[position:after], crc)
+                position = after
+            if position != end or crc != struct.unpack_from("<I", content, end + FRAME.size)[0]:
+                raise ValueError("the CRC of its data does not hold")
+    except (*_DAMAGE, OSError) as error:
+        raise StoreError(
+            f"segment {path} is damaged ({type(error).__name__}: {error}); `gyrofleet recover` saves what it still "
+            "holds, or restore it from a copy"
+        ) from error
+
+
+def _end_of_data(content: Buffer) -> int:
+    """Where the data section ends, from a summary and footer whose CRC holds."""
+    at = len(content) - len(MAGIC) - _FOOTER_BYTES
+    if at < len(MAGIC) or content[: len(MAGIC)] != MAGIC or content[-len(MAGIC) :] != MAGIC:
+        raise ValueError("it does not begin and end as an MCAP file")
+    opcode, length, start, _, crc = struct.unpack_from("<BQQQI", content, at)
+    begin = start - FRAME.size - 4
+    if (opcode, length) != (Opcode.FOOTER, _FOOTER_BYTES - FRAME.size) or not len(MAGIC) <= begin < at:
+        raise ValueError("its footer does not hold")
+    if zlib.crc32(content[start : at + _FOOTER_BYTES - 4]) != crc or content[begin] != Opcode.DATA_END:
+        raise ValueError("the CRC of its summary does not hold")
+    return int(begin)
+
+
+class SegmentScan:
+    """Reads a segment chunk by chunk and goes round what is damaged.
+
+    Iterate once; the attributes are complete after it.
+
+    Parameters
+    ----------
+    path : Path
+        The file, sealed or not.
+    limit : int, optional
+        Byte after which nothing is to be believed.
+    sealed : bool
+        Whether the file was finished once, so that it cannot break off.
+
+    Attributes
+    ----------
+    damaged : list of ByteSpan
+        Bytes between what could be read; an incomplete record at the end is `torn`, not damaged.
+    torn : ByteSpan or None
+        Bytes at the end that are no whole record.
+    whole_bytes : int
+        Length of the file's beginning that is without damage, up to the end of a chunk and its indexes.
+    summary : SegmentSummary
+        What the end of a segment would say of that beginning.
+    """
+
+    def __init__(self, path: Path, limit: int | None = None, *, sealed: bool = False) -> None:
+        self.path = path
+        self.limit = limit
+        self._sealed = sealed
+        self.damaged: list[ByteSpan] = []
+        self.torn: ByteSpan | None = None
+        self.whole_bytes = 0
+        self.summary = SegmentSummary()
+
+    def __iter__(self) -> Iterator[LogRecord]:
+        """Messages of the chunks whose CRC holds, in their order."""
+        channels: dict[int, tuple[str, str]] = {}
+        with _mapped(self.path) as content:
+            end = len(content) if self.limit is None else min(self.limit, len(content))
+            for chunk in self._chunks(content, end):
+                index: ChannelIndex = {}
+                yield from _messages(chunk.content, channels, index, self.summary)
+                self._extend(content, chunk, index, end)
+
+    def _chunks(self, content: Buffer, end: int) -> Iterator[_Chunk]:
+        """Chunks that hold; what lies between them and is no record is noted as damaged."""
+        position = len(MAGIC)
+        if content[: len(MAGIC)] == MAGIC:
+            self.whole_bytes = position
+        else:
+            self.damaged.append(ByteSpan(0, len(MAGIC)))
+        while position < end:
+            frame = _frame_at(content, position, end)
+            chunk = _chunk_at(content, position, end) if frame is not None and frame[0] == Opcode.CHUNK else None
+            if chunk is not None:
+                yield chunk
+            if frame is None or (chunk is None and not _is_plain(content, position, *frame)):
+                found = _next_chunk(content, position + 1, end)
+                if found is None:
+                    self._note_rest(content, position, end, frame)
+                    return
+                self.damaged.append(ByteSpan(position, found))
+                position = found
+                continue
+            if frame[0] in {Opcode.HEADER, Opcode.SCHEMA} and self.whole_bytes == position:
+                self.whole_bytes = frame[1]
+            elif frame[0] == Opcode.DATA_END:
+                return  # of a sealed segment; what follows only repeats
+            position = frame[1]
+
+    def _note_rest(self, content: Buffer, position: int, end: int, frame: tuple[int, int] | None) -> None:
+        """The rest holds no chunk: it was not written to its end, or it is damaged."""
+        rest = ByteSpan(position, end)
+        is_cut = frame is None and content[position] in {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.METADATA}
+        if is_cut and not self._sealed:
+            self.torn = rest
+        else:
+            self.damaged.append(rest)
+
+    def _extend(self, content: Buffer, chunk: _Chunk, index: ChannelIndex, end: int) -> None:
+        """Let the whole beginning reach to behind this chunk, if it reaches up to it."""
+        if chunk.begin != self.whole_bytes:
+            return
+        after = chunk.begin + chunk.head.frame_bytes
+        indexes = encode_index(index)
+        is_indexed = content[after : after + len(indexes)] == indexes and after + len(indexes) <= end
+        self.summary.add_chunk(chunk.begin, chunk.head, index, len(indexes) if is_indexed else 0)
+        self.whole_bytes = after + (len(indexes) if is_indexed else 0)
+
+
+@contextmanager
+def _mapped(path: Path) -> Iterator[Buffer]:
+    with path.open("rb") as file:
+        if path.stat().st_size == 0:
+            yield b""
+            return
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            yield content
+
+
+def _frame_at(content: Buffer, position: int, end: int) -> tuple[int, int] | None:
+    """Opcode and end of the record at `position`, if it can be one and is whole."""
+    if position + FRAME.size > end:
+        return None
+    opcode, length = FRAME.unpack_from(content, position)
+    after = position + FRAME.size + length
+    return (opcode, after) if Opcode.HEADER <= opcode <= Opcode.DATA_END and after <= end else None
+
+
+def _is_plain(content: Buffer, position: int, opcode: int, after: int) -> bool:
+    """Whether the frame at `position` is to be believed: no chunk, of a kind that is written, and of its length.
+
+    A single flipped bit makes an index or an end of a chunk's frame, or one that reaches across the next chunks.
+    """
+    if opcode == Opcode.MESSAGE_INDEX:
+        if after - position < FRAME.size + 6:
+            return False
+        (length,) = struct.unpack_from("<I", content, position + FRAME.size + 2)
+        return bool(after - position == FRAME.size + 6 + length)
+    if opcode == Opcode.DATA_END:
+        return after - position == FRAME.size + 4
+    return opcode in {Opcode.HEADER, Opcode.SCHEMA, Opcode.METADATA} and _next_chunk(content, position, after) is None
+
+
+def _chunk_at(content: Buffer, position: int, end: int) -> _Chunk | None:
+    """The chunk at `position`, if there is one and its CRC holds."""
+    if position < 0 or position + CHUNK.size > end:
+        return None
+    opcode, length, first_ns, last_ns, size, crc, named, compression, packed = CHUNK.unpack_from(content, position)
+    begin = position + CHUNK.size
+    if (opcode, named, compression) != (Opcode.CHUNK, len(COMPRESSION), COMPRESSION):
+        return None
+    if length != CHUNK.size - FRAME.size + packed or packed > end - begin:
+        return None
+    try:
+        if zstandard.frame_content_size(content[begin : begin + min(packed, _ZSTD_HEAD_BYTES)]) != size:
+            return None  # before so much is allocated
+        data = zstandard.decompress(content[begin : begin + packed])
+    except (zstandard.ZstdError, OverflowError):
+        return None
+    except MemoryError as error:
+        if size > MAX_CONTENT_BYTES:
+            return None  # nobody has written that
+        raise OutOfMemory(
+            f"there is no memory for {size:,} bytes of a log segment; it may be sound, so free some and try again"
+        ) from error
+    if len(data) != size or zlib.crc32(data) != crc:
+        return None
+    return _Chunk(position, ChunkHead(first_ns, last_ns, size, crc, packed), data)
+
+
+def _next_chunk(content: Buffer, position: int, end: int) -> int | None:
+    """Where the next chunk that holds begins, from `position` on."""
+    found = content.find(_NEEDLE, position, end)
+    while found >= 0:
+        if found - _NEEDLE_AT >= position and _chunk_at(content, found - _NEEDLE_AT, end) is not None:
+            return found - _NEEDLE_AT
+        found = content.find(_NEEDLE, found + 1, end)
+    return None
+
+
+def _messages(
+    content: bytes,
+    channels: dict[int, tuple[str, str]],
+    index: ChannelIndex | None = None,
+    summary: SegmentSummary | None = None,
+) -> Iterator[LogRecord]:
+    """Messages of a chunk's content; its channels are added to `channels`, places of messages to `index`."""
+    position, end = 0, len(content)
+    unpack, head = MESSAGE.unpack_from, MESSAGE.size
+    while position < end:
+        opcode, length = FRAME.unpack_from(content, position)
+        after = position + FRAME.size + length
+        if opcode == Opcode.MESSAGE:
+            _, _, number, _, log_time, publish_time = unpack(content, position)
+            topic, schema = channels[number]
+            if index is not None:
+                index.setdefault(number, []).extend((log_time, position))
+            yield LogRecord(topic, schema, log_time, publish_time, content[position + head : after])
+        elif opcode == Opcode.CHANNEL:
+            channel = Channel.read(ReadDataStream(BytesIO(content[position + FRAME.size : after])))
+            channels[channel.id] = (channel.topic, _SCHEMAS[channel.schema_id])
+            if summary is not None:
+                summary.channels[channel.id] = channel
+            if index is not None:
+                index.setdefault(channel.id, [])
+        position = after
+
+
+class Salvage(NamedTuple):
+    """What could be read of a segment that was never sealed."""
+
+    records: list[LogRecord]
+    damaged_chunks: int
+
+
+def salvage_segment(path: Path) -> Salvage:
+    """Read an unsealed segment chunk by chunk, leaving out what is damaged, up to where the file breaks off."""
+    scan = SegmentScan(path)
+    return Salvage(list(scan), len(scan.damaged))

@@ -1,0 +1,198 @@
+"""What segments of the event log are made of: MCAP records, the same for writing and reading."""
+
+import struct
+import zlib
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    ChunkIndex,
+    McapRecord,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+
+from stream.events import document_schema
+from stream.wire.batches import sample_descriptors
+
+PROFILE = "gyrofleet"
+SAMPLES = "gyrofleet.SampleBatch"
+PREVIEW = "gyrofleet.Preview"
+EVENTS = "gyrofleet.EventMessage"
+REJECTED = "gyrofleet.Rejected"
+MARKS = "gyrofleet.marks"
+CHECKSUM = "checksum"
+# always the same, so that a chunk can be read without the head of its file
+SCHEMA_IDS = {REJECTED: 0, SAMPLES: 1, PREVIEW: 2, EVENTS: 3}
+MAGIC = b"\x89MCAP0\r\n"
+COMPRESSION = b"zstd"
+
+FRAME = struct.Struct("<BQ")  # opcode, length of what follows
+MESSAGE = struct.Struct("<BQHIQQ")  # frame, channel, sequence, log time, publish time
+MESSAGE_HEAD_BYTES = MESSAGE.size - FRAME.size
+CHUNK = struct.Struct("<BQQQQII4sQ")  # frame, first and last log time, size, CRC, 4, b"zstd", length of the data
+CHUNK_BYTES = 2 << 20
+
+_INDEX_HEAD = struct.Struct("<BQHI")
+ENCODINGS = {SAMPLES: "protobuf", PREVIEW: "protobuf", EVENTS: "json", REJECTED: ""}
+
+
+def written_by(store: str, path: Path) -> str:
+    """What a segment's head says of its origin: the identity of the store, and the segment's number."""
+    if not store:
+        return "gyrofleet"
+    text = f"{store} {path.name.partition('.')[0]}"
+    return f"gyrofleet {text} {zlib.crc32(text.encode()):08x}"
+
+
+def origin_of(library: str) -> tuple[str, str] | None:
+    """Identity and number as `written_by` wrote them; None if it says neither, or is damaged.
+
+    Examples
+    --------
+    >>> origin_of(written_by("5e0f", Path("00000007.mcap.open")))
+    ('5e0f', '00000007')
+    """
+    text, _, crc = library.removeprefix("gyrofleet ").rpartition(" ")
+    if crc != f"{zlib.crc32(text.encode()):08x}":
+        return None
+    store, _, segment = text.partition(" ")
+    return store, segment
+
+
+class LogRecord(NamedTuple):
+    """One message as it stands in the log."""
+
+    topic: str
+    schema: str
+    arrival_ns: int
+    publish_ns: int
+    data: bytes
+
+
+class SealedSegment(NamedTuple):
+    """A finished segment: its file, length and SHA-256."""
+
+    path: Path
+    size: int
+    sha256: str
+
+
+ChannelIndex = dict[int, list[int]]  # by channel: log time and offset of each of its messages in the chunk, in turn
+
+
+class ChunkHead(NamedTuple):
+    """What stands before the compressed messages of a chunk."""
+
+    first_ns: int
+    last_ns: int
+    content_bytes: int
+    crc: int
+    packed_bytes: int
+
+    @property
+    def frame_bytes(self) -> int:
+        """Length of the whole record."""
+        return CHUNK.size + self.packed_bytes
+
+    def encode(self) -> bytes:
+        """Its wire form, frame included."""
+        length = self.frame_bytes - FRAME.size
+        return CHUNK.pack(
+            Opcode.CHUNK, length, self.first_ns, self.last_ns, self.content_bytes, self.crc, len(COMPRESSION),
+            COMPRESSION, self.packed_bytes,
+        )  # fmt: skip
+
+
+def encode_index(index: ChannelIndex) -> bytes:
+    """The records that follow a chunk and say where in it the messages of each channel stand."""
+    parts = []
+    for channel, places in index.items():
+        size = 8 * len(places)
+        parts.append(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size))
+        parts.append(struct.pack(f"<{len(places)}Q", *places))
+    return b"".join(parts)
+
+
+class SegmentSummary:
+    """What the end of a segment says of its contents, gathered while it is written or read."""
+
+    def __init__(self) -> None:
+        self.channels: dict[int, Channel] = {}
+        self.chunks: list[ChunkIndex] = []
+        self.counts: dict[int, int] = {}
+
+    def add_chunk(self, begin: int, head: ChunkHead, index: ChannelIndex, indexes: int) -> None:
+        """Take note of a chunk at byte `begin`, of the messages in it, and of the bytes of their indexes behind it."""
+        at = begin + head.frame_bytes
+        offsets = {}
+        for channel, places in index.items():
+            self.counts[channel] = self.counts.get(channel, 0) + len(places) // 2
+            offsets[channel] = at
+            at += _INDEX_HEAD.size + 8 * len(places)
+        self.chunks.append(
+            ChunkIndex(
+                chunk_length=head.frame_bytes,
+                chunk_start_offset=begin,
+                compression=COMPRESSION.decode(),
+                compressed_size=head.packed_bytes,
+                message_end_time=head.last_ns,
+                message_index_length=indexes,
+                message_index_offsets=offsets if indexes else {},
+                message_start_time=head.first_ns,
+                uncompressed_size=head.content_bytes,
+            )
+        )
+
+    def records(self, metadata: MetadataIndex) -> list[list[McapRecord]]:
+        """The records of the summary section, by kind."""
+        used = [chunk for chunk in self.chunks if chunk.message_index_offsets]
+        statistics = Statistics(
+            attachment_count=0,
+            channel_count=len(self.channels),
+            channel_message_counts=self.counts,
+            chunk_count=len(self.chunks),
+            message_count=sum(self.counts.values()),
+            message_start_time=min((chunk.message_start_time for chunk in used), default=0),
+            message_end_time=max((chunk.message_end_time for chunk in used), default=0),
+            metadata_count=1,
+            schema_count=len(SCHEMA_IDS) - 1,
+        )
+        channels = [self.channels[number] for number in sorted(self.channels)]
+        return [list(schemas()), list(channels), [statistics], list(self.chunks), [metadata]]
+
+
+def schemas() -> tuple[Schema, ...]:
+    """The schemas of every segment, which make it readable for other tools."""
+    descriptors = sample_descriptors()
+    documents = msgspec.json.encode(document_schema())
+    return (
+        Schema(id=SCHEMA_IDS[SAMPLES], data=descriptors, encoding="protobuf", name=SAMPLES),
+        Schema(id=SCHEMA_IDS[PREVIEW], data=descriptors, encoding="protobuf", name=PREVIEW),
+        Schema(id=SCHEMA_IDS[EVENTS], data=documents, encoding="jsonschema", name=EVENTS),
+    )
+
+
+def encoded(*records: McapRecord) -> bytes:
+    """Records as they stand in a file."""
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return bytes(builder.end())
+
+
+def checksum(marks: dict[str, str]) -> str:
+    """Checksum of the positions of streams; the format has none for metadata.
+
+    Examples
+    --------
+    >>> checksum({"gyrofleet/plant/bench/U1/rate 01": "500"})
+    '9427e9cb'
+    """
+    text = "\n".join(f"{name}\t{marks[name]}" for name in sorted(marks))
+    return f"{zlib.crc32(text.encode()):08x}"

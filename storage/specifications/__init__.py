@@ -1,0 +1,1 @@
+"""Product specifications as documents in the log."""

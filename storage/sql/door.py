@@ -1,0 +1,295 @@
+"""Where users' statements come in: each runs in a process of its own that can read the store and nothing else."""
+
+import json
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Generator
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, NamedTuple, Self
+
+import msgspec
+
+import stream.errors
+from storage.manifests.lake import read_manifest
+from storage.sql.frames import Closed, Kind, read_frame, write_frame
+from storage.store import Store
+from stream.errors import GyrofleetError, QueryError, StoreError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_GIB = 1 << 30
+_TOLD_BYTES = 2000
+_ATTEMPTS = 3
+
+
+class QueryLimits(NamedTuple):
+    """What one statement may take.
+
+    Parameters
+    ----------
+    time_s : float
+        Computing time by the clock; the time in which its result waits to be read does not count.
+    memory_bytes : int
+        Memory.
+    rows : int
+        Rows of its result.
+    """
+
+    time_s: float = 60.0
+    memory_bytes: int = min(4 * _GIB, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2)
+    rows: int = 100_000_000
+
+
+class Result:
+    """Rows of a statement's result, as they come.
+
+    Parameters
+    ----------
+    schema : Schema
+        Its columns.
+    batches : generator of RecordBatch
+        Its rows; what goes wrong on the way is a `QueryError`.
+    """
+
+    def __init__(self, schema: "pa.Schema", batches: "Generator[pa.RecordBatch, None, None]") -> None:
+        self.schema = schema
+        self.batches = batches
+
+    def read_all(self) -> "pa.Table":
+        """All rows."""
+        import pyarrow as pa
+
+        return pa.Table.from_batches(self.batches, self.schema)
+
+
+class SqlDoor:
+    """Answers users' statements about a store as it was when the door was opened.
+
+    Parameters
+    ----------
+    store : Store
+        Which store.
+    limits : QueryLimits
+        Of each statement.
+    landlock : bool
+        Whether the kernel is asked to enforce that nothing is written; without it the other guards stand alone.
+
+    Attributes
+    ----------
+    is_enforced : bool or None
+        Whether the kernel does; None until the first statement.
+
+    Raises
+    ------
+    StoreError
+        If the lake is damaged.
+
+    Examples
+    --------
+    >>> with SqlDoor(Store.open(Path("night"))) as door:  # doctest: +SKIP
+    ...     table = door.ask("select unit, signal, samples from signals").read_all()
+    """
+
+    def __init__(self, store: Store, limits: QueryLimits | None = None, *, landlock: bool = True) -> None:
+        self.store = store
+        self.limits = limits or QueryLimits()
+        self.is_enforced: bool | None = None
+        self._landlock = landlock
+        self._parts = read_manifest(store).parts
+        self._kept = store.folder
+        self._scratch: tempfile.TemporaryDirectory[str] | None = None
+        self._process: _Process | None = None
+
+    def ask(self, statement: str, parameters: object = None) -> Result:
+        """Answer one statement; `parameters` fill its ``$name`` or ``?``.
+
+        Raises
+        ------
+        QueryError
+            If it would do more than read, fails, or takes more than its limits allow.
+        """
+        for attempt in range(_ATTEMPTS):
+            process = self._process or self._started()
+            process.send(Kind.REQUEST, pickle.dumps({"statement": statement, "parameters": parameters}))
+            import pyarrow as pa  # while that one starts
+
+            kind, content = self._received(process)
+            if kind is Kind.ROWS:
+                with pa.ipc.open_stream(content) as reader:
+                    return Result(reader.schema, self._batches(process))
+            self._compute(statement, apart=attempt > 0)
+        raise StoreError(f"what {self.store.folder} holds changes while it is read; ask again")
+
+    def _batches(self, process: "_Process") -> "Generator[pa.RecordBatch, None, None]":
+        import pyarrow as pa
+
+        rows, is_complete = 0, False
+        try:
+            while True:
+                kind, content = self._received(process)
+                if kind is Kind.DONE:
+                    is_complete = True
+                    return
+                with pa.ipc.open_stream(content) as reader:
+                    for batch in reader:
+                        rows += batch.num_rows
+                        if rows > self.limits.rows:
+                            raise QueryError(
+                                f"the result has more than {self.limits.rows:,} rows; ask for less, or for more rows "
+                                f"(--max-rows, QueryLimits.rows)"
+                            )
+                        yield batch
+        finally:
+            if not is_complete:  # what is still to come must not be taken for the next answer
+                self._end()
+
+    def _received(self, process: "_Process") -> tuple[Kind, bytes]:
+        """The next answer; an error is raised as what it is."""
+        try:
+            kind, content = read_frame(process.answers)
+        except Closed:
+            self._process = None
+            raise process.why_it_ended(self.limits) from None
+        if kind is Kind.FAILED:
+            failure = json.loads(content)
+            if "MemoryError" in failure["kinds"]:
+                self._end()
+                raise _too_much_memory(self.limits)
+            if failure["message"].startswith("Out of Memory Error"):
+                raise _too_much_memory(self.limits)
+            known = [getattr(stream.errors, name, None) for name in failure["kinds"]]
+            kinds = [each for each in known if isinstance(each, type) and issubclass(each, GyrofleetError)]
+            raise kinds[0](failure["message"])
+        return kind, content
+
+    def _started(self) -> "_Process":
+        self._process = process = _Process()
+        setup = {
+            "folder": str(self.store.folder.resolve()),
+            "identity": self.store.identity,
+            "parts": msgspec.json.encode(self._parts).decode(),
+            "kept": str(self._kept.resolve()),
+            "readable": [str(self.store.folder.resolve()), str(self._kept.resolve())],
+            "time_s": self.limits.time_s,
+            "memory_bytes": self.limits.memory_bytes,
+            "landlock": self._landlock,
+        }
+        process.send(Kind.REQUEST, json.dumps(setup).encode())
+        try:
+            _, content = self._received(process)
+        except GyrofleetError:
+            self._end()
+            raise
+        process.has_begun = True
+        self.is_enforced = bool(json.loads(content)["landlock"])
+        return process
+
+    def _compute(self, statement: str, *, apart: bool) -> None:
+        """Compute what the tables that a statement names need, here, where it can be kept.
+
+        Apart from the store where the store cannot keep it, or keeps what another process has computed since.
+        """
+        from storage.sql.catalog import Catalog, layers
+
+        if apart and self._scratch is None:
+            self._end()  # that process reads the store's own
+            self._scratch = tempfile.TemporaryDirectory(prefix="gyrofleet-sql-")
+            for folder in {layer.folder for layer in layers()}:
+                if (self.store.folder / folder).is_dir():
+                    shutil.copytree(self.store.folder / folder, Path(self._scratch.name) / folder)
+            self._kept = Path(self._scratch.name)
+        with Catalog(self.store, parts=self._parts, kept=self._kept) as catalog:
+            catalog.prepare(statement)
+
+    def _end(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process = None
+
+    def close(self) -> None:
+        """End the process."""
+        self._end()
+        if self._scratch is not None:
+            self._scratch.cleanup()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class _Process:
+    """The process, and what it writes of errors."""
+
+    def __init__(self) -> None:
+        folders = os.pathsep.join(each for each in sys.path if each)
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "storage.sql.child"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env={
+                **os.environ,
+                "PYTHONPATH": folders,
+                "MALLOC_ARENA_MAX": "2",  # what arenas reserve would count as memory taken
+                "NUMBA_DISABLE_JIT": "1",  # nothing is computed there, and its cache could not be written
+            },
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._requests: IO[bytes] = self._process.stdin
+        self.answers: IO[bytes] = self._process.stdout
+        self._told = b""
+        self.has_begun = False
+        self._listener = threading.Thread(target=self._listen, daemon=True)
+        self._listener.start()
+
+    def _listen(self) -> None:
+        assert self._process.stderr is not None
+        with self._process.stderr as file:
+            for line in file:
+                self._told = (self._told + line)[-_TOLD_BYTES:]
+
+    def send(self, kind: Kind, content: bytes) -> None:
+        with suppress(OSError):  # it has ended; why is found when its answer is read
+            write_frame(self._requests, kind, content)
+
+    def why_it_ended(self, limits: QueryLimits) -> GyrofleetError:
+        """The error of a process that ended without an answer."""
+        code = self._process.wait()
+        self.kill()
+        told = self._told.decode(errors="replace").strip().splitlines() or ["no message"]
+        if not self.has_begun:
+            return StoreError(f"the process that answers statements cannot start (code {code}): {told[-1]}")
+        if code == -signal.SIGALRM:
+            return QueryError(
+                f"the statement was ended after {limits.time_s:g} s; ask for less, or give it more time "
+                f"(--max-time, QueryLimits.time_s)"
+            )
+        if code < 0:
+            return _too_much_memory(limits, f" (its process ended with {signal.Signals(-code).name})")
+        return QueryError(f"the process of the statement ended with code {code}: {told[-1]}")
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        self._listener.join()
+        self.answers.close()
+        with suppress(OSError):  # what was still to be sent goes nowhere
+            self._requests.close()
+
+
+def _too_much_memory(limits: QueryLimits, how: str = "") -> QueryError:
+    return QueryError(
+        f"the statement takes more memory than the {limits.memory_bytes / _GIB:.3g} GiB that it may{how}; ask for "
+        f"less, or give it more (--max-memory, QueryLimits.memory_bytes)"
+    )

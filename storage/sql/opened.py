@@ -1,0 +1,88 @@
+"""The door for Python: a store that is asked in SQL and answers as Polars or Arrow."""
+
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+import pyarrow as pa
+
+from storage.sql.door import QueryLimits, SqlDoor
+from storage.store import Store
+
+if TYPE_CHECKING:
+    import polars as pl
+
+
+class Answer:
+    """The result of a statement, complete.
+
+    Parameters
+    ----------
+    table : Table
+        It.
+    """
+
+    def __init__(self, table: pa.Table) -> None:
+        self._table = table
+
+    def arrow(self) -> pa.Table:
+        """As an Arrow table."""
+        return self._table
+
+    def polars(self) -> "pl.DataFrame":
+        """As a Polars frame."""
+        import polars as pl
+
+        frame = pl.from_arrow(self._table)
+        assert isinstance(frame, pl.DataFrame)
+        return frame
+
+    def rows(self) -> list[dict[str, object]]:
+        """As a list of dictionaries."""
+        return list(self._table.to_pylist())
+
+
+class OpenedStore:
+    """A store as it is when it is opened.
+
+    Parameters
+    ----------
+    folder : path
+        Of the store.
+    limits : QueryLimits, optional
+        Time, memory and rows that one statement may take.
+
+    Raises
+    ------
+    StoreError
+        If it is none.
+
+    Examples
+    --------
+    >>> from storage import open_store
+    >>> with open_store("gyrofleet-data") as store:  # doctest: +SKIP
+    ...     frame = store.sql("select unit, value, lo, hi from unit_metrics where metric = 'bias'").polars()
+    """
+
+    def __init__(self, folder: str | PathLike[str], limits: QueryLimits | None = None) -> None:
+        self.door = SqlDoor(Store.open(Path(folder)), limits)
+
+    def sql(self, statement: str, parameters: object = None) -> Answer:
+        """Answer one statement that reads; `parameters` fill its ``$name`` or ``?``.
+
+        Raises
+        ------
+        QueryError
+            If it would do more than read the store, fails, or takes more than the limits allow.
+        """
+        return Answer(self.door.ask(statement, parameters).read_all())
+
+    def close(self) -> None:
+        """Close it."""
+        self.door.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,196 @@
+"""Samples of one signal read back from the lake, in the order of their time; all of them, or an error."""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+from uuid import UUID
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from storage.lake.tables import SAMPLES_FILE, damaged, open_table
+from storage.sql.catalog import Catalog
+from stream.batch import FloatArray, IntArray, SampleBatch
+from stream.errors import NotFound
+
+_ROWS = 122_880  # DuckDB's row group
+
+
+@dataclass(frozen=True)
+class SignalRecord:
+    """One signal of one run as the store holds it."""
+
+    unit: str
+    signal: str
+    run: str
+    unit_of_measure: str
+    samples: int
+    irregular: bool
+    kept_raw: int | None = None
+
+
+def find_signal(
+    catalog: Catalog, unit: str, signal: str, run: str | None = None, *, at_least_s: float = 0.0
+) -> SignalRecord:
+    """The record of a signal; of the run measured last where no run is named.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        The store.
+    unit, signal : str
+        Which signal.
+    run : str, optional
+        Of which run. A run of unknown date counts as measured when it was recorded.
+    at_least_s : float
+        Where no run is named, one with so long a record comes before shorter ones.
+
+    Raises
+    ------
+    NotFound
+        If the store does not hold it; the message lists what it does hold.
+    """
+    _check_held(catalog, "unit", unit, "", {})
+    _check_held(catalog, "signal", signal, f" of unit {unit}", {"unit": unit})
+    if run is not None:
+        _check_held(catalog, "run", run, f" of unit {unit}, signal {signal}", {"unit": unit, "signal": signal})
+    row = catalog.rows(
+        "select s.run, s.unit_of_measure, s.samples, s.irregular, s.kept_raw "
+        "from signals s left join runs r on r.run = s.run "
+        "where s.unit = $unit and s.signal = $signal and (s.run = $run or $run is null) "
+        "order by (s.t_last_ns - s.t_first_ns) / 1e9 + coalesce(s.sample_interval_s, 0) >= $at_least_s desc, "
+        "case when coalesce(r.date_known, true) then s.t_last_ns else s.arrival_first_ns end desc, "
+        "s.arrival_first_ns desc, s.t_first_ns desc limit 1",
+        {"unit": unit, "signal": signal, "run": run, "at_least_s": at_least_s},
+    )[0]
+    return SignalRecord(unit, signal, str(row[0]), str(row[1]), int(row[2]), bool(row[3]), int(row[4]))
+
+
+def _check_held(catalog: Catalog, column: str, wanted: str, of: str, given: dict[str, str]) -> None:
+    where = " and ".join(["true", *(f"{name} = ${name}" for name in given)])
+    sql = f"select distinct {column} from signals where {where} order by 1"  # noqa: S608
+    held = [str(row[0]) for row in catalog.rows(sql, given)]
+    if wanted not in held:
+        listed = ", ".join(held[:12]) + (f" and {len(held) - 12} more" if len(held) > 12 else "")
+        raise NotFound(f"{column} {wanted!r}{of} is not in {catalog.store.folder}; it holds {listed or 'nothing yet'}")
+
+
+def read_signal(catalog: Catalog, record: SignalRecord) -> Iterator[SampleBatch]:
+    """Batches of a signal in the order of time, read piece by piece.
+
+    Raises
+    ------
+    NotFound
+        If raw rows of it were dropped: a part of a signal is not the signal.
+    StoreError
+        If a file of the lake is damaged.
+    """
+    if record.kept_raw is not None and record.kept_raw < record.samples:
+        raise _gone(catalog, record.unit, record.signal, record.run, record.samples - record.kept_raw, record.samples)
+    channels = catalog.rows(
+        'select channel, epoch, dt_ns, is_counts, scale, "offset", irregular from lake_channels '
+        "where unit = $unit and signal = $signal and run = $run order by t_first_ns",
+        {"unit": record.unit, "signal": record.signal, "run": record.run},
+    )
+    for channel, epoch, dt_ns, is_counts, scale, offset, irregular in channels:
+        for table in _channel_rows(catalog, channel, "counts" if is_counts else "value"):
+            t_ns = table.column(1).to_numpy()
+            data = table.column(2).to_numpy()
+            is_exact = not irregular and bool(np.all(np.diff(t_ns) == dt_ns))
+            yield SampleBatch(
+                unit=record.unit,
+                signal=record.signal,
+                run=record.run,
+                epoch=UUID(epoch),
+                seq=table.column(0)[0].as_py(),
+                t0_ns=int(t_ns[0]),
+                dt_ns=dt_ns,
+                unit_of_measure=record.unit_of_measure,
+                counts=data if is_counts else None,
+                values=None if is_counts else data,
+                times_ns=None if is_exact else t_ns,
+                irregular=irregular,
+                scale=scale,
+                offset=offset,
+            )
+
+
+class _Stretch(NamedTuple):
+    seq_first: int
+    seq_next: int
+    folder: Path
+
+
+def _channel_rows(catalog: Catalog, channel: int, column: str) -> Iterator[pa.RecordBatch]:
+    """Numbers, times and data of a channel in the order of its numbers."""
+    rows = catalog.rows(
+        "select seq_first, seq_next, filename from lake_channel_parts where channel = $channel order by seq_first",
+        {"channel": channel},
+    )
+    stretches = [_Stretch(first, after, Path(path).parent) for first, after, path in rows]
+    if all(before.seq_next <= after.seq_first for before, after in itertools.pairwise(stretches)):
+        for stretch in stretches:
+            yield from _part_rows(stretch.folder / SAMPLES_FILE, channel, column)
+        return
+    # a segment that was mended later holds numbers between those of another part
+    sql = "select seq, t_ns, base + above as counts, value from lake_samples where channel = $channel order by seq"
+    for batch in catalog.batches(sql, {"channel": channel}, _ROWS):
+        yield batch.select(["seq", "t_ns", column])
+
+
+def _part_rows(path: Path, channel: int, column: str) -> Iterator[pa.RecordBatch]:
+    columns = ["base", "above"] if column == "counts" else ["value"]
+    with open_table(path) as file:
+        bounds = [file.metadata.row_group(i).column(0).statistics for i in range(file.num_row_groups)]
+        own = [i for i, each in enumerate(bounds) if each is not None and each.min <= channel <= each.max]
+        try:
+            for is_shared, numbers in itertools.groupby(own, key=lambda i: bounds[i].min != bounds[i].max):
+                told = ["channel"] if is_shared else []
+                for batch in file.iter_batches(_ROWS, list(numbers), [*told, "seq", "t_ns", *columns]):
+                    rows = batch.filter(pc.equal(batch.column("channel"), channel)) if is_shared else batch
+                    data = rows.column(columns[0])
+                    if column == "counts":
+                        data = pc.add(data, rows.column("above"))
+                    numbered = [rows.column("seq"), rows.column("t_ns"), data]
+                    yield pa.RecordBatch.from_arrays(numbered, ["seq", "t_ns", column])
+        except (pa.ArrowException, OSError) as error:
+            raise damaged(path, error) from error
+
+
+def _gone(catalog: Catalog, unit: str, signal: str, run: str, gone: int, of: int) -> NotFound:
+    return NotFound(
+        f"unit {unit}, signal {signal}, run {run}: raw samples were dropped from {catalog.store.folder} to make room "
+        f"({gone:,} of {of:,}; the documents raw_rows_dropped in the view events say when and why); what is kept of "
+        f"them stands in rollup_1s, rollup_10s and estimates, and in the log: `gyrofleet replay {run}`"
+    )
+
+
+def stored_between(
+    catalog: Catalog, unit: str, signal: str, run: str, first_ns: int, last_ns: int
+) -> tuple[IntArray, FloatArray]:
+    """Times (ns, ascending) and values of a signal's samples between two moments, both inclusive.
+
+    Raises
+    ------
+    NotFound
+        If raw rows of that time were dropped.
+    """
+    where: dict[str, Any] = {"unit": unit, "signal": signal, "run": run, "first": first_ns, "last": last_ns}
+    (dropped,) = catalog.rows(
+        "select coalesce(sum(samples), 0)::bigint, count(*) from lake_channels_dropped where unit = $unit and "
+        "signal = $signal and run = $run and t_first_ns <= $last and t_last_ns >= $first",
+        where,
+    )
+    if dropped[1]:
+        raise _gone(catalog, unit, signal, run, dropped[0], dropped[0])
+    table = catalog.reader(
+        'select s.t_ns, coalesce(s.value, (s.base + s.above) * c.scale + c."offset") as value '
+        "from lake_samples s join lake_channels c using (channel) "
+        "where c.unit = $unit and c.signal = $signal and c.run = $run and s.t_ns between $first and $last "
+        "order by s.t_ns",
+        where,
+    ).read_all()
+    return table.column(0).to_numpy(), table.column(1).to_numpy()

@@ -1,0 +1,1 @@
+"""Upkeep of the lake: compaction in rounds, and retention of raw rows."""

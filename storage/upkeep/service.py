@@ -1,0 +1,120 @@
+"""The builder of the lake as a service: segments as they are sealed, compaction, retention, removal of the replaced."""
+
+import time
+from dataclasses import dataclass
+from typing import Protocol
+
+from storage.lake.compaction import FAN_IN, compact
+from storage.lake.lake import Lake
+from storage.store import Store
+from storage.upkeep.retention import Rule, apply_rule
+from stream.console import Stop
+from stream.errors import GyrofleetError, StoreError
+
+_RETRY_S = 60.0
+_RETENTION_EVERY_S = 60.0
+
+
+class Tell(Protocol):
+    """Says what was done: an event in one word, a sentence, and numbers."""
+
+    def __call__(self, event: str, text: str, **numbers: object) -> None:
+        """Say it."""
+
+
+@dataclass
+class LakeCounts:
+    """What was done since the start."""
+
+    segments: int = 0
+    compacted: int = 0
+
+
+class LakeService:
+    """Keeps a lake as it should be, round by round.
+
+    What cannot be done is told once and tried again after a minute; it holds up nothing else.
+
+    Parameters
+    ----------
+    store : Store
+        Whose; the caller holds `builder_lock`.
+    tell : callable
+        Says what was done.
+    rule : Rule, optional
+        Which raw rows to let go of.
+    grace_s : float
+        How long what is out of force stays for its readers.
+    """
+
+    def __init__(self, store: Store, *, tell: Tell, rule: Rule | None = None, grace_s: float = 3600.0) -> None:
+        self._store = store
+        self._tell = tell
+        self._rule = rule
+        self._grace_s = grace_s
+        self._lake: Lake | None = None
+        self._retained_at = float("-inf")
+        self._failed: dict[str, float] = {}
+        self._told: set[str] = set()
+        self.counts = LakeCounts()
+
+    def round(self, stopped: Stop) -> list[str]:
+        """Do what there is to do, until `stopped`; returns what went wrong."""
+        problems: list[str] = []
+        for what, step in (("lake", self._build), ("compaction", self._compact), ("retention", self._retain)):
+            if stopped.asked_at is not None:
+                break
+            try:
+                step(stopped, problems)
+            except (GyrofleetError, OSError) as error:
+                self._problem(problems, what, error)
+        return problems
+
+    def _build(self, stopped: Stop, problems: list[str]) -> None:
+        lake = self._opened()
+        now = time.monotonic()
+        waiting = [each for each in lake.missing() if now - self._failed.get(each, float("-inf")) >= _RETRY_S]
+        failed: dict[str, StoreError] = {}
+        untouched = (segment for segment in waiting if stopped.asked_at is None)
+        for number, segment in enumerate(lake.bring(untouched, failed), start=1):
+            self._failed.pop(segment, None)
+            self.counts.segments += 1
+            left = len(waiting) - number - len(failed)
+            more = f", {left} more to come" if left else ""
+            self._tell("segment", f"segment {segment} is in the lake{more}", segment=segment, left=left)
+            if number % FAN_IN == 0:
+                self._compact(stopped, problems)
+        for segment, error in failed.items():
+            self._failed[segment] = now
+            self._problem(problems, segment, error)
+
+    def _compact(self, stopped: Stop, _problems: list[str]) -> None:
+        lake = self._opened()
+        for done in compact(lake):
+            self.counts.compacted += done.parts
+            self._tell("compacted", f"{done.parts} parts are one now: {done.name}", part=done.name, parts=done.parts)
+            if stopped.asked_at is not None:
+                return
+        lake.purge(self._grace_s)
+
+    def _retain(self, _stopped: Stop, _problems: list[str]) -> None:
+        if self._rule is None or time.monotonic() - self._retained_at < _RETENTION_EVERY_S:
+            return
+        self._retained_at = time.monotonic()
+        dropped = apply_rule(self._opened(), self._rule)
+        if dropped.parts:
+            text = f"raw rows of {dropped.samples:,} samples dropped, {dropped.bytes:,} bytes ({self._rule})"
+            self._tell("raw_rows_dropped", text, **dropped._asdict())
+
+    def _opened(self) -> Lake:
+        if self._lake is None:
+            self._lake = Lake(self._store)
+        return self._lake
+
+    def _problem(self, problems: list[str], what: str, error: Exception) -> None:
+        text = str(error) if isinstance(error, GyrofleetError) else f"the lake cannot be written: {error}"
+        problems.append(text)
+        self._lake = None  # what is on disk counts, not what was about to be
+        if text not in self._told:
+            self._told.add(text)
+            self._tell("problem", text, what=what)

@@ -1,0 +1,386 @@
+"""Delivery of numbered messages: kept by the source until a recorder has them on disk.
+
+Zenoh has no durable acknowledgement, and a publisher's put returns normally for a message that is then lost.
+So a source numbers what it sends per stream (a key expression and an epoch), keeps it, and lets go of it only
+when a recorder acknowledges it after its data are on disk. At least once on the wire, exactly once in the log.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Protocol, Self
+from uuid import uuid4
+
+from stream.batch import SampleBatch
+from stream.bounds import MAX_KEY_CHARS, MAX_MESSAGE_BYTES
+from stream.delivery.outbox import BITE_BYTES, Due, Outbox
+from stream.delivery.outgoing import Held, OutgoingStream
+from stream.delivery.spool import Spool, SpoolError, SpoolFull
+from stream.errors import DeliveryError, GyrofleetError, WireError
+from stream.events import AnyDocument, encode_event
+from stream.identity import ACKNOWLEDGEMENT_KEY
+from stream.transport.bus import Bus
+from stream.wire.acknowledgement import (
+    Acknowledgement,
+    StreamId,
+    StreamPosition,
+    decode_acknowledgement,
+    encode_acknowledgement,
+)
+from stream.wire.event_validation import decode_received
+
+__all__ = [
+    "Acknowledgement",
+    "DurablePublisher",
+    "Sender",
+    "StreamId",
+    "StreamPosition",
+    "decode_acknowledgement",
+    "encode_acknowledgement",
+]
+
+_TICK_S = 0.25
+
+
+class Sender(Protocol):
+    """Where a source hands its samples and documents to."""
+
+    def send_batch(self, key: str, batch: SampleBatch) -> None:
+        """Send samples under `key`; waits while too much is on its way."""
+
+    def send_event(self, key: str, document: AnyDocument) -> None:
+        """Send a run document under `key`."""
+
+
+class DurablePublisher:
+    """Sends samples and documents, and keeps them until they are acknowledged.
+
+    Messages of a stream are sent in their order. If the recorder asks for one once more, the stream goes back to it
+    and on from there, in an amount that grows with what is acknowledged. Where nothing is answered, the first and
+    the last message of the stream are sent again: the recorder then says what it has, or what it lacks.
+
+    Parameters
+    ----------
+    bus : Bus
+        Where to send.
+    window_bytes : int
+        How much may be unacknowledged in memory. Beyond it `send_batch` waits, or, with a spool, leaves it on disk.
+        It bounds the memory of the source and of the recorder's queue alike.
+    resend_after_s : float
+        Silence of a stream after which the recorder is asked; doubled each time, up to 10 s.
+    timeout_s : float
+        Silence after which waiting is given up with an error. A recorder that says why it pauses is not silent.
+    only_store : str, optional
+        Identity of the store that has to have it; by default that of the first recorder that has taken something.
+        What recorders of others answer is not heard.
+    spool : Spool, optional
+        Keeps messages on disk. What it holds from before is sent first. The caller closes it after the publisher.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        *,
+        window_bytes: int = 32 << 20,
+        resend_after_s: float = 2.0,
+        timeout_s: float = 60.0,
+        only_store: str | None = None,
+        spool: Spool | None = None,
+    ) -> None:
+        self._bus = bus
+        self._window_bytes = window_bytes
+        self._resend_after_s = resend_after_s
+        self._timeout_s = timeout_s
+        self._spool = spool
+        self._out = Outbox(window_bytes, resend_after_s, spool, only_store)
+        self._epoch = uuid4().hex
+        self._event_seq: dict[str, int] = {}
+        self._by_key: dict[str, OutgoingStream] = {}
+        self._is_told = False
+        self._is_loading = False
+        self._closed = False
+        self._numbering = threading.Lock()
+        self._lock = threading.Lock()
+        self._state = threading.Condition(self._lock)
+        bus.subscribe(ACKNOWLEDGEMENT_KEY, self._on_acknowledgement)
+        self._pump = threading.Thread(target=self._pump_loop, name="gyrofleet-resend", daemon=True)
+        self._pump.start()
+
+    @property
+    def outstanding(self) -> int:
+        """Messages that no recorder has acknowledged yet; of those from before a restart, at most so many."""
+        with self._lock:
+            return self._out.count()
+
+    @property
+    def paused(self) -> str | None:
+        """Why the recorder takes nothing at the moment; None while it records, or says nothing."""
+        with self._lock:
+            return self._out.paused if self._out.is_paused() else None
+
+    @property
+    def resent(self) -> int:
+        """How many messages were sent once more."""
+        return self._out.resent
+
+    @property
+    def ignored(self) -> int:
+        """Answers that named what was never sent."""
+        return self._out.ignored
+
+    @property
+    def warning(self) -> str | None:
+        """What people should know, while it is so; None where all is well."""
+        return (self._spool.failure if self._spool is not None else None) or self._out.warning
+
+    def send_batch(self, key: str, batch: SampleBatch) -> None:
+        """Send samples under `key`; waits while the window, or the spool, is full.
+
+        The batches of one key come from one thread.
+
+        Raises
+        ------
+        DeliveryError
+            If nothing is acknowledged for `timeout_s`.
+        WireError
+            If the batch or the key is larger than a recorder takes.
+        """
+        stream = self._by_key.get(key)
+        if stream is None or (stream.epoch is not batch.epoch and stream.epoch != batch.epoch):
+            _check_key(key)
+            stream = self._stream(StreamId(key, batch.epoch.hex))
+            stream.epoch = batch.epoch
+            self._by_key[key] = stream
+        seq = batch.seq
+        payload = stream.encoder.encode(batch)
+        if len(payload) > MAX_MESSAGE_BYTES:
+            raise WireError(f"{key}: {len(payload):,} bytes in a batch, a message may have {MAX_MESSAGE_BYTES:,}")
+        if self._accept(stream, seq, seq + len(batch), payload):
+            self._bus.publish(key, stream.on_wire(payload))
+
+    def send_event(self, key: str, document: AnyDocument) -> None:
+        """Send a run document under `key`, numbered within this publisher; waits and raises like `send_batch`.
+
+        Raises
+        ------
+        WireError
+            If no recorder would take it: it makes no sense, or a number in it is beyond its bounds.
+        """
+        try:
+            decode_received(encode_event(document, self._epoch, 0))
+        except (WireError, OverflowError) as error:
+            told = str(error).removeprefix("not a run document: ")
+            raise WireError(f"run {document.run[:80]}: {type(document).__name__} cannot be sent: {told}") from error
+        _check_key(key)
+        stream = self._stream(StreamId(key, self._epoch))
+        with self._numbering:  # whoever has a number sends before the next is given
+            seq = self._event_seq.get(key, 0)
+            payload = encode_event(document, self._epoch, seq)
+            is_due = self._accept(stream, seq, seq + 1, payload)
+            self._event_seq[key] = seq + 1
+            if is_due:
+                self._bus.publish(key, stream.on_wire(payload))
+
+    def drain(self, given_up: Callable[[], bool] = lambda: False) -> None:
+        """Wait until everything is acknowledged, or `given_up`, which is asked now and then, says so.
+
+        Raises
+        ------
+        DeliveryError
+            If nothing is acknowledged for `timeout_s`; the message says what is outstanding.
+        """
+        began = time.monotonic()
+        while not given_up():
+            with self._state:
+                if not self._out.bytes and not self._is_spooled():
+                    self._check()
+                    return
+                self._wait(began)
+
+    def fail(self, reason: str) -> None:
+        """Let whoever sends or drains have `reason` as a DeliveryError at once: there is nothing to wait for."""
+        with self._state:
+            self._out.broken = self._out.broken or reason
+            self._state.notify_all()
+
+    def close(self) -> None:
+        """Stop sending, without waiting for what is outstanding.
+
+        Raises
+        ------
+        DeliveryError
+            If something is, and no error has said so before; `drain` waits for it.
+        """
+        self._stop()
+        if (self._out.bytes or self._is_spooled()) and not self._is_told:
+            self._is_told = True
+            raise DeliveryError(f"closed before everything was acknowledged: {self._out.told()}")
+
+    def abandon(self) -> None:
+        """Stop sending, whatever is outstanding; what is spooled is sent by the next publisher of the spool."""
+        self._is_told = True
+        self._stop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None and not self._is_told:
+                self.drain()
+        finally:
+            self._stop()
+
+    def _stop(self) -> None:
+        with self._state:
+            self._closed = True
+            self._state.notify_all()
+        self._pump.join()
+
+    def _stream(self, stream_id: StreamId) -> OutgoingStream:
+        stream = self._out.streams.get(stream_id)
+        if stream is None:
+            with self._lock:
+                stream = self._out.stream(stream_id)
+        return stream
+
+    def _accept(self, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> bool:
+        """Keep a message until it is acknowledged; whether it is to be published now."""
+        with self._lock:
+            if self._spool is not None:
+                if not self._keep(self._spool, stream, seq, next_seq, payload):
+                    return False  # on disk; it is sent when its turn comes
+            elif not self._out.fits(len(payload)):
+                self._wait_for_room(len(payload))
+            if self._out.broken:
+                self._check()
+            return self._out.hold(stream, Held(seq, next_seq, payload))
+
+    def _keep(self, spool: Spool, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> bool:
+        """Put a message into the spool; whether it is to be held in memory as well."""
+        began = time.monotonic()
+        while True:
+            self._check()
+            fits = not self._is_spooled() and self._out.fits(len(payload))
+            try:
+                spool.append(stream.id, seq, next_seq, payload, taken=fits)
+            except SpoolFull as error:
+                self._wait(began, f"{error}: ")
+            except SpoolError:
+                while self._is_spooled():  # what is on disk goes before what is not
+                    self._wait(began)
+                self._wait_for_room(len(payload))
+                return True
+            else:
+                return fits
+
+    def _wait_for_room(self, size: int) -> None:
+        began = time.monotonic()
+        while not self._out.fits(size):
+            self._wait(began)
+
+    def _is_spooled(self) -> bool:
+        return self._spool is not None and (self._is_loading or self._spool.waiting > 0)
+
+    def _wait(self, began: float, why: str = "") -> None:
+        self._check()
+        silence_s = time.monotonic() - max(self._out.progress_at, began)
+        if silence_s > self._timeout_s:
+            self._is_told = True
+            raise DeliveryError(
+                f"{why}no recorder has acknowledged anything for {silence_s:.0f} s and {self._out.told()}; "
+                f"is `gyrofleet record` running where this source is connected to?{self._out.told_other_store()}"
+            )
+        self._state.wait(0.1)
+
+    def _check(self) -> None:
+        if self._out.broken:
+            self._is_told = True
+            raise DeliveryError(self._out.broken)
+
+    def _on_acknowledgement(self, _key: str, payload: bytes) -> None:
+        try:
+            acknowledgement = decode_acknowledgement(payload)
+        except WireError:
+            return  # not from a recorder of ours; without an acknowledgement everything is kept and sent again
+        now = time.monotonic()
+        with self._state:
+            if self._out.store in {None, acknowledgement.store}:
+                self._out.hear_pause(acknowledgement.paused, now)
+            for position in acknowledgement.positions:
+                self._out.answer(acknowledgement.store, position, now)
+            self._state.notify_all()
+
+    def _pump_loop(self) -> None:
+        """Publish what was asked for again, and what waits on disk, as acknowledgements allow."""
+        tick_s = min(_TICK_S, self._resend_after_s / 2)
+        tick_at = 0.0
+        try:
+            while True:
+                with self._state:
+                    if not self._closed and not self._has_work():
+                        self._state.wait(min(0.05, tick_s))
+                    if self._closed:
+                        return
+                    now = time.monotonic()
+                    bite: list[Due] = []
+                    if now >= tick_at:
+                        tick_at = now + tick_s
+                        bite += self._out.overdue(now)
+                    bite += self._out.next_bite()
+                bite += self._load()
+                for stream, held in bite:
+                    self._bus.publish(stream.id.key, stream.on_wire(held.payload))
+                with self._lock:
+                    for stream, _ in bite:
+                        stream.pumping = False
+                        if stream.sent < len(stream.held):
+                            self._out.behind[stream] = None
+        except GyrofleetError as error:
+            self.fail(str(error))
+
+    def _has_work(self) -> bool:
+        return self._out.credit > 0 and (bool(self._out.behind) or self._can_load())
+
+    def _can_load(self) -> bool:
+        spool = self._spool
+        return (
+            spool is not None
+            and spool.waiting > 0
+            and self._out.bytes < self._window_bytes
+            and self._out.broken is None
+        )
+
+    def _load(self) -> list[Due]:
+        """Bring messages from the disk into memory; returns those to publish now, in their order."""
+        with self._lock:
+            if self._out.credit <= 0 or not self._can_load():
+                return []
+            assert self._spool is not None
+            self._is_loading = True
+            most_bytes = min(self._window_bytes - self._out.bytes, self._out.credit, BITE_BYTES)
+        messages = self._spool.read(most_bytes)
+        now_due: list[Due] = []
+        with self._state:
+            self._is_loading = False
+            for message in messages:
+                stream = self._out.stream(message.stream)
+                if message.next_seq > stream.acknowledged:
+                    held = Held(message.seq, message.next_seq, message.payload)
+                    self._out.credit -= len(held.payload)
+                    if self._out.hold(stream, held):
+                        now_due.append((stream, held))
+            for stream, _ in now_due:
+                stream.pumping = True
+            self._state.notify_all()
+        return now_due
+
+
+def _check_key(key: str) -> None:
+    if len(key) > MAX_KEY_CHARS:
+        raise WireError(
+            f"key expression {key[:80]!r}... has {len(key)} characters, at most {MAX_KEY_CHARS} are allowed"
+        )

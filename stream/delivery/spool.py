@@ -1,0 +1,377 @@
+"""The spool: a publisher's messages on its own disk, until a recorder has them on another.
+
+A folder of numbered files. Each begins with a table of all streams, so that it can be read without those before it;
+messages follow in the order in which they were sent, and between them how far the recorder has acknowledged. A file
+goes when all its messages are acknowledged. Every start begins a file of its own: a torn end is never written after.
+"""
+
+import fcntl
+import os
+import threading
+import time
+from collections import deque
+from pathlib import Path
+from typing import NamedTuple, Self
+
+from stream.delivery.spool_frames import FIRST_STREAM, Frame, encode_frame, parse_frames
+from stream.delivery.spool_scan import SUFFIX, SpoolError, SpoolFile, held_messages, scan
+from stream.delivery.spool_streams import StreamState, StreamTable
+from stream.wire.acknowledgement import StreamId
+
+__all__ = ["Spool", "SpoolError", "SpoolFull", "SpooledMessage", "held_messages"]
+
+_LOCK = "lock"
+_READ_BYTES = 1 << 20
+_RETRY_S = 1.0
+_LEAST_FILES = 4
+
+
+class SpoolFull(SpoolError):
+    """A spool that holds as much as it may."""
+
+
+class SpooledMessage(NamedTuple):
+    """A message read back."""
+
+    stream: StreamId
+    seq: int
+    next_seq: int
+    payload: bytes
+
+
+class Spool:
+    """Messages of one publisher on disk.
+
+    What `append` has returned for survives the process; every `sync_interval_s` it is made to survive a power loss as
+    well. `damages` says what was found damaged, `failure` why nothing can be written at the moment.
+
+    Parameters
+    ----------
+    folder : Path
+        Where; made if it is missing. One process at a time.
+    max_bytes : int
+        How much may wait there.
+    file_bytes : int
+        Size of a file; at most a quarter of `max_bytes`.
+    sync_interval_s : float
+        How often files are brought to the disk, and acknowledgements written down.
+
+    Raises
+    ------
+    SpoolError
+        If it cannot be opened, or another process has it.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> stream = StreamId("gyrofleet/plant/bench/U1/rate", "e")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with Spool(Path(folder)) as spool:
+    ...         spool.append(stream, 0, 100, b"samples")
+    ...     with Spool(Path(folder)) as spool:
+    ...         spool.waiting, spool.read(1000)[0].payload, spool.position(stream)
+    (1, b'samples', 100)
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        max_bytes: int = 4 << 30,
+        file_bytes: int = 16 << 20,
+        sync_interval_s: float = 0.2,
+    ) -> None:
+        self.folder = folder
+        self.damages: list[str] = []
+        self.torn_bytes = 0
+        self.failure: str | None = None
+        self.waiting = 0
+        self._max_bytes = max_bytes
+        self._file_bytes = min(file_bytes, max_bytes // _LEAST_FILES)
+        self._sync_interval_s = sync_interval_s
+        self._table = StreamTable()
+        self._files: deque[SpoolFile] = deque()
+        self._bytes = 0
+        self._out = -1
+        self._unsynced: list[int] = []  # of files before it that are not on the disk yet
+        self._failed_at = float("-inf")
+        self._moved: set[int] = set()
+        self._lock = threading.RLock()
+        self._stopped = threading.Event()
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._lock_file = (folder / _LOCK).open("a")
+            try:
+                self._hold_lock()
+                found = scan(folder)
+                self._table, self.damages, self.torn_bytes = found.table, found.damages, found.torn_bytes
+                self._files = deque(found.files)
+                self._bytes = sum(file.size for file in self._files)
+                self.waiting = sum(file.unread for file in self._files)
+                self._begin_file()
+            except BaseException:
+                self._lock_file.close()
+                raise
+        except OSError as error:
+            raise SpoolError(
+                f"the spool {folder} cannot be opened: {error}; what it holds is kept; mend that and start again"
+            ) from error
+        self._syncer = threading.Thread(target=self._sync_loop, name="gyrofleet-spool", daemon=True)
+        self._syncer.start()
+
+    @property
+    def store(self) -> str:
+        """Identity of the store that last acknowledged; empty if none has."""
+        return self._table.store
+
+    @property
+    def streams(self) -> dict[StreamId, StreamState]:
+        """What is known of every stream."""
+        with self._lock:
+            return dict(self._table.streams)
+
+    @property
+    def unacknowledged(self) -> bool:
+        """Whether it holds anything that no recorder has."""
+        with self._lock:
+            return any(state.acknowledged < state.appended for state in self._table.streams.values())
+
+    def position(self, stream: StreamId) -> int:
+        """Number after the last message of a stream; 0 if there is none."""
+        state = self._table.streams.get(stream)
+        return 0 if state is None else state.appended
+
+    def append(self, stream: StreamId, seq: int, next_seq: int, payload: bytes, *, taken: bool = False) -> None:
+        """Keep a message; `taken` says that it need not be read back while this process lives.
+
+        Raises
+        ------
+        SpoolFull
+            If there is no room; there is when more has been acknowledged.
+        SpoolError
+            If it cannot be written. It is then not kept; a second later a new file is tried.
+        """
+        with self._lock:
+            if self.failure is not None and time.monotonic() - self._failed_at < _RETRY_S:
+                raise SpoolError(self.failure)
+            try:
+                state = self._table.streams.get(stream)
+                if state is None:
+                    state = self._table.add(stream)
+                    self._write(self._table.rows([state]))
+                frame = encode_frame(state.number, seq, next_seq, payload)
+                if self._bytes + len(frame) > self._max_bytes:
+                    self._make_room(len(frame))
+                self._write(frame)
+            except OSError as error:
+                raise self._failed(error) from error
+            self.failure = None
+            state.appended = next_seq
+            file = self._files[-1]
+            file.last[state.number] = next_seq
+            if taken:
+                file.read_to = file.size
+            else:
+                file.unread += 1
+                self.waiting += 1
+            if file.size >= self._file_bytes:
+                self._rotate()
+
+    def acknowledge(self, store: str, stream: StreamId, next_seq: int) -> None:
+        """Let go of what a recorder has on disk."""
+        state = self._table.streams.get(stream)
+        if state is not None and next_seq > state.acknowledged:
+            with self._lock:
+                self._table.store = store
+                state.acknowledged = next_seq
+                self._moved.add(state.number)
+
+    def rebase(self, stream: StreamId, base: int) -> None:
+        """Remember that what is before `base` is lost, and that the stream goes on under another epoch."""
+        with self._lock:
+            state = self._table.streams[stream]
+            state.base = base
+            try:
+                self._write(self._table.rows([state]))
+            except OSError as error:
+                self._failed(error)
+
+    def read(self, most_bytes: int) -> list[SpooledMessage]:
+        """The next messages that wait, about so many bytes of them; those that were acknowledged are left out.
+
+        Raises
+        ------
+        SpoolError
+            If they cannot be read.
+        """
+        found: list[SpooledMessage] = []
+        size = 0
+        with self._lock:
+            while size < most_bytes and self.waiting:
+                file = next(each for each in self._files if each.unread)
+                try:
+                    frames = self._read_frames(file, most_bytes - size)
+                except OSError as error:
+                    raise SpoolError(
+                        f"the spool file {file.path} cannot be read: {error}; it is kept; mend the disk and start again"
+                    ) from error
+                messages = [frame for frame in frames if frame.number >= FIRST_STREAM]
+                is_read = file.read_to >= file.size
+                if is_read and file.unread > len(messages):
+                    missing = file.unread - len(messages)
+                    self.damages.append(f"{file.path}: {missing} messages cannot be read any more")
+                self._count_read(file, file.unread if is_read else len(messages))
+                for frame in messages:
+                    state = self._table.by_number.get(frame.number)
+                    if state is not None and frame.next_seq > state.acknowledged:
+                        found.append(SpooledMessage(state.id, frame.seq, frame.next_seq, frame.payload))
+                        size += len(frame.payload)
+        return found
+
+    def close(self) -> None:
+        """Bring everything to the disk and let another process have the spool; what is acknowledged takes no room."""
+        self._stopped.set()
+        self._syncer.join()
+        with self._lock:
+            try:
+                if not self.unacknowledged:
+                    self._begin_file()
+                self._sync()
+            except OSError as error:
+                self._failed(error)
+            for descriptor in [*self._unsynced, self._out]:
+                os.close(descriptor)
+            self._unsynced, self._out = [], -1
+            self._lock_file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _hold_lock(self) -> None:
+        try:
+            fcntl.flock(self._lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise SpoolError(
+                f"another process sends from the spool {self.folder}; wait until it has ended, or stop it"
+            ) from None
+
+    def _begin_file(self) -> None:
+        number = 1 + max((int(file.path.stem) for file in self._files), default=0)
+        path = self.folder / f"{number:08d}{SUFFIX}"
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
+        head = self._table.rows()
+        try:
+            _write_whole(descriptor, head)
+        except OSError:
+            os.close(descriptor)
+            path.unlink()  # without its table it would be no file of its own
+            raise
+        if self._out >= 0:
+            self._unsynced.append(self._out)
+        self._out = descriptor
+        self._files.append(SpoolFile(path, size=len(head)))
+        self._bytes += len(head)
+
+    def _rotate(self) -> None:
+        try:
+            self._begin_file()
+        except OSError as error:
+            self._failed(error)  # what was appended is kept; the next append tries again
+
+    def _write(self, frame: bytes) -> None:
+        """Write a frame whole, or leave the file as it was."""
+        if self.failure is not None:
+            self._begin_file()
+        file = self._files[-1]
+        try:
+            _write_whole(self._out, frame)
+        except OSError:
+            # a frame cut off would be found and told as such; without it the file is as if nothing had happened
+            os.ftruncate(self._out, file.size)
+            raise
+        file.size += len(frame)
+        self._bytes += len(frame)
+
+    def _failed(self, error: OSError) -> SpoolError:
+        self._failed_at = time.monotonic()
+        self.failure = (
+            f"the spool {self.folder} cannot be written: {error}; until it can, what is sent is kept in memory only: "
+            f"free space or mend the disk"
+        )
+        return SpoolError(self.failure)
+
+    def _make_room(self, needed: int) -> None:
+        if not self.unacknowledged:
+            self._begin_file()
+        self._drop_acknowledged()
+        if self._bytes + needed > self._max_bytes:
+            raise SpoolFull(
+                f"the spool {self.folder} is full: {self._bytes / 1e6:.0f} MB wait for a recorder; start "
+                f"`gyrofleet record` again, or let the spool be larger"
+            )
+
+    def _read_frames(self, file: SpoolFile, most_bytes: int) -> list[Frame]:
+        left = file.size - file.read_to
+        for length in (min(left, most_bytes + _READ_BYTES), left):
+            with file.path.open("rb") as opened:
+                opened.seek(file.read_to)
+                data = opened.read(length)
+            parsed = parse_frames(data, is_end=length == left)
+            if parsed.frames or length == left:
+                break
+        file.read_to += parsed.used
+        return parsed.frames
+
+    def _count_read(self, file: SpoolFile, messages: int) -> None:
+        file.unread -= messages
+        self.waiting -= messages
+
+    def _sync_loop(self) -> None:
+        while not self._stopped.wait(self._sync_interval_s):
+            try:
+                self._sync()
+            except OSError as error:
+                with self._lock:
+                    self._failed(error)
+
+    def _sync(self) -> None:
+        with self._lock:
+            if self._moved:
+                self._write(self._table.acknowledged(self._moved))
+                self._moved.clear()
+            older, self._unsynced = self._unsynced, []
+            current = os.dup(self._out)
+        try:
+            for descriptor in (*older, current):  # in their order: what is later does not stand without what is before
+                os.fdatasync(descriptor)
+            folder = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+        finally:
+            for descriptor in (*older, current):
+                os.close(descriptor)
+        with self._lock:
+            self._drop_acknowledged()
+
+    def _drop_acknowledged(self) -> None:
+        """Remove files from the front all of whose messages are acknowledged."""
+        known = self._table.by_number
+        while len(self._files) > 1:
+            file = self._files[0]
+            if any(n not in known or known[n].acknowledged < last for n, last in file.last.items()):
+                return
+            file.path.unlink(missing_ok=True)
+            self._count_read(file, file.unread)
+            self._bytes -= file.size
+            self._files.popleft()
+
+
+def _write_whole(descriptor: int, data: bytes) -> None:
+    written = os.write(descriptor, data)
+    while written < len(data):
+        written += os.write(descriptor, data[written:])

@@ -1,0 +1,133 @@
+"""What a spool knows of its streams, and how that is written between the messages."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import msgspec
+
+from stream.delivery.spool_frames import ACKNOWLEDGED, FIRST_STREAM, TABLE, Frame, encode_frame
+from stream.wire.acknowledgement import StreamId
+
+
+@dataclass
+class StreamState:
+    """How far one stream is.
+
+    Parameters
+    ----------
+    id : StreamId
+        The stream.
+    number : int
+        What its frames carry.
+    appended : int
+        Number after its last message.
+    acknowledged : int
+        Number after the last message that a recorder has.
+    base : int
+        From this number on it is sent under another epoch, because what was before it is lost; 0 where nothing is.
+    lost : list of (first, next)
+        Spans of numbers that cannot be read any more.
+    """
+
+    id: StreamId
+    number: int
+    appended: int = 0
+    acknowledged: int = 0
+    base: int = 0
+    lost: list[tuple[int, int]] = field(default_factory=list)
+
+
+class _Row(msgspec.Struct, array_like=True):
+    number: int
+    key: str
+    epoch: str
+    appended: int
+    acknowledged: int
+    base: int
+
+
+class _Table(msgspec.Struct, array_like=True):
+    store: str
+    rows: list[_Row]
+
+
+class _Acknowledged(msgspec.Struct, array_like=True):
+    store: str
+    positions: list[tuple[int, int]]
+
+
+_table_decoder = msgspec.msgpack.Decoder(_Table)
+_acknowledged_decoder = msgspec.msgpack.Decoder(_Acknowledged)
+
+
+class StreamTable:
+    """All streams of a spool, by name and by number.
+
+    Examples
+    --------
+    >>> from stream.delivery.spool_frames import parse_frames
+    >>> table, again = StreamTable(), StreamTable()
+    >>> table.add(StreamId("k", "e")).appended = 7
+    >>> again.know(parse_frames(table.rows(), is_end=True).frames[0])
+    >>> again.streams[StreamId("k", "e")].appended
+    7
+    """
+
+    def __init__(self) -> None:
+        self.store = ""
+        self.streams: dict[StreamId, StreamState] = {}
+        self.by_number: dict[int, StreamState] = {}
+
+    def add(self, stream: StreamId) -> StreamState:
+        """Give a stream a number."""
+        state = StreamState(stream, max(self.by_number, default=FIRST_STREAM - 1) + 1)
+        self._put(state)
+        return state
+
+    def rows(self, states: Iterable[StreamState] | None = None) -> bytes:
+        """A frame with the rows of these streams, or of all."""
+        chosen = self.streams.values() if states is None else states
+        rows = [_Row(s.number, s.id.key, s.id.epoch, s.appended, s.acknowledged, s.base) for s in chosen]
+        return encode_frame(TABLE, 0, 0, msgspec.msgpack.encode(_Table(self.store, rows)))
+
+    def acknowledged(self, numbers: Iterable[int]) -> bytes:
+        """A frame that says how far these streams are acknowledged."""
+        positions = [(number, self.by_number[number].acknowledged) for number in numbers]
+        return encode_frame(ACKNOWLEDGED, 0, 0, msgspec.msgpack.encode(_Acknowledged(self.store, positions)))
+
+    def know(self, frame: Frame) -> None:
+        """Take in what a frame says of the streams; a message's frame, that its stream has come so far."""
+        if frame.number == TABLE:
+            table = _table_decoder.decode(frame.payload)
+            self.store = table.store or self.store
+            for row in table.rows:
+                self._know_row(row)
+        elif frame.number == ACKNOWLEDGED:
+            acknowledged = _acknowledged_decoder.decode(frame.payload)
+            self.store = acknowledged.store or self.store
+            for number, next_seq in acknowledged.positions:
+                if (state := self.by_number.get(number)) is not None:
+                    state.acknowledged = max(state.acknowledged, next_seq)
+        elif (state := self.by_number.get(frame.number)) is not None:
+            if frame.seq > state.appended:
+                state.lost.append((state.appended, frame.seq))
+            state.appended = max(state.appended, frame.next_seq)
+
+    def settle(self) -> None:
+        """After all frames: what a recorder has is not lost."""
+        for state in self.streams.values():
+            state.lost = [span for span in state.lost if span[1] > max(state.acknowledged, state.base)]
+
+    def _put(self, state: StreamState) -> None:
+        self.streams[state.id] = self.by_number[state.number] = state
+
+    def _know_row(self, row: _Row) -> None:
+        state = self.by_number.get(row.number)
+        if state is None:
+            state = StreamState(StreamId(row.key, row.epoch), row.number, row.appended)
+            self._put(state)
+        if row.appended > state.appended:
+            state.lost.append((state.appended, row.appended))
+            state.appended = row.appended
+        state.acknowledged = max(state.acknowledged, row.acknowledged)
+        state.base = max(state.base, row.base)

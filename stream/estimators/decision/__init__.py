@@ -1,0 +1,1 @@
+"""Early decisions of screening tests."""

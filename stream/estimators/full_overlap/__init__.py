@@ -1,0 +1,1 @@
+"""Deviations of finished records with full overlap."""

@@ -1,0 +1,71 @@
+"""The deviations that windows with full overlap give, and the sums that they are taken from."""
+
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from stream.estimators.allan_variance import LEAST_SHARE
+from stream.estimators.full_overlap.full_overlap_kernel import differences, modified
+from stream.estimators.full_overlap.prefix_kernel import Record
+
+_RESTART = 1 << 16
+
+
+class Deviation(StrEnum):
+    """What can be evaluated, by its usual abbreviation."""
+
+    ALLAN = "adev"
+    OVERLAPPING_ALLAN = "oadev"
+    MODIFIED_ALLAN = "mdev"
+    HADAMARD = "hdev"
+    OVERLAPPING_HADAMARD = "ohdev"
+
+
+class Form(NamedTuple):
+    """What is summed.
+
+    Attributes
+    ----------
+    weights : tuple of float
+        Weights of adjacent means in a difference.
+    norm : float
+        Sum of their squares: the mean square of a difference of uncorrelated means of variance 1.
+    reach : int
+        Averaging times that one term of the sum spans.
+    is_overlapped : bool
+        Whether a term begins at every sample or once an averaging time.
+    name, chinese : str
+        Names for people.
+    """
+
+    weights: tuple[float, ...]
+    norm: float
+    reach: int
+    is_overlapped: bool
+    name: str
+    chinese: str
+
+
+FORMS = {
+    Deviation.ALLAN: Form((-1.0, 1.0), 2.0, 2, False, "Allan deviation", "Allan 标准差"),
+    Deviation.OVERLAPPING_ALLAN: Form((-1.0, 1.0), 2.0, 2, True, "Allan deviation", "Allan 标准差"),
+    Deviation.MODIFIED_ALLAN: Form((-1.0, 1.0), 2.0, 3, True, "modified Allan deviation", "修正 Allan 标准差"),
+    Deviation.HADAMARD: Form((1.0, -2.0, 1.0), 6.0, 3, False, "Hadamard deviation", "Hadamard 标准差"),
+    Deviation.OVERLAPPING_HADAMARD: Form((1.0, -2.0, 1.0), 6.0, 3, True, "Hadamard deviation", "Hadamard 标准差"),
+}
+
+
+def squared_differences(record: Record, kind: Deviation, factor: int) -> tuple[float, int]:
+    """Sum of the squared differences of a record, each times the factor, and how many there are.
+
+    The variance is this sum over ``norm * n * factor**2``.
+    """
+    if kind is Deviation.MODIFIED_ALLAN:
+        squares, found = modified(record, factor, LEAST_SHARE, _RESTART)
+        return squares / float(factor) ** 2, found
+    form = FORMS[kind]
+    stop = record.slots - len(form.weights) * factor + 1
+    step = 1 if form.is_overlapped else factor
+    _, squares, found = differences(record, factor, np.array(form.weights), LEAST_SHARE, 0, stop, step)
+    return squares, found

@@ -1,0 +1,301 @@
+"""Allan, Hadamard and modified Allan deviation of a finished record with full overlap (NIST SP 1065 5.2)."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from stream.batch import SampleBatch
+from stream.clock import GridTracker
+from stream.errors import EstimatorError
+from stream.estimators.allan_variance import LEAST_SHARE, allan_point
+from stream.estimators.base import NoEstimate, contiguous_runs
+from stream.estimators.confidence import NOISE_EXPONENTS, least_edf
+from stream.estimators.full_overlap.deviation_forms import FORMS, Deviation, squared_differences
+from stream.estimators.full_overlap.prefix_record import PrefixRecord
+from stream.estimators.noise_exponent import Identified, identify
+from stream.events import EstimatePoint
+from stream.quantities import report_unit
+
+_MOST_SLOTS_PER_SAMPLE = 20
+_SLOTS_FREE = 10**8
+_EDF_STRIDE = 32
+_QUANTITY = "deviations with full overlap"
+
+
+class FullOverlap:
+    """Deviations of a finished record at any averaging time with every window there is, in bounded memory.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Where the sums of a record of more than 4 million samples lie while it is evaluated, 8 bytes a sample, and 2
+        more where one is missing nearby; the system's folder for temporary files if none is named. The file has no
+        name; `close` or leaving the ``with`` frees it.
+
+    Attributes
+    ----------
+    confidence : float
+        Confidence level of the limits of a point.
+
+    Notes
+    -----
+    With x_i the sum of the first i of N samples, m samples in tau, n terms in each sum, and i from 0 on,
+
+    - adev, oadev: sum (x_(i+2m) - 2 x_(i+m) + x_i)**2 / (2 m**2 n), 5.2.2 and 5.2.4,
+    - hdev, ohdev: sum (x_(i+3m) - 3 x_(i+2m) + 3 x_(i+m) - x_i)**2 / (6 m**2 n), 5.2.8 and 5.2.9,
+    - mdev: sum_i (sum_(j=i)^(i+m-1) (x_(j+2m) - 2 x_(j+m) + x_j))**2 / (2 m**4 n), 5.2.5,
+
+    are the variances; i advances by m in adev and hdev, by 1 in the others. Hadamard does not see a linear drift of the
+    samples; the modified one tells quantisation from flicker of angle.
+
+    Where samples are missing, a window counts if it holds at least 90 % of its samples and the mean of those it holds
+    stands for all; in mdev the same holds for the inner sum. Values that are not finite are missing.
+
+    Limits are by chi-square with the least equivalent degrees of freedom of the noises that the curve leaves plausible
+    for oadev (`noise_exponent`), of all noises for the others (`confidence`).
+
+    Examples
+    --------
+    >>> from uuid import UUID
+    >>> import numpy as np
+    >>> batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 0, 0, 10**9, "deg/h",
+    ...                     values=np.array([1.0, 3.0, 2.0, 6.0, 4.0]))
+    >>> with FullOverlap() as record:
+    ...     record.update(batch)
+    ...     allan = record.evaluate(Deviation.OVERLAPPING_ALLAN)
+    ...     hadamard = record.evaluate(Deviation.OVERLAPPING_HADAMARD)
+    >>> [(point.tau_s, round(point.value, 6), point.n) for point in allan]
+    [(1.0, 1.767767, 4), (2.0, 1.600781, 2)]
+    >>> [(point.tau_s, round(point.value, 6), point.n) for point in hadamard]
+    [(1.0, 1.972027, 3)]
+    """
+
+    confidence: float = 0.95
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self._tracker = GridTracker()
+        self._signal = ("", "", "")
+        self._run = ""
+        self._factor = 1.0
+        self._report_unit = ""
+        self._is_open = True
+        self._prefix = PrefixRecord(folder)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the memory and the file; nothing can be evaluated any more."""
+        self._is_open = False
+        self._prefix.close()
+
+    @property
+    def unit_of_measure(self) -> str:
+        """Unit of the deviations, deg/h for angular rates; empty before the first batch."""
+        return self._report_unit
+
+    @property
+    def samples(self) -> int:
+        """Samples with a finite value that were taken in."""
+        return self._tracker.samples
+
+    @property
+    def missing(self) -> int:
+        """Slots of the grid up to the last sample that hold no finite value."""
+        return self._tracker.missing
+
+    @property
+    def late(self) -> int:
+        """Samples left out because their time was not after that of one already taken in."""
+        return self._tracker.late
+
+    @property
+    def sample_interval_s(self) -> float:
+        """Nominal sample interval in seconds, 0 before the first batch."""
+        return self._tracker.sample_interval_s
+
+    @property
+    def file_bytes(self) -> int:
+        """What lies on disk, bytes."""
+        return self._prefix.file_bytes
+
+    def update(self, batch: SampleBatch) -> None:
+        """Take in the next batch of the record.
+
+        Raises
+        ------
+        EstimatorError
+            If the batch is of another signal, unit of measure or sample interval than those before it, if far more
+            slots than samples would have to be kept, if there is no room for them, or after `close`. The record is
+            closed by the latter three.
+        """
+        who = f"run {batch.run}, unit {batch.unit}, signal {batch.signal}"
+        if not self._is_open:
+            raise EstimatorError(f"{who}: the record of its {_QUANTITY} is closed; begin a new one")
+        signal = (batch.unit, batch.signal, batch.unit_of_measure)
+        if signal != self._signal:
+            self._begin(batch, signal)
+        pieces = self._tracker.place(batch)
+        if self._tracker.irregular:
+            return
+        slots, most = self._tracker.next_slot, _MOST_SLOTS_PER_SAMPLE * self.samples + _SLOTS_FREE
+        if slots > most:
+            self.close()
+            raise EstimatorError(
+                f"{who}: {self.samples} samples spread over {slots} intervals of {self.sample_interval_s:g} s, {most} "
+                "at most can be evaluated with full overlap; check the clock, or evaluate the parts before and after "
+                "the gap on their own"
+            )
+        try:
+            for first_slot, values in contiguous_runs(batch, pieces) if pieces else ():
+                self._prefix.extend(first_slot, values)
+        except OSError as error:
+            self.close()
+            raise EstimatorError(_no_room(who, error)) from error
+
+    def evaluate(
+        self, kind: Deviation, points_per_octave: int = 1, factors: Sequence[int] | None = None
+    ) -> tuple[EstimatePoint, ...] | NoEstimate:
+        """Deviation at every averaging time that has at least one difference, shortest first; more may follow.
+
+        Parameters
+        ----------
+        kind : Deviation
+            Which.
+        points_per_octave : int
+            1, 2, 4 or 8 averaging times in an octave, those of `AllanDeviation`.
+        factors : sequence of int, optional
+            Averaging times in sample intervals, instead.
+
+        Raises
+        ------
+        EstimatorError
+            If `points_per_octave` is another number, a factor is less than 1, there is no room on disk, or after
+            `close`.
+        """
+        unit, signal, _ = self._signal
+        who = f"unit {unit}, signal {signal}"
+        if not self._is_open:
+            raise EstimatorError(f"{who}: the record of its {_QUANTITY} is closed; evaluate before it is")
+        wanted = self._wanted(kind, points_per_octave, factors)
+        if self._tracker.irregular:
+            return NoEstimate(
+                f"{who}: the samples lie on no grid of {self.sample_interval_s:g} s, and the {FORMS[kind].name} needs "
+                "one; resample by block means, --resample SECONDS"
+            )
+        try:
+            record = self._prefix.record()
+        except OSError as error:
+            raise EstimatorError(_no_room(who, error)) from error
+        if math.isnan(record.mean):
+            return NoEstimate(_too_large(who))
+        found = [(factor, *squared_differences(record, kind, factor)) for factor in wanted]
+        found = [(factor, squares, windows) for factor, squares, windows in found if windows]
+        variances = [squares / (FORMS[kind].norm * n) / float(factor) ** 2 for factor, squares, n in found]
+        if not all(math.isfinite(variance * self._factor) for variance in variances):
+            return NoEstimate(_too_large(who))
+        factors, windows = [factor for factor, _, _ in found], [n for _, _, n in found]
+        return self._points(kind, factors, variances, windows) or NoEstimate(self._too_little(kind, wanted))
+
+    def _wanted(self, kind: Deviation, points_per_octave: int, factors: Sequence[int] | None) -> list[int]:
+        """Averaging factors that the record is long enough for."""
+        largest = self._prefix.slots // FORMS[kind].reach
+        if factors is None:
+            return averaging_factors(points_per_octave, largest)
+        if min(factors, default=1) < 1:
+            raise EstimatorError(f"an averaging time of {min(factors)} sample intervals: it takes 1 or more")
+        return sorted({factor for factor in map(int, factors) if factor <= largest})
+
+    def _points(
+        self, kind: Deviation, factors: list[int], variances: list[float], windows: list[int]
+    ) -> tuple[EstimatePoint, ...]:
+        form = FORMS[kind]
+        strides = [_stride(factor) if form.is_overlapped else 1 for factor in factors]
+        freedom = [
+            max(1, n * stride // factor) if form.is_overlapped else n
+            for n, stride, factor in zip(windows, strides, factors, strict=True)
+        ]
+        if kind is Deviation.OVERLAPPING_ALLAN and factors:
+            noises = identify(np.array(factors), np.array(variances), np.array(freedom), np.array(strides))
+        else:
+            noises = tuple(
+                Identified(exponent=0, plausible=NOISE_EXPONENTS, edf=_least(kind, factor, n, stride))
+                for factor, n, stride in zip(factors, freedom, strides, strict=True)
+            )
+        return tuple(
+            allan_point(
+                factor * self._tracker.dt_ns / 1e9, math.sqrt(variance) * self._factor, n, noise, self.confidence
+            )
+            for factor, variance, n, noise in zip(factors, variances, windows, noises, strict=True)
+        )
+
+    def _too_little(self, kind: Deviation, wanted: list[int]) -> str:
+        reach = FORMS[kind].reach
+        if not wanted:
+            return f"{reach} samples for each in an average needed, {self._prefix.slots} seen"
+        return (
+            f"{reach} neighbouring averages with {LEAST_SHARE:.0%} of their samples needed, none seen: "
+            f"{self.samples} samples, {self.missing} missing"
+        )
+
+    def _begin(self, batch: SampleBatch, signal: tuple[str, str, str]) -> None:
+        if self._report_unit:
+            raise EstimatorError(
+                f"run {batch.run}: the {_QUANTITY} of unit {self._signal[0]}, signal {self._signal[1]} in "
+                f"{self._signal[2]} were given a batch of unit {batch.unit}, signal {batch.signal} in "
+                f"{batch.unit_of_measure}; each signal needs a record of its own"
+            )
+        self._report_unit, self._factor = report_unit(batch.unit_of_measure)
+        self._signal = signal
+
+
+def _stride(factor: int) -> int:
+    """Windows in a tau that hold the same freedom as all there are, to 0.5 %, and whose sums are short."""
+    while factor >= _EDF_STRIDE:
+        factor //= 2
+    return factor
+
+
+def _least(kind: Deviation, factor: int, windows: int, stride: int) -> float:
+    filter_factor = 1 if kind is Deviation.MODIFIED_ALLAN else factor
+    return least_edf(filter_factor, windows, stride, d=len(FORMS[kind].weights))
+
+
+def averaging_factors(points_per_octave: int, largest: int) -> list[int]:
+    """Averaging times in sample intervals, those of `AllanDeviation`, up to the largest wanted.
+
+    Raises
+    ------
+    EstimatorError
+        If `points_per_octave` is not 1, 2, 4 or 8.
+
+    Examples
+    --------
+    >>> averaging_factors(2, 50)
+    [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48]
+    """
+    if points_per_octave not in {1, 2, 4, 8}:
+        raise EstimatorError(f"{points_per_octave} points per octave: 1, 2, 4 or 8 are offered")
+    octaves = [1 << k for k in range(largest.bit_length())]
+    steps = [(octave, max(1, octave // points_per_octave)) for octave in octaves]
+    return [factor for octave, step in steps for factor in range(octave, 2 * octave, step) if factor <= largest]
+
+
+def _no_room(who: str, error: OSError) -> str:
+    return (
+        f"{who}: the {_QUANTITY} of a record this long need room for its sums, and there is none: {error}; "
+        "free some, or name another folder"
+    )
+
+
+def _too_large(who: str) -> str:
+    return f"{who}: values too large to be squared; check the source"

@@ -1,0 +1,1 @@
+"""Machine code of estimators: block sums and consecutive averages."""

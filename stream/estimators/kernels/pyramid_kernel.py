@@ -1,0 +1,319 @@
+"""Machine code for the pyramid of block sums (``allan_variance``).
+
+Block b of level k covers the slots [b 2**k, (b + 1) 2**k) and holds (sum of x - reference, count) over its valid
+slots.
+Prefix sums begin anew in every call, so that nothing large is ever subtracted from something large.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from stream.batch import FloatArray, IntArray
+from stream.estimators.kernels.kernel_part import kernel_part
+from stream.estimators.kernels.pyramid_sums import (
+    add_pairs,
+    mask,
+    prefix_sums,
+    subtract,
+    sum_of_squares,
+    sum_of_squares_with_gaps,
+    sums_of_squares,
+)
+
+FIRST, NEXT, FILLED, HEADED, FULL = 0, 1, 2, 3, 4
+SUM, COUNT = 0, 1
+_CHUNK = 2048
+_FEW = 32
+_OCTAVES = 5  # lags 1, 2, 4, 8, 16 of level 0 at one point per octave
+
+
+class PyramidState(NamedTuple):
+    """What is kept of K levels with a history of H blocks and L lags a level.
+
+    Attributes
+    ----------
+    tails, heads : ndarray, shape (K, 2, H)
+        Sums and counts of the last and of the first blocks, oldest first; counts that were never written say "full".
+        An even block at the end of a tail waits for its odd neighbour; an odd one that heads a level has none.
+    squares, windows : ndarray, shape (K, L)
+        Sum of D**2, and how many, for each lag n: D is the difference of two adjacent means of n blocks, times their
+        slots.
+    places : ndarray of int64, shape (K, 5)
+        Index of the first block and of the next; blocks in the tail and in the head; whether the tail's are all full.
+    """
+
+    tails: FloatArray
+    heads: FloatArray
+    squares: FloatArray
+    windows: IntArray
+    places: IntArray
+
+
+def empty_state(levels: int, history: int, lags: int) -> PyramidState:
+    """State before the first sample."""
+    tails = np.zeros((levels, 2, history))
+    tails[:, COUNT] = 2.0 ** np.arange(levels)[:, np.newaxis]
+    places = np.zeros((levels, 5), np.int64)
+    places[:, FULL] = 1
+    return PyramidState(tails, tails.copy(), np.zeros((levels, lags)), np.zeros((levels, lags), np.int64), places)
+
+
+def begin_at(state: PyramidState, slot: int) -> None:
+    """Let an empty state begin at `slot`."""
+    levels = np.arange(len(state.places))
+    state.places[:, FIRST] = state.places[:, NEXT] = -(-slot >> levels)
+
+
+@kernel_part()
+def accumulate(
+    squares: FloatArray,
+    windows: IntArray,
+    lags: IntArray,
+    prefix: FloatArray,
+    after: int,
+    length: int,
+    until: int,
+    full: bool,
+    share: float,
+    width: float,
+) -> None:
+    """Add the windows of a level that end after the first `after` of `length` blocks and begin before `until`."""
+    sums = prefix[SUM]
+    for j in range(lags.shape[0]):
+        lag = lags[j]
+        first = max(after + 1, 2 * lag)
+        stop = min(length + 1, until + 2 * lag)
+        if lag == 0 or first >= stop:
+            continue
+        if full:
+            squares[j] += sum_of_squares(
+                sums[first:stop], sums[first - lag : stop - lag], sums[first - 2 * lag : stop - 2 * lag]
+            )
+            windows[j] += stop - first
+        else:
+            slots = lag * width
+            total, found = sum_of_squares_with_gaps(sums, prefix[COUNT], lag, first, stop, share * slots, slots)
+            squares[j] += total
+            windows[j] += found
+
+
+@kernel_part()
+def are_full(counts: FloatArray, number: int, width: float) -> bool:
+    """Whether each of the first `number` counts is `width`."""
+    others = 0
+    for i in range(number):
+        others += counts[i] != width
+    return others == 0
+
+
+@kernel_part()
+def _keep_ends(
+    tail: FloatArray, head: FloatArray, place: IntArray, line: FloatArray, length: int, full: bool, width: float
+) -> None:
+    """Keep the last blocks of a level, and the first until there are enough; the line begins with the tail."""
+    history = tail.shape[1]
+    first = place[FILLED]
+    kept = min(history, length)
+    headed = place[HEADED]
+    more = min(history - headed, length - first)
+    for which in range(1 if full else 2):
+        for i in range(kept):
+            tail[which, i] = line[which, length - kept + i]
+        for i in range(more):
+            head[which, headed + i] = line[which, first + i]
+    place[HEADED] = headed + more
+    place[FILLED] = kept
+    if not full:
+        place[FULL] = are_full(tail[COUNT], kept, width)
+
+
+@kernel_part()
+def _pair(
+    line: FloatArray, parents: FloatArray, place: IntArray, filled: int, given: int, total: int, full: bool, enough: int
+) -> tuple[int, int]:
+    """Sum pairs of blocks into parents: how many are written, and how many there are.
+
+    The `given` new blocks stand in the line behind those of the tail, of which the last may wait for its neighbour;
+    `total - given` empty ones follow that are not written out, nor more than `enough` of their parents.
+    """
+    start = filled
+    if place[NEXT] % 2 == 1:
+        # an odd block that heads the level has no neighbour and gets no parent
+        start += -1 if place[NEXT] > place[FIRST] else 1
+    pairs = max(0, (filled + given - start) // 2)
+    for which in range(1 if full else 2):
+        below = line[which, start:]
+        above = parents[which]
+        for i in range(pairs):
+            above[i] = below[2 * i] + below[2 * i + 1]
+    made = pairs
+    all_parents = max(0, (filled + total - start) // 2)
+    if total > given:
+        if start + 2 * pairs < filled + given:
+            for which in range(2):
+                parents[which, made] = line[which, filled + given - 1]
+            made += 1
+        wanted = min(all_parents, enough)
+        for i in range(made, wanted):
+            parents[SUM, i] = parents[COUNT, i] = 0.0
+        made = max(made, wanted)
+    return made, all_parents
+
+
+@kernel_part()
+def _climb_a_level(
+    tails: FloatArray,
+    squares: FloatArray,
+    windows: IntArray,
+    places: IntArray,
+    lags: IntArray,
+    scratch: FloatArray,
+    level: int,
+    now: int,
+    given: int,
+) -> int:
+    """Push a few full blocks from scratch[now] into a level that is full, their parents into the other; how many.
+
+    As the general way, but without a view of an array: views cost more than the few numbers in them, and nine levels
+    in ten of a batch of 1000 get but a few blocks.
+    """
+    history = tails.shape[2]
+    for i in range(history):
+        scratch[now, SUM, i] = tails[level, SUM, i]
+    length = history + given
+    prefix_sums(scratch[now, SUM, :length], scratch[2, SUM])
+    row = min(level, 1)
+    begin = 0
+    if level == 0 and given >= _FEW and lags.shape[1] == _OCTAVES:
+        p = scratch[2, SUM, history - 31 : length + 1]
+        sums_of_squares(p[32:], p[31:-1], p[30:-2], p[28:-4], p[24:-8], p[16:-16], p[:-32], squares[0])
+        for j in range(_OCTAVES):
+            windows[0, j] += given
+        begin = _OCTAVES
+    for j in range(begin, lags.shape[1]):
+        lag = lags[row, j]
+        if lag == 0:
+            break
+        total = 0.0
+        if given < _FEW:
+            for i in range(history + 1, length + 1):
+                difference = scratch[2, SUM, i] - 2.0 * scratch[2, SUM, i - lag] + scratch[2, SUM, i - 2 * lag]
+                total += difference * difference
+        else:
+            sums = scratch[2, SUM, history + 1 - 2 * lag : length + 1]
+            total = sum_of_squares(sums[2 * lag :], sums[lag : lag + given], sums[:given])
+        squares[level, j] += total
+        windows[level, j] += given
+    for i in range(history):
+        tails[level, SUM, i] = scratch[now, SUM, given + i]
+    start = history - places[level, NEXT] % 2
+    places[level, NEXT] += given
+    parents: int = (length - start) // 2
+    add_pairs(scratch[now, SUM, start:length], scratch[1 - now, SUM, history:], parents)
+    return parents
+
+
+@kernel_part()
+def _climb(
+    tails: FloatArray,
+    heads: FloatArray,
+    squares: FloatArray,
+    windows: IntArray,
+    places: IntArray,
+    lags: IntArray,
+    share: float,
+    scratch: FloatArray,
+    given: int,
+    total: int,
+    full: bool,
+) -> None:
+    """Push `total` blocks into level 0 and what becomes of them into all levels above.
+
+    The first `given` stand in scratch[0] behind room for a tail; the rest are empty. More than a history of empty
+    blocks changes nothing further in a level, so that a gap costs the same however long it is.
+    """
+    history = tails.shape[2]
+    prefix = scratch[2]
+    now = 0
+    for level in range(tails.shape[0]):
+        if total == 0:
+            break
+        width = 2.0**level
+        if full and total == given and places[level, FULL] == 1 and places[level, HEADED] == history:
+            given = _climb_a_level(tails, squares, windows, places, lags, scratch, level, now, given)
+            total = given
+            now = 1 - now
+            continue
+        here = scratch[now]
+        above = scratch[1 - now]
+        now = 1 - now
+        place = places[level]
+        filled = place[FILLED]
+        length = filled + given
+        line = here[:, history - filled :]
+        all_full = full and place[FULL] == 1
+        if full and not all_full:
+            for i in range(filled, length):
+                line[COUNT, i] = width
+        for which in range(1 if all_full else 2):
+            for i in range(filled):
+                line[which, i] = tails[level, which, i]
+            prefix_sums(line[which, :length], prefix[which])
+        accumulate(
+            squares[level],
+            windows[level],
+            lags[min(level, 1)],
+            prefix,
+            filled,
+            length,
+            length,
+            all_full,
+            share,
+            width,
+        )
+        _keep_ends(tails[level], heads[level], place, line, length, all_full, width)
+        made, parents = _pair(line, above[:, history:], place, filled, given, total, all_full, history + 1)
+        place[NEXT] += total
+        given, total, full = made, parents, all_full
+
+
+@njit(cache=True, nogil=True)
+def push(
+    tails: FloatArray,
+    heads: FloatArray,
+    squares: FloatArray,
+    windows: IntArray,
+    places: IntArray,
+    lags: IntArray,
+    share: float,
+    reference: float,
+    first_slot: int,
+    values: FloatArray,
+) -> None:
+    """Push values that lie on the slots from `first_slot` on; slots skipped before it are missing.
+
+    `lags` holds the n of level 0 and those of all other levels, shape (2, L), 0 where unused; a window counts if it
+    holds the `share` of its samples.
+    """
+    history = tails.shape[2]
+    chunk = min(values.shape[0], _CHUNK)
+    scratch = np.empty((3, 2, history + max(chunk, history) + 2))
+    gap = first_slot - places[0, NEXT]
+    start = 0
+    while start < values.shape[0]:
+        # one call for gap and values: machine code is made for each place of a call
+        if gap > 0:
+            given, total, full = min(gap, history + 1), gap, False
+            for i in range(history, history + given):
+                scratch[0, SUM, i] = scratch[0, COUNT, i] = 0.0
+            gap = 0
+        else:
+            given = total = min(_CHUNK, values.shape[0] - start)
+            sums = scratch[0, SUM, history : history + given]
+            full = subtract(values[start : start + given], reference, sums)
+            if not full:
+                mask(sums, scratch[0, COUNT, history : history + given])
+            start += given
+        _climb(tails, heads, squares, windows, places, lags, share, scratch, given, total, full)

@@ -1,0 +1,1 @@
+"""Noise coefficients from an Allan curve."""

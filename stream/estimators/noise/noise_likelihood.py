@@ -1,0 +1,218 @@
+"""How well a sum of non-negative terms explains an Allan curve: the likelihood of its chi-square scatter."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from stream.batch import FloatArray
+from stream.estimators.noise.noise_kernel import descend, deviance, weighted_least_squares
+
+_ROOT_TOLERANCE = 1e-6
+_NEGLIGIBLE = 1e-9
+_MOST_EXPONENT = 100.0
+
+
+class CurveLikelihood:
+    """Gamma likelihood of Allan variances v_i with edf_i degrees of freedom about a model m_i = sum_k x_ik theta_k.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n, p)
+        Terms x, positive.
+    variances, degrees : ndarray, shape (n,)
+        Allan variances, positive, and their equivalent degrees of freedom.
+    correlation : ndarray, shape (n, n)
+        Correlation of the variances.
+    excess : ndarray, shape (n,), optional
+        Relative variance by which the curve departs from any such model beyond its scatter; see `widened`.
+
+    Notes
+    -----
+    edf v/m follows about chi-square (NIST SP 1065 5.3), so that twice the negative log likelihood is, but for a
+    constant,
+
+        D(theta) = sum_i edf_i (v_i/m_i - 1 + ln(m_i/v_i)),    theta >= 0.
+
+    Its minimum is where least squares weighted by edf_i/(2 m_i^2), the model's own variance, no longer moves
+    (iteratively reweighted non-negative least squares; Lawson, Hanson 1974). Weights by 2 v_i^2/edf_i would lean to the
+    points that came out low.
+
+    D treats the points as independent. They are not, so D falls short of chi-square by the ratio of the true variance
+    of an estimate to that which D believes, the sandwich over the inverse information (composite likelihood: Varin,
+    Reid, Firth, Statistica Sinica 21 (2011) 5-42); `inflation` gives it, and limits are where D has risen by it times
+    the quantile. Coefficients are kept relative to the curve: theta_k = 1 touches it at its closest point.
+    """
+
+    def __init__(
+        self,
+        columns: FloatArray,
+        variances: FloatArray,
+        degrees: FloatArray,
+        correlation: FloatArray,
+        excess: FloatArray | None = None,
+    ) -> None:
+        relative = columns / variances[:, np.newaxis]
+        self.sizes: FloatArray = relative.max(axis=0)
+        self.columns: FloatArray = np.ascontiguousarray(relative / self.sizes)
+        self.degrees: FloatArray = np.ascontiguousarray(degrees)
+        self.excess: FloatArray = np.zeros(len(variances)) if excess is None else excess
+        self._correlation = correlation
+
+    def _with(self, relative: FloatArray) -> "CurveLikelihood":
+        return CurveLikelihood(relative, np.ones(len(relative)), self.degrees, self._correlation, self.excess)
+
+    def beside(self, relative: FloatArray) -> "CurveLikelihood":
+        """The same with one more term, given relative to the curve."""
+        return self._with(np.column_stack([self.columns * self.sizes, relative]))
+
+    def instead(self, relative: FloatArray) -> "CurveLikelihood":
+        """The same with another last term, given relative to the curve."""
+        return self._with(np.column_stack([(self.columns * self.sizes)[:, :-1], relative]))
+
+    def without(self) -> "CurveLikelihood":
+        """The same without its last term."""
+        return self._with((self.columns * self.sizes)[:, :-1])
+
+    def widened(self, excess: FloatArray, alike: FloatArray) -> "CurveLikelihood":
+        """The same with a model error: relative variance 2/edf + excess, the errors correlated as `alike`.
+
+        Degrees of freedom are those of the sum, so that D keeps its form.
+        """
+        scatter = 2.0 / self.degrees
+        total = scatter + excess
+        covariance = self._correlation * np.sqrt(np.outer(scatter, scatter)) + alike * np.sqrt(np.outer(excess, excess))
+        correlation = covariance / np.sqrt(np.outer(total, total))
+        return CurveLikelihood(
+            self.columns * self.sizes, np.ones(len(total)), 2.0 / total, correlation, self.excess + excess
+        )
+
+    def deviance(self, model: FloatArray) -> float:
+        """D of a model, given relative to the curve; infinite for one too far from it."""
+        return float(deviance(self.degrees, model))
+
+    def constant(self) -> float:
+        """What twice the negative log likelihood has beside D: it tells apart degrees of freedom."""
+        from scipy.special import gammaln
+
+        half = self.degrees / 2.0
+        return float(2.0 * np.sum(half + gammaln(half) - half * np.log(half)))
+
+    def height(self) -> float:
+        """Twice the negative log likelihood at the minimum, to compare between degrees of freedom."""
+        return self.minimum()[1] + self.constant()
+
+    def minimum(self) -> tuple[FloatArray, float]:
+        """Coefficients of least deviance, and that deviance."""
+        terms = self.columns.shape[1]
+        every, nothing = np.ones(terms, np.bool_), np.zeros(len(self.columns))
+        start = weighted_least_squares(self.columns, self.degrees, np.ones(len(self.columns)), nothing, every)
+        return self._descend(start, every)
+
+    def minimum_at(self, theta: FloatArray, which: int, at: float) -> float:
+        """Least deviance with one coefficient kept `at`, sought from theta; never more than that of theta there."""
+        start, free = theta.copy(), np.ones(len(theta), np.bool_)
+        start[which], free[which] = at, False
+        if np.min(self.columns @ start / (self.columns @ theta)) < _NEGLIGIBLE:
+            # nothing else explains some tau: the others need a share to grow from
+            start[free] = np.maximum(start[free], _NEGLIGIBLE)
+        return self._descend(start, free)[1]
+
+    def _descend(self, theta: FloatArray, free: npt.NDArray[np.bool_]) -> tuple[FloatArray, float]:
+        found, least = descend(self.columns, self.degrees, theta, free)
+        return found, float(least)
+
+    def scores(self, theta: FloatArray, columns: FloatArray) -> FloatArray:
+        """Columns in units of the scatter that theta expects of each variance, m sqrt(2/edf)."""
+        return columns * (np.sqrt(self.degrees / 2.0) / (self.columns @ theta))[:, np.newaxis]
+
+    def covariance(self, scores: FloatArray) -> FloatArray:
+        """Covariance of sums of the correlated variances weighted by the scores."""
+        product: FloatArray = scores.T @ self._correlation @ scores
+        return product
+
+    def residual(self, theta: FloatArray, columns: FloatArray, without: int | None = None) -> FloatArray:
+        """What is left of columns, as scores, when the terms at work in theta have explained all they can."""
+        at_work = theta > _NEGLIGIBLE
+        if without is not None:
+            at_work[without] = False
+        others = self.scores(theta, self.columns[:, at_work])
+        target = self.scores(theta, columns)
+        basis, _ = np.linalg.qr(others)
+        left: FloatArray = target - basis @ (basis.T @ target)
+        return left
+
+    def inflation(self, theta: FloatArray, which: int) -> float:
+        """Variance of an estimate over that of independent points, at least 1."""
+        left = self.residual(theta, self.columns[:, [which]], without=which)
+        return max(1.0, float(self.covariance(left)[0, 0] / np.sum(left**2)))
+
+    def freedom(self, theta: FloatArray) -> tuple[float, float]:
+        """Mean of D at the minimum theta if the model holds, and the degrees of a chi-square that D then is like.
+
+        With P what the terms at work leave of the standardised variances and C their correlation, D is a quadratic
+        form of mean tr(P C) and variance 2 tr(P C P C) (F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110-114).
+        """
+        basis, _ = np.linalg.qr(self.scores(theta, self.columns[:, theta > _NEGLIGIBLE]))
+        product = self._correlation - basis @ (basis.T @ self._correlation)
+        mean, square = float(np.trace(product)), float(np.sum(product * product.T))
+        return mean, mean**2 / square if square > 0.0 else 0.0
+
+    def known_share(self) -> float:
+        """How much of a gain in `height` counts, from 1 where the variances are known.
+
+        Where all is model error, the gain is n ln of the ratio of two sums of squares, of which only nu are free: nu/n.
+        """
+        unknown = float(np.mean(self.excess * self.degrees / 2.0))
+        return 1.0 - unknown * (1.0 - self.freedom(self.minimum()[0])[0] / len(self.degrees))
+
+    def spread(self, theta: FloatArray, quantile: float) -> float:
+        """Quantile to take instead of that of chi-square where the model error was estimated from the curve itself.
+
+        With nu degrees of freedom behind the variances that it makes up most, nu (exp(quantile/nu) - 1): the profile
+        likelihood of a variance shared by nu points, close to the square of Student's t.
+        """
+        if not self.excess.any():
+            return quantile
+        share = self.excess * self.degrees / 2.0
+        nu = max(1.0, self.freedom(theta)[1] * float(np.mean((share / share.max()) ** 2)))
+        return nu * math.expm1(min(quantile / nu, _MOST_EXPONENT))
+
+    def limits(self, theta: FloatArray, allowed: float, which: int) -> tuple[float, float]:
+        """Where the deviance, the other coefficients free, rises to `allowed` on either side of its minimum theta."""
+        from scipy.optimize import brentq
+
+        def excess(at: float) -> float:
+            return self.minimum_at(theta, which, at) - allowed
+
+        lo, best = 0.0, float(theta[which])
+        if best > 0.0 and excess(0.0) > 0.0:
+            lo = float(brentq(excess, 0.0, best, xtol=1e-15, rtol=_ROOT_TOLERANCE))
+        below, above = best, max(1.5 * best, 1e-3)
+        while excess(above) < 0.0:
+            below, above = above, 2.0 * above
+        return lo, float(brentq(excess, below, above, xtol=1e-15, rtol=_ROOT_TOLERANCE))
+
+
+def deviance_quantile(confidence: float) -> float:
+    """How far the deviance may rise above its minimum within the limits of one coefficient.
+
+    Notes
+    -----
+    Chi-square with one degree of freedom if nothing else were bounded. Where another coefficient is truly 0, as most
+    are, its bound makes the rise a mixture (Self, Liang, J. Am. Stat. Assoc. 82 (1987) 605-610, by the angle between
+    the two), in the worst case, two that cannot be told apart, of chi-square with 0, 1, 1 and 2 degrees in equal parts.
+    The larger of both quantiles is taken: limits 5 % wider at 95 %.
+
+    Examples
+    --------
+    >>> round(deviance_quantile(0.95), 3)
+    4.231
+    """
+    lo, hi = 0.0, 1000.0
+    for _ in range(80):
+        middle = (lo + hi) / 2.0
+        free = math.erfc(math.sqrt(middle / 2.0))
+        tail = max(free, free / 2.0 + math.exp(-middle / 2.0) / 4.0)
+        lo, hi = (middle, hi) if tail > 1.0 - confidence else (lo, middle)
+    return hi

@@ -1,0 +1,78 @@
+"""How far an Allan curve departs from every sum of the terms beyond its own scatter, and what it still tells then."""
+
+import numpy as np
+
+from stream.batch import FloatArray
+from stream.estimators.noise.noise_likelihood import CurveLikelihood
+
+SIGNIFICANCE = 0.05
+REACHES = (0.0, 4.0, 16.0, 64.0, 1024.0)
+_LEAST, _MOST = 1e-10, 1e6
+_TOLERANCE = 1e-6
+
+
+def admitted(likelihood: CurveLikelihood, taus_s: FloatArray) -> list[CurveLikelihood]:
+    """Likelihoods that allow for an error of the model, the most likely first; the given one alone if it fits.
+
+    Parameters
+    ----------
+    likelihood : CurveLikelihood
+        That of terms, the curve's scatter its only error.
+    taus_s : ndarray, shape (n,)
+        Averaging times, ascending.
+
+    Notes
+    -----
+    The model fits if its deviance is not above the 95 % quantile of what scatter alone gives. If it is, the relative
+    variance at tau is 2/edf + s^2 w(tau), as in the random-effects analysis of R. DerSimonian, N. Laird, Controlled
+    Clinical Trials 7 (1986) 177-188, and s^2 the one that brings the deviance down to its mean.
+
+    What a sensor's filter, or a line near the sampling rate, takes from white noise or adds to it falls off as 1/tau
+    against it, beyond the time it works over; other errors are anywhere. Hence
+
+        w = 1 + (r tau_1/tau)^2,
+
+    tau_1 the shortest averaging time. How far the first kind reaches past the second, r, is one of 0, 4, 16, 64 and
+    1024, by likelihood; there is one of each in the answer. Errors are smooth in tau: their correlation falls to 0 over
+    an octave, and points in between do not count as more evidence.
+
+    Examples
+    --------
+    >>> taus_s = 2.0 ** np.arange(10)
+    >>> terms, degrees = np.stack([1.0 / taus_s, np.ones(10)], 1), 1e5 / taus_s
+    >>> def best(first: float) -> CurveLikelihood:
+    ...     curve = 1.0 / taus_s + 0.01
+    ...     curve[0] *= first
+    ...     return admitted(CurveLikelihood(terms, curve, degrees, np.eye(10)), taus_s)[0]
+    >>> bool(best(1.0).excess.any()), np.sqrt(best(0.5).excess[[0, -1]]).round(2).tolist()
+    (False, [0.22, 0.0])
+    """
+    from scipy.special import chdtri
+
+    theta, least = likelihood.minimum()
+    mean, degrees = likelihood.freedom(theta)
+    if degrees < 1.0 or least <= mean / degrees * chdtri(degrees, SIGNIFICANCE):
+        return [likelihood]
+    octaves = np.log2(taus_s)
+    alike = np.clip(1.0 - np.abs(octaves[:, np.newaxis] - octaves), 0.0, 1.0)
+    shapes = [1.0 + (reach * taus_s[0] / taus_s) ** 2 for reach in REACHES]
+    return sorted((_admitting(likelihood, shape, alike) for shape in shapes), key=CurveLikelihood.height)
+
+
+def _admitting(likelihood: CurveLikelihood, shape: FloatArray, alike: FloatArray) -> CurveLikelihood:
+    from scipy.optimize import brentq
+
+    def widened(logarithm: float) -> CurveLikelihood:
+        return likelihood.widened(np.exp(logarithm) * shape / np.mean(shape), alike)
+
+    def surplus(logarithm: float) -> float:
+        each = widened(logarithm)
+        theta, least = each.minimum()
+        return least - each.freedom(theta)[0]
+
+    least, most = float(np.log(_LEAST)), float(np.log(_MOST))
+    if surplus(least) <= 0.0:
+        return widened(least)
+    if surplus(most) >= 0.0:
+        return widened(most)
+    return widened(float(brentq(surplus, least, most, xtol=_TOLERANCE)))

@@ -1,0 +1,1 @@
+"""Segments and lines of a power spectral density."""

@@ -1,0 +1,210 @@
+"""The segments of Welch's method: slots fall into them, full ones are transformed, and neighbouring parts join.
+
+Segment j of N slots holds the slots j N/2 .. j N/2 + N - 1 of the signal, in whatever parts it is worked on.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+from numba import njit
+
+from stream.batch import BoolArray, FloatArray, IntArray
+from stream.estimators.kernels.kernel_part import kernel_part
+from stream.estimators.spectrum.spectral_lines import hann_window
+
+START, ORIGIN, FILLED, SEGMENTS, PAIRS, FIRST, LAST = range(7)
+
+# several transforms in one call take half the time of as many calls; the bits are the same
+_AT_ONCE = 4
+
+
+class SegmentState(NamedTuple):
+    """What is kept of segments of N slots.
+
+    Attributes
+    ----------
+    places : ndarray of int64, shape (7,)
+        Slot where the part starts; first slot of the segment that is being filled, and how much of it is; segments
+        averaged, and how many of them follow their neighbour; first slots of the first and of the last one averaged.
+    buffer : ndarray, shape (N,)
+        The segment that is being filled; NaN for a slot that is missing or lies before the part.
+    power : ndarray, shape (N/2 + 1,)
+        Sum of the periodograms, not scaled.
+    head : ndarray, shape (0,) or (n,) with N/2 <= n < N
+        Of a part that goes on behind another: its first slots up to the end of the last segment across the seam.
+    """
+
+    places: IntArray
+    buffer: FloatArray
+    power: FloatArray
+    head: FloatArray
+
+
+def empty_state(size: int) -> SegmentState:
+    """State before the first sample, for segments of `size` slots."""
+    places = np.zeros(7, np.int64)
+    places[FIRST] = places[LAST] = -size
+    return SegmentState(places, np.full(size, np.nan), np.zeros(size // 2 + 1), np.empty(0))
+
+
+def state_behind(earlier: SegmentState) -> SegmentState:
+    """Empty state that goes on where `earlier` stands.
+
+    Examples
+    --------
+    >>> state = empty_state(8)
+    >>> take(state, 0, np.arange(5.0))
+    >>> later = state_behind(state)
+    >>> take(later, 5, np.arange(5.0))
+    >>> later.head.tolist(), later.buffer[:6].tolist()
+    ([0.0, 1.0, 2.0, 3.0, 4.0, nan, nan], [nan, 0.0, 1.0, 2.0, 3.0, 4.0])
+    """
+    size = len(earlier.buffer)
+    half = size // 2
+    state = empty_state(size)
+    state.places[ORIGIN : FILLED + 1] = earlier.places[ORIGIN : FILLED + 1]
+    start = int(earlier.places[ORIGIN] + earlier.places[FILLED])
+    state.places[START] = start
+    if start == 0:
+        return state
+    return state._replace(head=np.full((-(-start // half) + 1) * half - start, np.nan))
+
+
+def take(state: SegmentState, first_slot: int, values: FloatArray, reference: float = 0.0) -> None:
+    """Take in values, less a reference, on the slots from `first_slot` on; those that are not finite are missing."""
+    places, buffer, power, head = state
+    size = len(buffer)
+    half = size // 2
+    behind_start = first_slot - int(places[START])
+    if behind_start < len(head):
+        known = values[: len(head) - behind_start]
+        _put(head, behind_start, behind_start, known, reference)
+    start = _leap(state, first_slot)
+    ends = (start + len(values) - half) // half  # segments that become full
+    taken = 0
+    window = hann_window(size)
+    while ends > 0:
+        rows = min(ends, _AT_ONCE)
+        windowed = np.empty((rows, size))
+        is_whole = np.empty(rows, np.bool_)
+        taken += _fill(buffer, int(places[FILLED]), start, values[taken:], reference, window, windowed, is_whole)
+        whole = windowed if is_whole.all() else windowed[is_whole]
+        if len(whole):
+            _add_powers(scipy.fft.rfft(whole), power)
+            _count(places, half, is_whole)
+        places[ORIGIN] += rows * half
+        places[FILLED] = start = half
+        ends -= rows
+    _put(buffer, int(places[FILLED]), start, values[taken:], reference)
+    places[FILLED] = start + len(values) - taken
+
+
+def append(state: SegmentState, later: SegmentState) -> None:
+    """Put what goes on behind `state` to it.
+
+    The later head closes the segments across the seam; they are neither the earlier part's nor the later one's.
+    """
+    start, end = int(later.places[START]), int(later.places[ORIGIN] + later.places[FILLED])
+    known = min(len(later.head), end - start)
+    if known > 0:
+        take(state, start, later.head[:known])
+    places = state.places
+    if later.places[SEGMENTS]:
+        places[PAIRS] += later.places[PAIRS] + (later.places[FIRST] - places[LAST] == len(state.buffer) // 2)
+        if not places[SEGMENTS]:
+            places[FIRST] = later.places[FIRST]
+        places[LAST] = later.places[LAST]
+        places[SEGMENTS] += later.places[SEGMENTS]
+        with np.errstate(over="ignore", invalid="ignore"):
+            state.power[:] += later.power
+    if known == len(later.head):
+        # what the later part is filling lies behind the seam altogether
+        places[ORIGIN : FILLED + 1] = later.places[ORIGIN : FILLED + 1]
+        state.buffer[:] = later.buffer
+
+
+def _leap(state: SegmentState, slot: int) -> int:
+    """Leave the segments behind that end before `slot`; its place in the one that is then being filled."""
+    places = state.places
+    half = len(state.buffer) // 2
+    beyond = slot - int(places[ORIGIN]) - 2 * half
+    if beyond >= 0:
+        places[ORIGIN] += (beyond // half + 1) * half
+        # no segment that reaches back to what was filled can be full any more
+        places[FILLED] = 0
+    return slot - int(places[ORIGIN])
+
+
+def _count(places: IntArray, half: int, is_whole: BoolArray) -> None:
+    for origin in (int(places[ORIGIN]) + half * np.flatnonzero(is_whole)).tolist():
+        if not places[SEGMENTS]:
+            places[FIRST] = origin
+        places[SEGMENTS] += 1
+        places[PAIRS] += int(places[LAST]) == origin - half
+        places[LAST] = origin
+
+
+@njit(cache=True, nogil=True)
+def _fill(
+    buffer: FloatArray,
+    filled: int,
+    start: int,
+    values: FloatArray,
+    reference: float,
+    window: FloatArray,
+    windowed: FloatArray,
+    is_whole: BoolArray,
+) -> int:
+    """Fill segment after segment and window them; how many values it took. The buffer's first half is then filled."""
+    size = buffer.shape[0]
+    half = size // 2
+    taken = 0
+    for row in range(windowed.shape[0]):
+        _put(buffer, filled, start, values[taken : taken + size - start], reference)
+        taken += size - start
+        is_whole[row] = _window(buffer, window, windowed[row])
+        buffer[:half] = buffer[half:]
+        filled = start = half
+    return taken
+
+
+@njit(cache=True, nogil=True)
+def _put(buffer: FloatArray, filled: int, start: int, values: FloatArray, reference: float) -> None:
+    """Values less the reference, without NumPy's warnings, behind what is filled; NaN between."""
+    buffer[filled:start] = np.nan
+    for i in range(values.shape[0]):
+        buffer[start + i] = values[i] - reference
+
+
+@kernel_part("reassoc")
+def _sums(values: FloatArray) -> tuple[float, float]:
+    """The sum, and one that is 0 if all are finite, else NaN."""
+    total = zero = 0.0
+    for i in range(values.shape[0]):
+        total += values[i]
+        zero += values[i] * 0.0
+    return total, zero
+
+
+@njit(cache=True, nogil=True)
+def _window(values: FloatArray, window: FloatArray, out: FloatArray) -> bool:
+    """Write the values less their mean, times the window; False, and nothing written, if one is not finite."""
+    total, zero = _sums(values)
+    if zero != 0.0:
+        return False
+    mean = total / values.shape[0]
+    for i in range(values.shape[0]):
+        out[i] = (values[i] - mean) * window[i]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _add_powers(transforms: npt.NDArray[np.complex128], power: FloatArray) -> None:
+    """Add the squares of the absolute values, row after row."""
+    for row in range(transforms.shape[0]):
+        for i in range(power.shape[0]):
+            power[i] += (
+                transforms[row, i].real * transforms[row, i].real + transforms[row, i].imag * transforms[row, i].imag
+            )

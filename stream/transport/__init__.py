@@ -1,0 +1,1 @@
+"""The bus: one inside a process, and one over Zenoh."""

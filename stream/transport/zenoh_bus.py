@@ -1,0 +1,164 @@
+"""The bus over Zenoh. No other file imports zenoh.
+
+Nothing listens and nothing is announced unless it is asked for: no multicast scouting, no gossip, no endpoint.
+A session that listens is a router, so that those who connect to it see each other's messages.
+"""
+
+import json
+import re
+import threading
+from collections.abc import Sequence
+from typing import Any, Self
+
+import zenoh
+
+from stream.bounds import MAX_MESSAGE_BYTES
+from stream.errors import BusError
+from stream.transport.bus import Handler, hand_on
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+
+_ENDPOINT = re.compile(r"[a-z]+/\S+:\d{1,5}(\?\S*)?")
+
+# Zenoh closes a transport that its other side has stalled for so long, and what waits there is lost without an error;
+# whoever needs it asks for it again. A source waits about as long as the lease (10 s), after which the other side has
+# given it up too: waiting longer only keeps it from connecting anew. A router does not wait for one slow consumer,
+# which holds up all others meanwhile.
+_WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+_QUEUED_MESSAGES = 256
+_MESSAGE_ROOM_BYTES = 4 << 20  # beyond what is taken, so that one that is a little too large is counted and reported
+_PATIENCE_S = 5.0
+_SOURCE_WAITS_US = 8_000_000
+_ROUTER_WAITS_US = 200_000
+
+
+class ZenohBus:
+    """A session on Zenoh.
+
+    Parameters
+    ----------
+    listen : sequence of str
+        Endpoints to listen on, such as ``tcp/127.0.0.1:7447``. None by default: the bus is inside the process.
+    connect : sequence of str
+        Endpoints to connect to.
+
+    Raises
+    ------
+    BusError
+        If an endpoint cannot be listened on or reached.
+
+    Examples
+    --------
+    >>> import time
+    >>> with ZenohBus() as bus:
+    ...     seen = []
+    ...     bus.subscribe("gyrofleet/**", lambda key, payload: seen.append((key, payload)))
+    ...     bus.publish("gyrofleet/plant/chamber-2/event", b"hello")
+    ...     while not seen: time.sleep(0.001)
+    >>> seen
+    [('gyrofleet/plant/chamber-2/event', b'hello')]
+    """
+
+    def __init__(self, listen: Sequence[str] = (), connect: Sequence[str] = ()) -> None:
+        zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
+        config = zenoh.Config()
+        settings: dict[str, Any] = {
+            "mode": "router" if listen else ("client" if connect else "peer"),
+            "listen/endpoints": list(listen),
+            "connect/endpoints": list(connect),
+            "connect/timeout_ms": 5000,
+            # a connection that breaks is sought again soon and for ever
+            "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5},
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            # no faster than the loopback, 40 MB more, and a process that is killed leaves it behind
+            "transport/shared_memory/enabled": False,
+            "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES + _MESSAGE_ROOM_BYTES,
+            _WAIT_BEFORE_CLOSE: _ROUTER_WAITS_US if listen else _SOURCE_WAITS_US,
+        }
+        for endpoint in (*listen, *connect):
+            if _ENDPOINT.fullmatch(endpoint) is None:
+                raise BusError(f"{endpoint!r} is no address; write it as tcp/HOST:PORT, for example {DEFAULT_ENDPOINT}")
+        try:
+            for key, value in settings.items():
+                config.insert_json5(key, json.dumps(value))
+            self._session = zenoh.open(config)
+        except zenoh.ZError as error:
+            wanted = ", ".join([*(f"listen on {e}" for e in listen), *(f"connect to {e}" for e in connect)])
+            raise BusError(
+                f"cannot {wanted or 'open a bus'}: {_told(error)}; "
+                f"is the address right and free, and the other side running?"
+            ) from error
+        self._subscribers: dict[str, tuple[Any, threading.Thread]] = {}
+        self._handlers: dict[str, list[Handler]] = {}
+        self._lock = threading.Lock()
+
+    def publish(self, key: str, payload: bytes) -> None:
+        """Send `payload` under `key`; waits where the bus is congested.
+
+        Raises
+        ------
+        BusError
+            If the session is closed.
+        """
+        try:
+            # a publisher of its own for each key takes 0.3 ms to declare, and every message twice as long
+            self._session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
+        except zenoh.ZError as error:
+            raise BusError(f"cannot publish {key}: {_told(error)}") from error
+
+    def subscribe(self, key_expression: str, handler: Handler) -> None:
+        """Call `handler` with (key, payload) for every message that matches; one that raises hinders no other."""
+        with self._lock:
+            handlers = self._handlers.get(key_expression)
+            if handlers is not None:
+                # one subscription for all: the payload is copied out of Zenoh once
+                handlers.append(handler)
+                return
+            handlers = self._handlers[key_expression] = [handler]
+
+        # the default queue between Zenoh and Python has no bound; one that is full holds up who sends
+        subscriber = self._session.declare_subscriber(key_expression, zenoh.handlers.FifoChannel(_QUEUED_MESSAGES))
+
+        def take() -> None:
+            for first in subscriber:
+                # without waiting, and without giving others their turn in between, for all that is there
+                sample: zenoh.Sample | None = first
+                while sample is not None:
+                    hand_on(handlers, str(sample.key_expr), sample.payload.to_bytes())
+                    sample = subscriber.try_recv()
+
+        thread = threading.Thread(target=take, name=f"gyrofleet-bus {key_expression}", daemon=True)
+        thread.start()
+        self._subscribers[key_expression] = subscriber, thread
+
+    def unsubscribe(self, key_expression: str) -> None:
+        """Call no handler of that key expression any more."""
+        with self._lock:
+            self._handlers.pop(key_expression, None)
+            found = self._subscribers.pop(key_expression, None)
+        if found is not None:
+            _end(*found)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        for subscriber, thread in list(self._subscribers.values()):
+            _end(subscriber, thread)
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _end(subscriber: Any, thread: threading.Thread) -> None:
+    subscriber.undeclare()
+    if thread is not threading.current_thread():
+        thread.join(_PATIENCE_S)
+
+
+def _told(error: Exception) -> str:
+    """Zenoh's message without the places in its own source."""
+    return re.sub(r"\s+at \S+\.rs:\d+\.?", "", str(error).splitlines()[0])

@@ -1,0 +1,1 @@
+"""Wire forms: sample batches, requests and acknowledgements, and what is refused on arrival."""

@@ -1,0 +1,292 @@
+"""Wire form of a sample batch: Protobuf, its arrays as little-endian bytes (``samples.proto``)."""
+
+import functools
+from math import isfinite
+from typing import NamedTuple
+from uuid import UUID
+
+import numpy as np
+import numpy.typing as npt
+from google.protobuf import descriptor_pb2
+from google.protobuf.message import DecodeError
+
+from stream.batch import INT64_MAX, CountArray, SampleBatch, are_moments, checked_batch
+from stream.bounds import MAX_INTERVAL_NS, MAX_MOMENT_NS, MAX_NAME_CHARS, MAX_SEQ, MIN_MOMENT_NS
+from stream.errors import NewerSchema, WireError
+from stream.wire import samples_pb2
+from stream.wire.count_planes import MOST_PLANES, join_counts, split_counts
+
+SAMPLE_SCHEMA = 2
+MAX_SAMPLES_PER_BATCH = 1_000_000
+
+_ITEM_BYTES = {
+    "counts": (4,),
+    "count_planes": tuple(range(1, MOST_PLANES + 1)),
+    "values": (8,),
+    "times_ns": (8,),
+    "flags": (1,),
+}
+
+
+def encode_batch(batch: SampleBatch) -> bytes:
+    """Put a batch into its wire form.
+
+    Examples
+    --------
+    >>> batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 0, 0, 10_000_000, "deg/s",
+    ...                     counts=np.array([1, 2, 3], np.int32), scale=0.5)
+    >>> decode_batch(encode_batch(batch)) == batch
+    True
+    """
+    message = samples_pb2.SampleBatch(
+        schema=SAMPLE_SCHEMA,
+        unit=batch.unit,
+        signal=batch.signal,
+        run=batch.run,
+        epoch=batch.epoch.bytes,
+        seq=batch.seq,
+        samples=len(batch),
+        t0_ns=batch.t0_ns,
+        dt_ns=batch.dt_ns,
+        irregular=batch.irregular,
+        unit_of_measure=batch.unit_of_measure,
+        scale=batch.scale,
+        offset=batch.offset,
+        times_ns=_bytes(batch.times_ns, "<i8"),
+        values=_bytes(batch.values, "<f8"),
+        flags=_bytes(batch.flags, "u1"),
+        count_planes=b"" if batch.counts is None else split_counts(batch.counts),
+    )
+    return bytes(message.SerializeToString())
+
+
+class BatchHead(NamedTuple):
+    """What a sample batch on the wire is, without its samples; `epoch` in hexadecimal digits."""
+
+    unit: str
+    signal: str
+    run: str
+    epoch: str
+    seq: int
+    next_seq: int
+    t0_ns: int
+    last_ns: int
+    dt_ns: int
+
+
+class WireBatch(NamedTuple):
+    """A sample batch as it came over the wire, checked, its arrays still bytes; empty where there is none.
+
+    `meaning` is what neighbours must share to be put together: epoch, interval in nanoseconds, unit of measure, whether
+    irregular, scale, offset.
+    """
+
+    unit: str
+    signal: str
+    run: str
+    seq: int
+    next_seq: int
+    t0_ns: int
+    last_ns: int
+    meaning: tuple[bytes, int, str, bool, float, float]
+    counts: bytes
+    values: bytes
+    times_ns: bytes
+
+    @property
+    def unit_of_measure(self) -> str:
+        """Unit of measure of the samples."""
+        return self.meaning[2]
+
+
+def read_batch_head(payload: bytes, *, bounded: bool = True) -> BatchHead:
+    """Read what a batch is; refused is exactly what `decode_batch` refuses, and no array is made.
+
+    Parameters
+    ----------
+    payload : bytes
+        The message.
+    bounded : bool
+        Whether numbers beyond their bounds are refused too. A log may hold such from before there were bounds.
+
+    Raises
+    ------
+    NewerSchema
+        If it was written by a newer gyrofleet.
+    WireError
+        If it is not a batch, or not a whole one.
+
+    Examples
+    --------
+    >>> batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 7, 0, 10, "deg/s", counts=np.array([1, 2], np.int32))
+    >>> head = read_batch_head(encode_batch(batch))
+    >>> head.seq, head.next_seq, head.last_ns
+    (7, 9, 10)
+    """
+    message, last_ns = _checked(payload, bounded=bounded)
+    seq = message.seq
+    return BatchHead(
+        message.unit,
+        message.signal,
+        message.run,
+        message.epoch.hex(),
+        seq,
+        seq + message.samples,
+        message.t0_ns,
+        last_ns,
+        message.dt_ns,
+    )
+
+
+def read_wire_batch(payload: bytes) -> WireBatch:
+    """Read a batch whose samples are to be put to others: it is checked, and its arrays stay bytes.
+
+    Raises
+    ------
+    NewerSchema
+        If it was written by a newer gyrofleet.
+    WireError
+        If it is not a batch, or not a whole one.
+    """
+    message, last_ns = _checked(payload)
+    seq, counts = message.seq, _counts(message)
+    return WireBatch(
+        message.unit,
+        message.signal,
+        message.run,
+        seq,
+        seq + message.samples,
+        message.t0_ns,
+        last_ns,
+        (
+            message.epoch,
+            message.dt_ns,
+            message.unit_of_measure,
+            message.irregular,
+            message.scale,
+            message.offset,
+        ),
+        b"" if counts is None else counts.tobytes(),
+        message.values,
+        message.times_ns,
+    )
+
+
+def decode_batch(payload: bytes) -> SampleBatch:
+    """Read a batch from its wire form.
+
+    Raises
+    ------
+    NewerSchema
+        If it was written by a newer gyrofleet.
+    WireError
+        If it is not a batch, or not a whole one.
+    """
+    message, _ = _checked(payload)
+    values, times_ns, flags = message.values, message.times_ns, message.flags
+    return checked_batch(
+        {
+            "unit": message.unit,
+            "signal": message.signal,
+            "run": message.run,
+            "epoch": epoch_of(message.epoch),
+            "seq": message.seq,
+            "t0_ns": message.t0_ns,
+            "dt_ns": message.dt_ns,
+            "unit_of_measure": message.unit_of_measure,
+            "counts": _counts(message),
+            "values": np.frombuffer(values, "<f8") if values else None,
+            "times_ns": np.frombuffer(times_ns, "<i8") if times_ns else None,
+            "irregular": message.irregular,
+            "scale": message.scale,
+            "offset": message.offset,
+            "flags": np.frombuffer(flags, "u1") if flags else None,
+        }
+    )
+
+
+@functools.lru_cache(65_536)
+def epoch_of(raw: bytes) -> UUID:
+    """The epoch that 16 bytes of the wire say; making a UUID takes longer than reading the rest of a batch."""
+    return UUID(bytes=raw)
+
+
+def _counts(message: samples_pb2.SampleBatch) -> CountArray | None:
+    if planes := message.count_planes:
+        return join_counts(planes, message.samples)
+    return np.frombuffer(message.counts, "<i4") if message.counts else None
+
+
+def _checked(payload: bytes, *, bounded: bool = True) -> tuple[samples_pb2.SampleBatch, int]:
+    """The message, and the time of its last sample."""
+    try:
+        message = samples_pb2.SampleBatch.FromString(payload)
+    except DecodeError as error:
+        raise WireError(f"not a sample batch ({len(payload)} bytes): {error}") from error
+    schema = message.schema
+    if schema > SAMPLE_SCHEMA:
+        raise NewerSchema(
+            f"sample batch of schema {schema}, this gyrofleet reads up to {SAMPLE_SCHEMA}: upgrade this side"
+        )
+    n = message.samples
+    if schema < 1 or not 1 <= n <= MAX_SAMPLES_PER_BATCH or len(message.epoch) != 16:
+        raise WireError(f"not a sample batch: schema {schema}, {n} samples, epoch {len(message.epoch)} bytes")
+    planes, values, times_ns = len(message.count_planes), len(message.values), message.times_ns
+    # nearly every batch has nothing but planes, or nothing but values
+    is_plain = planes in (n, 2 * n, 3 * n, 4 * n) if not values else values == 8 * n and not planes
+    if not is_plain or times_ns or message.counts or message.flags:
+        _check_lengths(message)
+    t0_ns, dt_ns = message.t0_ns, message.dt_ns
+    last_ns = int.from_bytes(times_ns[-8:], "little", signed=True) if times_ns else t0_ns + (n - 1) * dt_ns
+    if not (isfinite(message.scale) and isfinite(message.offset)):
+        raise _wrong(message, f"scale {message.scale} or offset {message.offset} is not a finite number")
+    if dt_ns < 1 or not 0 <= message.seq <= INT64_MAX - n:
+        raise _wrong(message, f"dt_ns {dt_ns} or seq {message.seq} is outside its range")
+    if t0_ns < -INT64_MAX or not -INT64_MAX <= last_ns <= INT64_MAX:
+        raise _wrong(message, f"times from {t0_ns} ns do not fit 64 bits")
+    if bounded:
+        _check_bounds(message, message.seq, t0_ns, dt_ns, last_ns)
+        if times_ns and not are_moments(np.frombuffer(times_ns, "<i8")):
+            raise _wrong(message, "one of its times is not between 1897 and 2116")
+    return message, last_ns
+
+
+def _check_bounds(message: samples_pb2.SampleBatch, seq: int, t0_ns: int, dt_ns: int, last_ns: int) -> None:
+    if dt_ns > MAX_INTERVAL_NS or seq > MAX_SEQ - message.samples:
+        raise _wrong(message, f"dt_ns {dt_ns} or seq {seq} is beyond its bounds")
+    if not (MIN_MOMENT_NS <= t0_ns <= MAX_MOMENT_NS and MIN_MOMENT_NS <= last_ns <= MAX_MOMENT_NS):
+        raise _wrong(message, f"times from {t0_ns} ns on are not between 1897 and 2116")
+    # unit and signal are those of the key expression, whose length is bounded
+    if len(message.run) > MAX_NAME_CHARS or len(message.unit_of_measure) > MAX_NAME_CHARS:
+        raise _wrong(message, f"run or unit of measure has more than {MAX_NAME_CHARS} characters")
+
+
+def _check_lengths(message: samples_pb2.SampleBatch) -> None:
+    n = message.samples
+    for name, item_bytes in _ITEM_BYTES.items():
+        length = len(getattr(message, name))
+        if length and length not in {n * each for each in item_bytes}:
+            raise WireError(f"not a whole sample batch: {length} bytes of {name} for {n} samples")
+    if sum(map(bool, (message.counts, message.count_planes, message.values))) != 1:
+        raise _wrong(message, "a batch holds either counts or values, exactly one of them")
+
+
+def _wrong(message: samples_pb2.SampleBatch, what: str) -> WireError:
+    names = [each[:MAX_NAME_CHARS] for each in (message.run, message.unit, message.signal)]
+    return WireError("not a sample batch: run {}, unit {}, signal {}: {}".format(*names, what))
+
+
+def encode_preview(value: float, unit_of_measure: str) -> bytes:
+    """One sample in the form that plotting tools read."""
+    return bytes(samples_pb2.Preview(value=value, unit_of_measure=unit_of_measure).SerializeToString())
+
+
+def sample_descriptors() -> bytes:
+    """The serialised FileDescriptorSet that makes a recording readable for other tools."""
+    file = descriptor_pb2.FileDescriptorProto()
+    samples_pb2.DESCRIPTOR.CopyToProto(file)
+    return bytes(descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString())
+
+
+def _bytes(array: npt.NDArray[np.generic] | None, dtype: str) -> bytes:
+    return b"" if array is None else array.astype(dtype, copy=False).tobytes()

@@ -1,0 +1,1 @@
+"""Estimation while samples flow: from messages on the bus to estimates and early decisions."""

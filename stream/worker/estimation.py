@@ -1,0 +1,267 @@
+"""What is known of every signal: numbered messages in, documents out; in whose thread, and from where, is left open."""
+
+import functools
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+from stream.delivery.publisher import StreamId
+from stream.errors import BadInput, WireError
+from stream.estimators.base import Estimator
+from stream.events import AnyDocument, CompensationStarted, EventMessage, LimitsApplied, RunEnded
+from stream.identity import EstimateKey, EventKey, Place, SampleKey, estimate_key, parse_key, sample_key
+from stream.wire.batches import WireBatch, read_wire_batch
+from stream.wire.event_validation import decode_received
+from stream.worker.checkpoint import Checkpoint
+from stream.worker.estimated_signals import EstimatedSignals
+from stream.worker.held_ends import HeldEnds, streams_of
+from stream.worker.signal_analysis import Documents, SignalAnalysis, fresh_followers
+
+_parse = functools.lru_cache(65_536)(parse_key)
+
+
+@dataclass
+class EstimationCounts:
+    """What has been taken in."""
+
+    samples: int = 0
+    duplicates: int = 0
+    recalled: int = 0
+    lost: int = 0
+    rejected: int = 0
+    estimates: int = 0
+    checkpoints: int = 0
+
+
+class Estimation:
+    """Takes the messages of all streams, keeps an analysis of every signal, and hands on the documents that are due.
+
+    Parameters
+    ----------
+    every_ns : int
+        Interval between estimates in a signal's time, nanoseconds; a signal keeps the one that it was begun with.
+    factories : mapping of callables
+        Each makes one estimator of a signal.
+    publish : callable
+        Given the key expression and the document.
+    fill : callable, optional
+        Given a stream and a number: it takes in what is missing before that number, if a log has it soon. A message
+        that comes before it can be had is left out, and comes again out of the log; and the end of a run waits for all
+        its samples. Without one, what is missing is passed over, and a stream may be joined in its middle.
+
+    spectrum : bool
+        Whether a spectral density is kept as well.
+    estimated : EstimatedSignals
+        Which signals are estimated; those that limits of a run are on always are.
+
+    Attributes
+    ----------
+    positions : dict of StreamId to int
+        Number that is expected next of every stream.
+    catching_up : bool
+        Set while messages come out of the log, where nothing is missing between them.
+    ended : frozenset of str
+        Runs to be left out.
+    left_out : bool
+        Set when something is left to be taken out of the log.
+    """
+
+    def __init__(
+        self,
+        every_ns: int,
+        factories: Mapping[str, Callable[[], Estimator]],
+        publish: Callable[[str, AnyDocument], None],
+        fill: Callable[[StreamId, int], None] | None = None,
+        *,
+        spectrum: bool = True,
+        estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
+    ) -> None:
+        self._every_ns = every_ns
+        self._estimated = estimated
+        self._passed_over: set[tuple[str, str, str]] = set()
+        self._fresh = functools.partial(fresh_followers, factories, spectrum=spectrum)
+        self._publish = publish
+        self._fill = fill
+        self._signals: dict[tuple[str, str, str], SignalAnalysis] = {}
+        self._limits: dict[str, LimitsApplied] = {}
+        self._compensated: dict[str, list[CompensationStarted]] = {}
+        self._held = HeldEnds()
+        self.positions: dict[StreamId, int] = {}
+        self.catching_up = self.left_out = False
+        self.ended: frozenset[str] = frozenset()
+        self.counts = EstimationCounts()
+
+    def take(self, key: str, payload: bytes) -> None:
+        """Take in a message if it is the next of its stream; what cannot be read is counted, and left to the recorder.
+
+        Raises
+        ------
+        GyrofleetError
+            From publishing.
+        """
+        try:
+            parsed = _parse(key)
+            if isinstance(parsed, SampleKey):
+                self._take_samples(key, parsed, read_wire_batch(payload))
+            else:
+                self._take_document(key, parsed, decode_received(payload))
+        except (BadInput, WireError):
+            self.counts.rejected += 1  # the recorder keeps it aside and reports it
+
+    def checkpoint(self, store: str) -> Checkpoint:
+        """Everything that is kept, with the identity of the store that it goes with."""
+        return Checkpoint(
+            store=store,
+            positions=[(stream.key, stream.epoch, next_seq) for stream, next_seq in self.positions.items()],
+            ended=sorted(self.ended),
+            limits=list(self._limits.values()),
+            compensated=[each for begun in self._compensated.values() for each in begun],
+            signals=[analysis.export_state() for analysis in self._signals.values()],
+        )
+
+    def go_on_from(self, checkpoint: Checkpoint) -> None:
+        """Take over a checkpoint.
+
+        Raises
+        ------
+        EstimatorError
+            If a snapshot in it is damaged or of another version; nothing is taken over then.
+        """
+        analyses = [SignalAnalysis.from_state(state) for state in checkpoint.signals]
+        self._signals = {(each.run, each.unit, each.signal): each for each in analyses}
+        self._limits = {limits.run: limits for limits in checkpoint.limits}
+        self._compensated = {}
+        for begun in checkpoint.compensated:
+            self._compensated.setdefault(begun.run, []).append(begun)
+        self.positions = {StreamId(key, epoch): next_seq for key, epoch, next_seq in checkpoint.positions}
+        self.ended = frozenset(checkpoint.ended)
+
+    def release(self, *, is_last: bool = False) -> None:
+        """Take in the ends of runs that waited for samples: which have come, or do not come any more.
+
+        Parameters
+        ----------
+        is_last : bool
+            Nothing comes any more.
+        """
+        for stream in self._held.streams:
+            while (waiting := self._held.first(stream)) is not None:
+                place, message = waiting
+                if self._must_wait(place, message) and not is_last and not self._held.is_lost(stream, self.positions):
+                    self.left_out = True
+                    break
+                self._held.pop(stream)
+                self.positions[stream] = message.seq + 1
+                if message.document.run not in self.ended:
+                    self._follow(message.document)
+
+    def _take_samples(self, key: str, parsed: SampleKey, batch: WireBatch) -> None:
+        if batch.unit != parsed.unit or batch.signal != parsed.signal:
+            raise WireError("it holds samples of another unit or signal")
+        stream = StreamId(key, batch.meaning[0].hex())
+        first, after, counts = batch.seq, batch.next_seq, self.counts
+        expected = self._expected(stream, first)
+        if first > expected and not self.catching_up and self._fill is not None:
+            self._fill(stream, first)
+            expected = self._expected(stream, first)
+            if first > expected:
+                self.left_out = True
+                return
+        if first < expected:
+            # what overlaps only in part is kept aside by the recorder too
+            counts.duplicates += after <= expected
+            counts.rejected += after > expected
+            return
+        self.positions[stream] = after
+        if batch.run in self.ended:
+            return
+        counts.lost += first - expected
+        counts.samples += after - first
+        name = (batch.run, batch.unit, batch.signal)
+        if name in self._passed_over:
+            return
+        analysis = self._signals.get(name) or self._begin(parsed.place, name, batch.unit_of_measure)
+        if analysis is None:
+            self._passed_over.add(name)
+            return
+        documents = analysis.take(batch)
+        if documents:
+            self._hand_on(analysis, documents)
+
+    def _take_document(self, key: str, parsed: EventKey | EstimateKey, message: EventMessage) -> None:
+        stream = StreamId(key, message.epoch)
+        expected = self._held.next_seq(stream) or self._expected(stream, message.seq)
+        if message.seq > expected and not self.catching_up and self._fill is not None:
+            self._fill(stream, message.seq)
+            expected = self._held.next_seq(stream) or self._expected(stream, message.seq)
+            if message.seq > expected:
+                self.left_out = True
+                return
+        if message.seq < expected:
+            self._held.hear(stream, message.seq, is_recorded=self.catching_up)
+            return
+        if isinstance(parsed, EventKey) and (self._held.next_seq(stream) or self._must_wait(parsed.place, message)):
+            self._held.hold(stream, parsed.place, message, is_recorded=self.catching_up)
+            self.left_out = True
+            return
+        self.positions[stream] = message.seq + 1
+        if isinstance(parsed, EventKey) and message.document.run not in self.ended:
+            self._follow(message.document)
+
+    def _must_wait(self, place: Place, message: EventMessage) -> bool:
+        """Whether it is the end of a run whose last samples are still to come."""
+        document = message.document
+        if self._fill is None or not isinstance(document, RunEnded) or document.run in self.ended:
+            return False
+        positions = self.positions
+        expected = (*streams_of(place, document), *self._compensated_streams(place, document))
+        return any(positions.get(stream, 0) < total for stream, total in expected)
+
+    def _compensated_streams(self, place: Place, ended: RunEnded) -> Iterator[tuple[StreamId, int]]:
+        """Compensated signals of a run, which come behind the raw ones: each has as many samples."""
+        totals = {(each.unit, each.signal, each.epoch.replace("-", "")): each.samples for each in ended.totals}
+        for each in self._compensated.get(ended.run, ()):
+            total = totals.get((each.unit, each.signal, each.epoch.replace("-", "")))
+            if total is not None:
+                key = sample_key(place, each.unit, each.compensated)
+                yield StreamId(key, each.compensated_epoch.replace("-", "")), total - each.first_seq
+
+    def _expected(self, stream: StreamId, first: int) -> int:
+        # with a log it is known which streams were there before; without, one may be joined in its middle
+        return self.positions.get(stream, first if self._fill is None else 0)
+
+    def _follow(self, document: AnyDocument) -> None:
+        if isinstance(document, LimitsApplied):
+            self._limits[document.run] = document
+            self._forget_passed_over(document.run)  # the limits may be on one of them
+            for analysis in self._signals.values():
+                if analysis.run == document.run:
+                    analysis.apply_limits(document)
+        elif isinstance(document, CompensationStarted):
+            self._compensated.setdefault(document.run, []).append(document)
+        elif isinstance(document, RunEnded):
+            self._compensated.pop(document.run, None)
+            for name in [each for each in self._signals if each[0] == document.run]:
+                analysis = self._signals.pop(name)
+                self._hand_on(analysis, analysis.finish())
+            self._limits.pop(document.run, None)
+            self._forget_passed_over(document.run)
+
+    def _forget_passed_over(self, run: str) -> None:
+        self._passed_over = {each for each in self._passed_over if each[0] != run}
+
+    def _begin(self, place: Place, name: tuple[str, str, str], unit_of_measure: str) -> SignalAnalysis | None:
+        """Start the analysis of a signal; None where it is not estimated."""
+        run, unit, signal = name
+        limits = self._limits[run].limits if run in self._limits else ()
+        is_limited = any(limit.signal == signal for limit in limits)
+        if not is_limited and not self._estimated.includes(signal, unit_of_measure):
+            return None
+        followers = self._fresh()
+        analysis = self._signals[name] = SignalAnalysis(place, (unit, signal, run), self._every_ns, followers)
+        if run in self._limits:
+            analysis.apply_limits(self._limits[run])
+        return analysis
+
+    def _hand_on(self, analysis: SignalAnalysis, documents: Documents) -> None:
+        for what, document in documents:
+            self._publish(estimate_key(analysis.place, analysis.unit, analysis.signal, what), document)

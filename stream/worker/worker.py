@@ -1,0 +1,340 @@
+"""The worker: bus -> estimators -> estimates on the bus."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Self
+
+from stream.delivery.publisher import StreamId
+from stream.delivery.recorded_log import DocumentSender, Identities, RecordedLog
+from stream.errors import CheckpointDamaged, EstimatorError, GyrofleetError
+from stream.estimators.base import Estimator, default_estimators
+from stream.events import AnyDocument, EstimatePublished
+from stream.identity import EVERYTHING
+from stream.transport.bus import Bus
+from stream.worker.checkpoint import generations, keep_aside, read_checkpoint, write_checkpoint
+from stream.worker.estimated_signals import EstimatedSignals
+from stream.worker.estimation import Estimation, EstimationCounts
+
+# A worker that falls behind must hold up neither the recorder, which shares its subscription, nor the bus that it
+# publishes on itself: sources in the same process wait for room, from others it leaves out what it cannot hold.
+_ROOM_BYTES = 16 << 20
+_MOST_BYTES = 48 << 20
+# a recorder has on disk what it was given within a second; for what is not there after this, nothing is held up: it is
+# looked for in the log again a while later
+_PATIENCE_S = 2.0
+_OVERHEAD_BYTES = 200  # of a message in the queue, beside its key and payload
+_RETRY_S = 0.2
+_LOOK_AGAIN_S = 2.0
+_MOST_LOOK_AGAIN_S = 60.0
+# how long samples wait so that the documents before a checkpoint reach the log, and when it is tried again
+_SETTLE_S = 1.0
+_SETTLE_AGAIN_S = 5.0
+
+
+class EstimationWorker:
+    """Keeps the estimators of every signal on the bus up to date and publishes what they say.
+
+    Estimates are published whenever a signal's own time passes a multiple of `every_s`, and once more, marked
+    final, when its run ends: a function of the samples, not of the batches they come in, the moments, or how often the
+    worker was stopped. With them go the early
+    decisions on the limits of a run whose duration is planned, and at its end its noise coefficients and spectral
+    lines.
+
+    Given the log of the recorder, nothing is missed: what did not come over the bus is read there, and a run that
+    goes on when the worker starts is taken from its beginning. With a checkpoint, a worker that was stopped or killed
+    goes on where it stood, and gives the documents that it would have given, each once.
+
+    Parameters
+    ----------
+    bus : Bus
+        Where samples come from.
+    publisher : DocumentSender
+        What the estimates are sent with.
+    every_s : float
+        Interval between estimates in the signal's time, seconds; signals in a checkpoint keep theirs.
+    estimators : mapping of callables, optional
+        Each makes one estimator of a signal; by default those of `default_estimators`.
+    on_document : callable, optional
+        Called with every document that is published, in the worker's thread.
+    log : RecordedLog, optional
+        The log of the store that is recorded to.
+    checkpoint : Path, optional
+        File of the checkpoint, beside which the one before it is kept; it needs the log.
+    checkpoint_every_s : float
+        Interval between checkpoints, seconds.
+    spectrum : bool
+        Whether a spectral density of each signal is kept as well, for its lines; it is a third of the work.
+    estimated : EstimatedSignals
+        Which signals are estimated; by default angular rates, and those that limits of a run are on.
+
+    Raises
+    ------
+    EstimatorError
+        If the checkpoint cannot be read or is of a newer gyrofleet; the message says what to do.
+
+    Attributes
+    ----------
+    resumed : bool
+        Whether it goes on from a checkpoint.
+    warnings : list of str
+        What was found amiss and did not stop it.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        publisher: DocumentSender,
+        *,
+        every_s: float = 60.0,
+        estimators: Mapping[str, Callable[[], Estimator]] | None = None,
+        on_document: Callable[[AnyDocument], None] | None = None,
+        log: RecordedLog | None = None,
+        checkpoint: Path | None = None,
+        checkpoint_every_s: float = 30.0,
+        spectrum: bool = True,
+        estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
+    ) -> None:
+        self._publisher = publisher
+        self._on_document = on_document
+        self._log = log
+        self._checkpoint = checkpoint
+        self._checkpoint_every_s = checkpoint_every_s
+        self._next_save = time.monotonic() + checkpoint_every_s
+        self._estimation = Estimation(
+            round(every_s * 1e9),
+            default_estimators() if estimators is None else estimators,
+            self._publish,
+            None if log is None else self._fill,
+            spectrum=spectrum,
+            estimated=estimated,
+        )
+        self._known = Identities(())
+        self._fill_at = 0.0
+        self._fill_wait_s = self._look_wait_s = _LOOK_AGAIN_S
+        self._look_at = time.monotonic() + _LOOK_AGAIN_S
+        self.failure: GyrofleetError | None = None
+        self.warnings: list[str] = []
+        self.resumed = False if log is None else self._resume(log)
+        self._incoming: deque[tuple[str, bytes]] = deque()
+        self._incoming_bytes = 0
+        self._state = threading.Condition()
+        self._closing = self._killed = False
+        self._thread = threading.Thread(target=self._loop, name="gyrofleet-estimators", daemon=True)
+        # what comes between the reading of the log and the bus is missed by neither: the bus is first
+        bus.subscribe(EVERYTHING, self._on_message)
+        self._thread.start()
+
+    @property
+    def counts(self) -> EstimationCounts:
+        """What it has done since it started."""
+        return self._estimation.counts
+
+    def close(self) -> None:
+        """Work off what has arrived, write a checkpoint, and stop.
+
+        Of runs that have not ended nothing more is published: that would depend on the moment, and with a checkpoint
+        they go on.
+
+        Raises
+        ------
+        GyrofleetError
+            If the worker had stopped before.
+        """
+        with self._state:
+            self._closing = True
+            self._state.notify_all()
+        self._thread.join()
+        if self.failure is not None:
+            raise self.failure
+
+    def kill(self) -> None:
+        """Stop at once, and leave undone what has not been done: as a process that is killed."""
+        with self._state:
+            self._killed = self._closing = True
+            self._incoming.clear()
+            self._state.notify_all()
+        self._thread.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def wait_for_room(self) -> None:
+        """Wait until the worker is not far behind; for a source in the same process, before it sends more."""
+        with self._state:
+            while self._incoming_bytes > _ROOM_BYTES and self.failure is None and self._thread.is_alive():
+                self._state.wait(0.1)
+
+    def _on_message(self, key: str, payload: bytes) -> None:
+        with self._state:
+            if self._killed:
+                return
+            if self._incoming_bytes > _MOST_BYTES:
+                return  # the gap in the numbers is counted as lost when the next batch of the signal is taken
+            self._incoming.append((key, payload))
+            self._incoming_bytes += _size(key, payload)
+            if len(self._incoming) == 1:
+                self._state.notify_all()
+
+    def _resume(self, log: RecordedLog) -> bool:
+        """Take over the newest checkpoint that holds; without one, begin with the runs that go on in the log."""
+        is_damaged = False
+        for path in () if self._checkpoint is None else generations(self._checkpoint):
+            try:
+                found = read_checkpoint(path)
+                if found is None or found.store != log.identity:
+                    continue
+                self._estimation.go_on_from(found)
+            except CheckpointDamaged as error:
+                is_damaged = True
+                self.warnings.append(f"{error}; it is kept as {keep_aside(path)}, and what it held is read in the log")
+            else:
+                return True
+        beginning = log.beginning(thorough=is_damaged)
+        self._estimation.positions, self._estimation.ended = beginning.positions, beginning.ended
+        self._write()  # so that one who is killed before the first regular one begins here again
+        return False
+
+    def _loop(self) -> None:
+        try:
+            if self._log is not None:
+                self._known = Identities(self._log.published(self._estimation.positions))
+                self._recall(saving=True)
+                self._estimation.release()
+                self._known = Identities(())
+                self._estimation.ended = frozenset()
+            while self._work():
+                self._look_into_log()
+            if not self._killed:
+                self._finish()
+        except Exception as error:  # noqa: BLE001  whatever it is, a worker that stopped must say so
+            with self._state:
+                self.failure = (
+                    error
+                    if isinstance(error, GyrofleetError)
+                    else EstimatorError(f"the estimators stopped ({type(error).__name__}: {error}); recording goes on")
+                )
+                self._state.notify_all()
+
+    def _work(self) -> bool:
+        """Take in what has come; whether there may be more."""
+        with self._state:
+            while not self._incoming and not self._closing:
+                self._state.wait(0.5)
+                if time.monotonic() >= min(self._next_save, self._look_at):
+                    break
+            taken, self._incoming = self._incoming, deque()
+        if taken and not self._estimation.left_out:
+            self._look_wait_s = _LOOK_AGAIN_S
+            self._look_at = time.monotonic() + _LOOK_AGAIN_S
+        take = self._estimation.take
+        for key, payload in taken:
+            if self._killed:
+                return False
+            take(key, payload)
+            if time.monotonic() >= self._next_save:
+                self._save_if_it_can_be()
+        with self._state:
+            self._incoming_bytes -= sum(_size(key, payload) for key, payload in taken)
+            self._state.notify_all()
+            is_last = self._closing and not self._incoming
+        if not is_last and time.monotonic() >= self._next_save:
+            self._save_if_it_can_be()
+        return not is_last and not self._killed
+
+    def _look_into_log(self) -> None:
+        """Take out of the log what was left to it, and what may have been missed where nothing comes any more."""
+        if time.monotonic() >= self._look_at:
+            self._estimation.left_out = False
+            if self._log is not None:
+                self._recall()
+            self._look_wait_s = min(2 * self._look_wait_s, _MOST_LOOK_AGAIN_S)
+            self._look_at = time.monotonic() + self._look_wait_s
+        self._estimation.release()
+
+    def _finish(self) -> None:
+        """Take in what can be had, and write a checkpoint."""
+        if self._log is not None and (self._checkpoint is not None or self._estimation.left_out):
+            self._recall()
+        # one with a checkpoint goes on waiting when it is started again
+        self._estimation.release(is_last=self._checkpoint is None)
+        self._save(is_last=True)
+
+    def _save_if_it_can_be(self) -> None:
+        try:
+            self._save()
+        except EstimatorError as error:
+            # those before still stand, and the next is tried in its turn
+            if str(error) not in self.warnings:
+                self.warnings.append(str(error))
+
+    def _save(self, *, is_last: bool = False) -> None:
+        """Write a checkpoint, once what was published before it is in the log."""
+        self._next_save = time.monotonic() + self._checkpoint_every_s
+        if self._checkpoint is None:
+            return
+        if is_last:
+            self._publisher.drain()
+        deadline = time.monotonic() + _SETTLE_S
+        while self._publisher.outstanding:
+            if time.monotonic() > deadline or self._closing:
+                self._next_save = time.monotonic() + min(_SETTLE_AGAIN_S, self._checkpoint_every_s)
+                return
+            time.sleep(_RETRY_S / 10)
+        self._write()
+        self.counts.checkpoints += 1
+
+    def _write(self) -> None:
+        if self._checkpoint is not None and self._log is not None:
+            write_checkpoint(self._checkpoint, self._estimation.checkpoint(self._log.identity))
+
+    def _recall(self, *, saving: bool = False) -> None:
+        """Take in what the log holds beyond what was seen."""
+        assert self._log is not None
+        estimation = self._estimation
+        before = self.counts.samples
+        estimation.catching_up = True
+        for message in self._log.since(dict(estimation.positions)):
+            if self._killed:
+                break
+            estimation.take(message.stream.key, message.payload)
+            if saving and time.monotonic() >= self._next_save:
+                self._save_if_it_can_be()
+        estimation.catching_up = False
+        self.counts.recalled += self.counts.samples - before
+
+    def _fill(self, stream: StreamId, first: int) -> None:
+        """Read from the log what is missing of a stream before that number, if it comes there soon."""
+        now = time.monotonic()
+        if now < self._fill_at or self._closing:
+            return
+        positions = self._estimation.positions
+        deadline = now + _PATIENCE_S
+        while True:
+            self._recall()
+            if positions.get(stream, 0) >= first:
+                self._fill_wait_s = _LOOK_AGAIN_S
+                return
+            if time.monotonic() > deadline or self._closing:
+                break
+            time.sleep(_RETRY_S)
+        self._fill_at = time.monotonic() + self._fill_wait_s
+        self._fill_wait_s = min(2 * self._fill_wait_s, _MOST_LOOK_AGAIN_S)
+
+    def _publish(self, key: str, document: AnyDocument) -> None:
+        if document.uid in self._known:
+            return
+        self._publisher.send_event(key, document)
+        self.counts.estimates += isinstance(document, EstimatePublished)
+        if self._on_document is not None:
+            self._on_document(document)
+
+
+def _size(key: str, payload: bytes) -> int:
+    """Memory of a message in the queue; a key takes 4 bytes a character at most."""
+    return len(payload) + 4 * len(key) + _OVERHEAD_BYTES
