@@ -178,7 +178,7 @@ interval_s = {1.0 / rate_hz!r}
 
 def _fleet(units: Sequence[str], rate_hz: float, seed: int) -> str:
     names = ", ".join(f'"{unit}"' for unit in units)
-    return f"""# What is planted in the simulated gyros; see ingest/instruments/simulated/physics.
+    return f"""# What is planted in the simulated gyros; see ingest/simulator/physics.
 [fleet]
 seed = {seed}
 units = [{names}]
