@@ -30,7 +30,7 @@ class Store:
     """The folders of a store.
 
     ``store.json`` marks it; ``log/`` holds MCAP segments (the record), ``lake/`` one folder of Parquet files for
-    each sealed segment (derived, can be made anew), ``tmp/`` what is being written.
+    each sealed segment (derived, can be rebuilt), ``tmp/`` what is being written.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ class Store:
 
     @classmethod
     def open_or_repair(cls, folder: Path) -> tuple[Self, str | None]:
-        """Open a store; if its ``store.json`` is missing or damaged it is made anew, and what was done is told.
+        """Open a store; if its ``store.json`` is missing or damaged it is rebuilt, and what was done is told.
 
         Its identity comes from the copy in the log. Where that is gone as well the store gets another: its log is as
         good as before, but sources that had begun to send to it will not go on by themselves.
@@ -153,7 +153,7 @@ class Store:
                     told += f"; as it was: {aside}"
                 write_markers(folder, identity)
         except OSError as error:
-            raise StoreError(f"{marker} cannot be made anew: {error}; mend the disk and try again") from error
+            raise StoreError(f"{marker} cannot be rebuilt: {error}; mend the disk and try again") from error
         return store, told
 
 

@@ -302,7 +302,7 @@ class EarlyDecision(Document, frozen=True, kw_only=True, tag=True):
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
-    """One limit held against one estimate."""
+    """One limit compared with one estimate."""
 
     limit: Limit
     verdict: Verdict

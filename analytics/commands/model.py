@@ -139,7 +139,7 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
     help="Length of the blocks that are averaged: 10s, 1min.",
 )
 @click.option("--noise", metavar="N=..,B=..,K=..,turn_on=..", help="Declared noise, as of `gyrofleet diagnose`.")
-@click.option("--holdout", default="last-third", show_default=True, metavar="last-third|runs=A,B", help="Lockbox.")
+@click.option("--holdout", default="last-third", show_default=True, metavar="last-third|runs=A,B", help="Held-out set.")
 @click.option("--run", "runs", multiple=True, help="Only this run; may be given several times.")
 @click.option("--shadow", is_flag=True, help="Only watch it; the live stream is compensated as before.")
 @click.option("--reason", default="", help="Why, in free words.")

@@ -146,7 +146,7 @@ def demo_limits() -> LimitsTable:
 
 
 def estimator_key(limit: Limit) -> str:
-    """Key of the estimator whose result `limit` is held against.
+    """Key of the estimator whose result `limit` is compared with.
 
     Examples
     --------

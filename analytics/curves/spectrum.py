@@ -70,7 +70,7 @@ class SignalSpectrum:
     false_alarm_probability : float
         Most probability that a spectrum without any line shows one.
     searched_lo_hz, searched_hi_hz : float
-        Band that was searched for lines, Hz: the bins that have neighbours on both sides to be held against.
+        Band that was searched for lines, Hz: the bins that have neighbours on both sides to be compared with.
     lines : tuple of Line
         The lines, lowest frequency first.
 

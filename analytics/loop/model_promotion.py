@@ -8,7 +8,7 @@ import msgspec
 from analytics.loop.effects.turn_on import TURN_ON
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion, run_hashes
 from analytics.loop.model.model_use import InUse, Stage, activate, read_uses
-from analytics.loop.tracing.contenders import JUMP, LINE
+from analytics.loop.tracing.fitted_candidates import JUMP, LINE
 from analytics.loop.tracing.result import Diagnosis, Verdict
 from analytics.loop.unit_diagnosis import UnitDiagnosis, diagnose_units
 from analytics.loop.unit_reduction import Question

@@ -95,7 +95,7 @@ def compare_groups(series: Series, groups: tuple[str, ...] = GROUPS) -> Comparis
     One linear mixed model for all: value = level of station + of fixture + of lot + unit + residual. What several
     stations saw of one unit and what they saw of different units are both used, each with its weight. A group whose
     columns depend on those of others is compared without them, and said to be confounded with them. With two levels the
-    second is held against the first, with more each against the mean of the others.
+    second is compared with the first, with more each against the mean of the others.
     """
     if series.value.size < LEAST_VALUES:
         return Refused(

@@ -116,7 +116,7 @@ def level_shifts(series: Series, *, false_alarm: float = 0.01) -> LevelShifts | 
     Notes
     -----
     value = level of station + unit + session + noise. Units and sessions (a run at a station on a day) are random;
-    neighbouring sessions of a station may be correlated. The best step of one station is held against none by their
+    neighbouring sessions of a station may be correlated. The best step of one station is compared with none by their
     likelihoods, each with the noise of the sessions that suits it best; the probability is that of so large a ratio in
     series simulated with the noise that fits best without a step, and with the slowest one that is plausible. What is
     found is added to the model, and the search goes on until nothing more is found. Wild values are drawn in to 5

@@ -136,7 +136,7 @@ class Trend:
     comparison : Comparison or Refused
         Between stations, fixtures and lots.
     specification : Limits
-        What the values are held against.
+        What the values are compared with.
     capabilities : tuple of Capability or Refused
         Of each chart.
     """

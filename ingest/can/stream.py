@@ -32,7 +32,7 @@ def nominal_interval_ns(intervals_ns: IntArray, measured_ns: int, cycle_ns: int 
     """Nominal interval of frames that came `intervals_ns` apart, on the whole every `measured_ns`.
 
     It is the database's cycle time where that is within 5 %, else a round number within 0.5 %, else as measured.
-    Where the intervals lie on no grid of what was measured, their median is held against round numbers as well.
+    Where the intervals lie on no grid of what was measured, their median is compared with round numbers as well.
     So one signal has one interval in all files of a run.
 
     Examples

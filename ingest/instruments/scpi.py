@@ -101,7 +101,7 @@ class ScpiConnection:
     clock : StationClock
         The station's clock.
     prepare : callable, optional
-        Called after each connection, also one that was made anew: an instrument that was off has forgotten how it is
+        Called after each connection, also one that was rebuilt: an instrument that was off has forgotten how it is
         to measure.
 
     Raises

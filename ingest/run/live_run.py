@@ -9,7 +9,7 @@ from uuid import NAMESPACE_URL, uuid5
 import msgspec
 from msgspec.structs import replace
 
-from ingest.run.live_source import PowerUp, SimulatedStation, station_units
+from ingest.run.live_source import PowerCycle, SimulatedStation, station_units
 from ingest.run.run_state import Outcome, RunParameters, RunState, begin_run, read_run, write_run
 from stream.batch import SampleBatch
 from stream.delivery.publisher import Sender
@@ -112,7 +112,7 @@ class LiveRun:
             self._resume(sender)
         if self.is_resumed and self.state.parameters.speed == 0 and self.state.phase == "running":
             return  # the units were never off
-        if self.state.power_ups[-1].t0_ns < self._end_ns:
+        if self.state.power_cycles[-1].t0_ns < self._end_ns:
             for unit in self._units:
                 send(self._power_on(unit))
             for started in self._steps_started():
@@ -123,17 +123,17 @@ class LiveRun:
         """What is left to measure, each batch when it is due; it ends when `wait`, given seconds, returns True."""
         if self.state.phase != "running":
             return
-        power_up = self.state.power_ups[-1]
+        power_cycle = self.state.power_cycles[-1]
         speed = self.state.parameters.speed
         first = {
-            (unit, signal): self._spool.position(self._stream(power_up, unit, signal))
+            (unit, signal): self._spool.position(self._stream(power_cycle, unit, signal))
             for unit in self._units
             for signal in ("rate", "temperature")
         }
         began = time.monotonic()
-        for batch in self._station.batches(self.state.run, power_up, self._end_ns, first):
+        for batch in self._station.batches(self.state.run, power_cycle, self._end_ns, first):
             if speed:
-                due = began + (batch.last_ns - power_up.t0_ns) / 1e9 / speed
+                due = began + (batch.last_ns - power_cycle.t0_ns) / 1e9 / speed
                 if (left_s := due - time.monotonic()) > 0 and wait(left_s):
                     return
             yield batch
@@ -167,14 +167,14 @@ class LiveRun:
         state = self.state
         starts = state.starts + 1
         measured_until = self._measured_until()
-        power_ups, now_ns = state.power_ups, measured_until
+        power_cycles, now_ns = state.power_cycles, measured_until
         if state.parameters.speed:
             self._end_steps(sender, measured_until)
             on_its_clock = state.t0_ns + round((self._clock_ns() - state.began_ns) * state.parameters.speed)
             now_ns = min(max(on_its_clock, measured_until), self._end_ns)
-            power_ups = (*power_ups, PowerUp(len(power_ups), now_ns))
+            power_cycles = (*power_cycles, PowerCycle(len(power_cycles), now_ns))
         self.gap_ns = now_ns - measured_until
-        self._save(starts=starts, power_ups=power_ups)
+        self._save(starts=starts, power_cycles=power_cycles)
         resumed = RunResumed(
             run=state.run,
             t_ns=now_ns,
@@ -190,20 +190,20 @@ class LiveRun:
             sender.send_event(event_key(self.place), noted)
 
     def _power_on(self, unit: str) -> PowerOn:
-        power_up = self.state.power_ups[-1]
-        epoch = str(self._station.epoch(power_up, unit))
+        power_cycle = self.state.power_cycles[-1]
+        epoch = str(self._station.epoch(power_cycle, unit))
         uid = self._uid("power-on", epoch)
-        return PowerOn(run=self.state.run, t_ns=power_up.t0_ns, uid=uid, unit=unit, epoch=epoch)
+        return PowerOn(run=self.state.run, t_ns=power_cycle.t0_ns, uid=uid, unit=unit, epoch=epoch)
 
     def _steps_started(self) -> Iterator[StepStarted]:
         """The step that each unit is in from its power-on; none where nothing says what is done."""
-        parameters, power_up = self.state.parameters, self.state.power_ups[-1]
+        parameters, power_cycle = self.state.parameters, self.state.power_cycles[-1]
         if parameters.procedure is None and parameters.position is None:
             return
         words = StepWords(procedure=parameters.procedure, position=parameters.position)
         for unit in self._units:
-            uid = self._uid("step", power_up.number, unit)
-            yield StepStarted(run=self.state.run, t_ns=power_up.t0_ns, uid=uid, unit=unit, words=words)
+            uid = self._uid("step", power_cycle.number, unit)
+            yield StepStarted(run=self.state.run, t_ns=power_cycle.t0_ns, uid=uid, unit=unit, words=words)
 
     def _end_steps(self, sender: Sender, until_ns: int) -> None:
         """End the steps of the last power-on at their last sample."""
@@ -216,20 +216,22 @@ class LiveRun:
     def _measured_until(self) -> int:
         """Time after the last rate sample that is kept."""
         return max(
-            power_up.t0_ns + self._station.dt_ns * self._spool.position(self._stream(power_up, unit, "rate"))
-            for power_up in self.state.power_ups
+            power_cycle.t0_ns + self._station.dt_ns * self._spool.position(self._stream(power_cycle, unit, "rate"))
+            for power_cycle in self.state.power_cycles
             for unit in self._units
         )
 
-    def _stream(self, power_up: PowerUp, unit: str, signal: str) -> StreamId:
-        return StreamId(sample_key(self.place, unit, signal), self._station.epoch(power_up, unit).hex)
+    def _stream(self, power_cycle: PowerCycle, unit: str, signal: str) -> StreamId:
+        return StreamId(sample_key(self.place, unit, signal), self._station.epoch(power_cycle, unit).hex)
 
     def _totals(self) -> tuple[StreamTotal, ...]:
-        epochs = {self._station.epoch(p, unit).hex: p for p in self.state.power_ups for unit in self._units}
+        epochs = {self._station.epoch(p, unit).hex: p for p in self.state.power_cycles for unit in self._units}
         return tuple(
-            StreamTotal(unit=key.unit, signal=key.signal, epoch=str(self._station.epoch(power_up, key.unit)), samples=n)
+            StreamTotal(
+                unit=key.unit, signal=key.signal, epoch=str(self._station.epoch(power_cycle, key.unit)), samples=n
+            )
             for stream, known in self._spool.streams.items()
-            if (power_up := epochs.get(stream.epoch)) is not None
+            if (power_cycle := epochs.get(stream.epoch)) is not None
             and isinstance(key := parse_key(stream.key), SampleKey)
             and (n := known.appended)
         )

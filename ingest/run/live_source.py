@@ -21,7 +21,7 @@ TEMPERATURE_BATCH = 10
 _SAMPLES_AT_ONCE = 8192
 
 
-class PowerUp(NamedTuple):
+class PowerCycle(NamedTuple):
     """One power-on of a station's units: the first is number 0; `t0_ns` is the time of the first samples."""
 
     number: int
@@ -72,11 +72,11 @@ class SimulatedStation:
     Examples
     --------
     >>> station = SimulatedStation(station_units(1, 100.0), "r1", seed=1, batch=50)
-    >>> power_up = PowerUp(0, 0)
-    >>> everything = list(station.batches("r1", power_up, end_ns=2 * 10**9))
+    >>> power_cycle = PowerCycle(0, 0)
+    >>> everything = list(station.batches("r1", power_cycle, end_ns=2 * 10**9))
     >>> [(batch.signal, batch.seq, len(batch)) for batch in everything][2:]
     [('temperature', 0, 2), ('rate', 100, 50), ('rate', 150, 50)]
-    >>> again = list(station.batches("r1", power_up, end_ns=2 * 10**9, first={("SIM-0001", "rate"): 100}))
+    >>> again = list(station.batches("r1", power_cycle, end_ns=2 * 10**9, first={("SIM-0001", "rate"): 100}))
     >>> again[1] == everything[3]
     True
     """
@@ -97,12 +97,12 @@ class SimulatedStation:
         """Interval of the rate samples."""
         return self._rate.dt_ns
 
-    def epoch(self, power_up: PowerUp, unit: str) -> UUID:
+    def epoch(self, power_cycle: PowerCycle, unit: str) -> UUID:
         """What a unit's samples of one power-on are numbered under."""
-        return uuid5(NAMESPACE_URL, f"gyrofleet:station/{self._name}/{self._seed}/{power_up.number}/{unit}")
+        return uuid5(NAMESPACE_URL, f"gyrofleet:station/{self._name}/{self._seed}/{power_cycle.number}/{unit}")
 
     def batches(
-        self, run: str, power_up: PowerUp, end_ns: int, first: Mapping[tuple[str, str], int] | None = None
+        self, run: str, power_cycle: PowerCycle, end_ns: int, first: Mapping[tuple[str, str], int] | None = None
     ) -> Iterator[SampleBatch]:
         """Batches in the order of their last samples.
 
@@ -110,7 +110,7 @@ class SimulatedStation:
         ----------
         run : str
             The run they belong to.
-        power_up : PowerUp
+        power_cycle : PowerCycle
             Where it begins.
         end_ns : int
             Samples before this time.
@@ -119,15 +119,15 @@ class SimulatedStation:
         """
         first = first or {}
         # the first power-on is that of the plain seed
-        seed = self._seed if power_up.number == 0 else (self._seed << 32) + power_up.number
+        seed = self._seed if power_cycle.number == 0 else (self._seed << 32) + power_cycle.number
         gyros = [SimulatedGyro(parameters, seed) for parameters in self.units]
-        epochs = [self.epoch(power_up, parameters.unit) for parameters in self.units]
+        epochs = [self.epoch(power_cycle, parameters.unit) for parameters in self.units]
 
         def of(signal: _Signal) -> Iterator[list[SampleBatch]]:
             """For each moment at which a batch is full, those of all units."""
             is_rate = signal.name == RATE_SIGNAL
             wanted = [first.get((parameters.unit, signal.name), 0) for parameters in self.units]
-            total = -((power_up.t0_ns - end_ns) // signal.dt_ns)
+            total = -((power_cycle.t0_ns - end_ns) // signal.dt_ns)
             block = signal.batch * max(1, _SAMPLES_AT_ONCE // signal.batch)
             for start in range(0, total, block):
                 counts = [
@@ -137,7 +137,7 @@ class SimulatedStation:
                 for seq in range(start, min(start + block, total), signal.batch):
                     stop = min(seq + signal.batch, total)
                     yield [
-                        self._batch(i, run, epochs[i], signal, power_up, seq, drawn[seq - start : stop - start])
+                        self._batch(i, run, epochs[i], signal, power_cycle, seq, drawn[seq - start : stop - start])
                         for i, drawn in enumerate(counts)
                         if seq >= wanted[i]
                     ]
@@ -145,7 +145,7 @@ class SimulatedStation:
         yield from _in_order(of(self._rate), of(self._temperature))
 
     def _batch(
-        self, i: int, run: str, epoch: UUID, signal: _Signal, power_up: PowerUp, seq: int, counts: CountArray
+        self, i: int, run: str, epoch: UUID, signal: _Signal, power_cycle: PowerCycle, seq: int, counts: CountArray
     ) -> SampleBatch:
         return SampleBatch(
             self.units[i].unit,
@@ -153,7 +153,7 @@ class SimulatedStation:
             run,
             epoch,
             seq,
-            power_up.t0_ns + seq * signal.dt_ns,
+            power_cycle.t0_ns + seq * signal.dt_ns,
             signal.dt_ns,
             signal.unit_of_measure,
             counts=counts,

@@ -6,7 +6,7 @@ from typing import Literal
 import msgspec
 
 from ingest.moment import moment_ns
-from ingest.run.live_source import PowerUp
+from ingest.run.live_source import PowerCycle
 from ingest.state_file import read_state, write_state
 from stream.errors import BadInput
 
@@ -49,7 +49,7 @@ class RunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Time of its first sample.
     starts : int
         How often a process took it up.
-    power_ups : tuple of PowerUp
+    power_cycles : tuple of PowerCycle
         The power-ons of its units so far.
     phase : str
         ``starting`` until its first documents are kept, ``running``, ``ending`` when nothing more is measured, and
@@ -64,7 +64,7 @@ class RunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     began_ns: int
     t0_ns: int
     starts: int = 1
-    power_ups: tuple[PowerUp, ...]
+    power_cycles: tuple[PowerCycle, ...] = msgspec.field(name="power_ups")  # as written by earlier versions
     phase: Literal["starting", "running", "ending", "ended"] = "starting"
     outcome: Outcome = "completed"
 
@@ -87,7 +87,7 @@ def begin_run(run: str, parameters: RunParameters, now_ns: int) -> RunState:
     duration_ns = round(parameters.hours * 3600e9)
     lasts_ns = round(duration_ns / parameters.speed) if parameters.speed else 0
     t0_ns = now_ns - max(0, duration_ns - lasts_ns) if parameters.start is None else moment_ns(parameters.start)
-    return RunState(run=run, parameters=parameters, began_ns=now_ns, t0_ns=t0_ns, power_ups=(PowerUp(0, t0_ns),))
+    return RunState(run=run, parameters=parameters, began_ns=now_ns, t0_ns=t0_ns, power_cycles=(PowerCycle(0, t0_ns),))
 
 
 def read_run(folder: Path, run: str, parameters: RunParameters) -> RunState | None:

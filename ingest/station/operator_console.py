@@ -98,7 +98,7 @@ class ConsoleOperator:
             )
         return False
 
-    def wishes(self) -> str | None:
+    def poll_request(self) -> str | None:
         """What was asked for by word or by signal; asked all the time, so other troubles are told meanwhile."""
         self._read()
         if self._look is not None:
@@ -139,9 +139,9 @@ class ConsoleOperator:
             elif word not in _WORDS:
                 self._console.print(_HELP, markup=False)
             else:
-                wish = _WORDS[word]
-                self._aborted = self._aborted or wish == "abort"
-                self._paused = wish == "pause"
+                request = _WORDS[word]
+                self._aborted = self._aborted or request == "abort"
+                self._paused = request == "pause"
 
 
 def _hours(seconds: float) -> str:

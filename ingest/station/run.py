@@ -40,7 +40,7 @@ class Operator(Protocol):
     def ready(self, prompt: str) -> bool:
         """Whether what a prompt asks for has been done; asked again and again until it has."""
 
-    def wishes(self) -> str | None:
+    def poll_request(self) -> str | None:
         """``pause``, ``stop`` (to go on later) or ``abort``; None to go on."""
 
     def at(self, step: PlannedStep, doing: str, left_s: float) -> None:
@@ -275,10 +275,10 @@ class StationRun:
         """Wait while the run is paused; raise where it is to end."""
         at = f"run {self._log.state.run} {{}} at step {self._log.state.step + 1}"
         paused = False
-        while (wish := self._operator.wishes()) is not None:
-            if wish == "stop":
+        while (request := self._operator.poll_request()) is not None:
+            if request == "stop":
                 raise RunStopped(at.format("was stopped"))
-            if wish == "abort":
+            if request == "abort":
                 raise RunAborted(at.format("was aborted"))
             if not paused:
                 paused = True

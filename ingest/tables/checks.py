@@ -1,4 +1,4 @@
-"""Rows of a table held against the contract: names, times, step words; what passes comes by unit and run."""
+"""Rows of a table compared with the contract: names, times, step words; what passes comes by unit and run."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Is a store what was written to it: log, lake, and the estimators' checkpoints, held against each other."""
+"""Is a store what was written to it: log, lake, and the estimators' checkpoints, compared with each other."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -120,7 +120,7 @@ def lake_findings(store: Store, state: LogState) -> list[Finding]:
 
 
 def _beside_log(store: Store, state: LogState, part: Part) -> Finding | None:
-    """What is wrong with a part of the lake held against the segments that it was made from."""
+    """What is wrong with a part of the lake compared with the segments that it was made from."""
     where = str(store.lake / part.name)
     gone = {segment for segment in part.segments if not (store.log / f"{segment}.mcap").exists()}
     unsaid = sorted(gone - _said(state))

@@ -1,4 +1,4 @@
-"""The lake held against its manifest and the log: what is wrong, where, and how it is put right."""
+"""The lake compared with its manifest and the log: what is wrong, where, and how it is put right."""
 
 import hashlib
 import time
@@ -47,7 +47,7 @@ class LakeProblem(NamedTuple):
 
 
 def lake_problems(store: Store) -> Iterator[LakeProblem]:
-    """Everything wrong in the lake of a store: every file is read and held against its hash.
+    """Everything wrong in the lake of a store: every file is read and compared with its hash.
 
     Segments that are not in the lake yet are not a problem.
     """
@@ -108,12 +108,12 @@ def _problems(store: Store, sound: dict[str, Part]) -> Iterator[LakeProblem]:
 def mend(store: Store) -> Iterator[LakeProblem]:
     """Put right what `lake_problems` finds; a problem is yielded when it is. The caller holds `builder_lock`.
 
-    What is damaged is moved to ``lake-aside/``, never removed. Parts are made anew from the log.
+    What is damaged is moved to ``lake-aside/``, never removed. Parts are rebuilt from the log.
 
     Raises
     ------
     StoreError
-        If a part cannot be made anew, as its segment is damaged too; the others are mended first.
+        If a part cannot be rebuilt, as its segment is damaged too; the others are mended first.
     """
     found = list(lake_problems(store))
     for problem in found:

@@ -22,7 +22,7 @@ from stream.delivery.publisher import StreamId
 from stream.errors import GyrofleetError, OutOfMemory, StoreError
 from stream.events import RunEnded, StoreNoted, decode_event
 from stream.identity import parse_key, sample_key
-from stream.wire.event_validation import senseless
+from stream.wire.event_validation import invalid_reason
 
 _SALVAGE = "save what it still holds, keep the file itself in log/aside, and say in the log what is lost"
 _LOSSES = ("segment_salvaged", "segment_missing", "segment_recovered")
@@ -175,7 +175,7 @@ def _read_open(store: Store, state: LogState) -> None:
     for record in open_records(store):
         if record.schema == EVENTS and "/estimate/" not in record.topic:
             document = decode_event(record.data).document
-            if isinstance(document, StoreNoted) and senseless(document) is None:
+            if isinstance(document, StoreNoted) and invalid_reason(document) is None:
                 _take_note(document, state)
 
 
@@ -223,7 +223,7 @@ def _follow(record: LogRecord, state: LogState) -> int:
     state.check.follow(place)
     if record.schema == EVENTS and "/estimate/" not in record.topic:
         document = decode_event(record.data).document
-        if (reason := senseless(document)) is not None:
+        if (reason := invalid_reason(document)) is not None:
             where = f"{record.topic} {document.uid}"
             state.add("document_odd", Severity.NOTE, where, f"{type(document).__name__}, passed over: {reason}")
         elif isinstance(document, StoreNoted):

@@ -107,7 +107,7 @@ def rebuild(folder: Path, *, force: bool, raw: bool, as_json: bool) -> None:
     console = notes()
     console.print(f"{done['segments']} segments with {done['samples']:,} samples are in the new lake of {folder}")
     for path in left_aside(store):
-        console.print(f"kept aside: {path}", soft_wrap=True)
+        console.print(f"quarantined: {path}", soft_wrap=True)
 
 
 def _restore(folder: Path, *, as_json: bool) -> None:

@@ -208,4 +208,4 @@ def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
     if counts.rejected_not_kept:
         console.print(f"{counts.rejected_not_kept} of those that could not be taken were not kept: too many at once")
     for rejection in list(counts.rejections)[-_SHOWN_REJECTIONS:]:
-        console.print(f"  kept aside, among the last: {rejection}", markup=False, soft_wrap=True)
+        console.print(f"  quarantined, among the last: {rejection}", markup=False, soft_wrap=True)

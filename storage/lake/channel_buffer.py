@@ -19,7 +19,7 @@ _SMOOTH = 0.9
 _INT32_MAX = 2**31 - 1
 
 
-class GatheredChannel:
+class ChannelBuffer:
     """One channel's samples within a segment; they are copied, so that the messages need not be kept.
 
     Parameters

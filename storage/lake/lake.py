@@ -99,7 +99,7 @@ class Lake:
     """The lake of a store, open for changes. The caller holds `builder_lock`.
 
     What an earlier process left half done is put in order first: a whole part that the manifest does not name yet is
-    taken in, what it was made from in part is removed, and a part whose folder has gone is made anew.
+    taken in, what it was made from in part is removed, and a part whose folder has gone is rebuilt.
 
     Parameters
     ----------
@@ -319,7 +319,7 @@ def remade_manifest(store: Store) -> Manifest:
     parts = [part for part in found_parts(store) if is_of_log(part, listed)]
     drops = Drops({}, {})
     for part in parts:
-        with suppress(StoreError):  # a damaged part is made anew, and what it says comes again
+        with suppress(StoreError):  # a damaged part is rebuilt, and what it says comes again
             drops = drops.join(noted_drops(store.lake / part.name, store.identity))
     return Manifest(parts=tuple(parts), **drops._asdict())
 

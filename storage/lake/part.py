@@ -10,7 +10,7 @@ from typing import NamedTuple
 import msgspec
 import pyarrow as pa
 
-from storage.lake.channel_buffer import GatheredChannel
+from storage.lake.channel_buffer import ChannelBuffer
 from storage.lake.quarantine import Quarantine
 from storage.lake.rollups import Rollup, merge, rollup_table
 from storage.lake.tables import (
@@ -34,7 +34,7 @@ from stream.errors import GyrofleetError, OutOfMemory, StoreError, WireError
 from stream.events import RAW_ROWS_DROPPED, RAW_ROWS_RESTORED, EstimatePublished, EventMessage, StoreNoted, decode_event
 from stream.identity import EstimateKey, EventKey, parse_key
 from stream.wire.batches import decode_batch
-from stream.wire.event_validation import senseless
+from stream.wire.event_validation import invalid_reason
 
 _ESTIMATE_FIELDS = (
     *("run", "unit", "signal", "estimator", "t_ns", "final", "confidence", "unit_of_measure"),
@@ -52,7 +52,7 @@ class Drops(NamedTuple):
 
     def take(self, document: StoreNoted, store: str) -> None:
         """Take in a document, if it is the store's own and says something of raw rows."""
-        if not is_own(document, store) or senseless(document) is not None:
+        if not is_own(document, store) or invalid_reason(document) is not None:
             return
         if document.what == RAW_ROWS_DROPPED:
             self.dropped.update(dict.fromkeys(document.details["segments"], document.uid))
@@ -90,7 +90,7 @@ class _Segment:
     def __init__(self, store: str, segment: str) -> None:
         self._store = store
         self.quarantine = Quarantine(store, segment)
-        self.channels: dict[tuple[object, ...], GatheredChannel] = {}
+        self.channels: dict[tuple[object, ...], ChannelBuffer] = {}
         self.events: list[dict[str, object]] = []
         self.estimates: list[dict[str, object]] = []
         self.drops = Drops({}, {})
@@ -124,7 +124,7 @@ class _Segment:
         channel = self.channels.get(name)
         if channel is None:
             place = parse_key(record.topic).place
-            channel = self.channels[name] = GatheredChannel(channel_id(record.topic, batch), place, batch)
+            channel = self.channels[name] = ChannelBuffer(channel_id(record.topic, batch), place, batch)
         channel.add(batch, record.arrival_ns)
 
     def _add_document(self, record: LogRecord, message: EventMessage) -> None:
@@ -163,12 +163,12 @@ def build_part(segment: Path, fresh: Path, name: str, *, store: str, without_raw
     StoreError
         If the segment is damaged, or does not fit into memory.
     """
-    gathered = _Segment(store, segment.stem)
+    content = _Segment(store, segment.stem)
     try:
         for record in read_segment(segment):
-            gathered.add(record)
+            content.add(record)
         with fresh_folder(fresh):
-            return _written(segment, fresh, name, gathered, without_raw)
+            return _written(segment, fresh, name, content, without_raw)
     except (MemoryError, OutOfMemory) as error:  # of pyarrow too
         raise StoreError(
             f"segment {segment} cannot be brought to the lake: not enough memory; free some, then give "
@@ -193,9 +193,9 @@ def fresh_folder(fresh: Path) -> Iterator[None]:
         raise
 
 
-def _written(segment: Path, fresh: Path, name: str, gathered: _Segment, without_raw: str | None) -> BuiltPart:
-    gathered.events += gathered.quarantine.rows()
-    files, rows = _write_tables(fresh, gathered)
+def _written(segment: Path, fresh: Path, name: str, content: _Segment, without_raw: str | None) -> BuiltPart:
+    content.events += content.quarantine.rows()
+    files, rows = _write_tables(fresh, content)
     part = Part(
         name=name,
         segments=(segment.stem,),
@@ -204,16 +204,16 @@ def _written(segment: Path, fresh: Path, name: str, gathered: _Segment, without_
         samples=sum(int(str(row["samples"])) for row in rows),
         t_first_ns=min((int(str(row["t_first_ns"])) for row in rows), default=None),
         t_last_ns=max((int(str(row["t_last_ns"])) for row in rows), default=None),
-        arrival_first_ns=gathered.arrival_first_ns,
-        arrival_last_ns=gathered.arrival_last_ns,
-        quarantined=gathered.quarantine.messages,
-        quarantined_samples=gathered.quarantine.samples,
+        arrival_first_ns=content.arrival_first_ns,
+        arrival_last_ns=content.arrival_last_ns,
+        quarantined=content.quarantine.messages,
+        quarantined_samples=content.quarantine.samples,
     )
     if without_raw is not None:
         part = without_samples(part, without_raw)
         (fresh / SAMPLES_FILE).unlink()
     write_part(fresh, part)
-    return BuiltPart(fresh, part, gathered.drops)
+    return BuiltPart(fresh, part, content.drops)
 
 
 def _sha256(segment: Path) -> str:
@@ -252,15 +252,15 @@ def channel_id(key: str, batch: SampleBatch) -> int:
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "big", signed=True)
 
 
-def _write_tables(folder: Path, gathered: _Segment) -> tuple[dict[str, PartFile], list[dict[str, object]]]:
+def _write_tables(folder: Path, content: _Segment) -> tuple[dict[str, PartFile], list[dict[str, object]]]:
     seconds, tens = [ROLLUP_COLUMNS.empty_table()], [ROLLUP_COLUMNS.empty_table()]
     clocks = [CLOCK_COLUMNS.empty_table()]
     rows: list[dict[str, object]] = []
     with part_writers(folder) as writer:
         samples = writer("samples")
         # each is let go of when it is written: a segment can hold more than there should be in memory twice
-        channels = sorted(gathered.channels.values(), key=lambda each: each.identity, reverse=True)
-        gathered.channels.clear()
+        channels = sorted(content.channels.values(), key=lambda each: each.identity, reverse=True)
+        content.channels.clear()
         while channels:
             channel = channels.pop()
             rollups: list[Rollup] = []
@@ -276,8 +276,8 @@ def _write_tables(folder: Path, gathered: _Segment) -> tuple[dict[str, PartFile]
             clocks.append(clock)
         tables = {
             "channels": pa.Table.from_pylist(rows, schema=CHANNEL_COLUMNS),
-            "events": pa.Table.from_pylist(gathered.events, schema=EVENT_COLUMNS),
-            "estimates": pa.Table.from_pylist(gathered.estimates, schema=ESTIMATE_COLUMNS),
+            "events": pa.Table.from_pylist(content.events, schema=EVENT_COLUMNS),
+            "estimates": pa.Table.from_pylist(content.estimates, schema=ESTIMATE_COLUMNS),
             "rollup_1s": pa.concat_tables(seconds).combine_chunks(),
             "rollup_10s": pa.concat_tables(tens).combine_chunks(),
             "clocks": pa.concat_tables(clocks).combine_chunks(),

@@ -1,4 +1,4 @@
-"""The lake made anew from the log, beside the one there is, which goes when the new one stands."""
+"""The lake rebuilt from the log, beside the one there is, which goes when the new one stands."""
 
 import shutil
 from collections import deque
@@ -29,7 +29,7 @@ def rebuild(store: Store, *, force: bool = False) -> Iterator[RebuildStep]:
     store : Store
         Whose.
     force : bool
-        Also where the old lake holds what the log no longer gives; the old one is kept aside then.
+        Also where the old lake holds what the log no longer gives; the old one is quarantined then.
 
     Raises
     ------

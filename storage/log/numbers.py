@@ -12,7 +12,7 @@ from storage.store import Store
 def highest_number(store: Store) -> int:
     """The highest number that a segment of the log has or had, by all that the store still knows of it; 0 for none.
 
-    Segments that are lost are known from the manifest, the lake, and what is kept aside: were their numbers given
+    Segments that are lost are known from the manifest, the lake, and what is quarantined: were their numbers given
     again, the lake would take the new ones for those it has.
     """
     return max((int(name) for name in _known(store) if name.isdecimal()), default=0)

@@ -1,7 +1,7 @@
 """Segments that no process finished, or that are damaged: what they hold is sealed, what is lost is said.
 
 A file without damage is finished where it lies, which takes no room on a full disk. Of a damaged one a copy is made of
-what can be read, and the file itself is kept aside, whole.
+what can be read, and the file itself is quarantined, whole.
 """
 
 import hashlib

@@ -135,7 +135,7 @@ class StoredRun:
 
 @dataclass
 class Comparison:
-    """Documents made once more, held against those that are stored.
+    """Documents made once more, compared with those that are stored.
 
     Attributes
     ----------

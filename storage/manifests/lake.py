@@ -193,7 +193,7 @@ def read_manifest(store: Store) -> Manifest:
         if store.lake.is_dir() and next(store.lake.glob(f"*/{PART}"), None) is not None:
             raise LakeManifestDamaged(f"{path} is missing; {_REMEDY}") from None
         if (store.folder / "lake-new" / MANIFEST).exists() and not store.lake.is_dir():
-            raise LakeManifestDamaged(f"{store.lake} is being made anew; give `gyrofleet rebuild` again") from None
+            raise LakeManifestDamaged(f"{store.lake} is being rebuilt; give `gyrofleet rebuild` again") from None
         return Manifest()
     except OSError as error:
         raise LakeManifestDamaged(f"{path} cannot be read: {error}; {_REMEDY}") from error

@@ -12,7 +12,7 @@ _REMOVABLE = "removable"  # in an old one: nothing is in it that the new one has
 
 
 def switch(store: Store, *, keep_old: bool) -> None:
-    """Let the new lake, which is complete, take the place of the old one, which is removed or kept aside."""
+    """Let the new lake, which is complete, take the place of the old one, which is removed or quarantined."""
     mark = store.folder / NEW_LAKE / _COMPLETE
     mark.write_text("keep" if keep_old else "remove")
     sync_folder(mark.parent)

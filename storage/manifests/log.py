@@ -162,7 +162,7 @@ class ManifestWriter:
 
 
 def rewrite_manifest(store: Store, entries: Iterable[SegmentEntry], disk: Disk = DISK) -> Path | None:
-    """Write the manifest anew; what was there is kept aside, and its new place returned."""
+    """Write the manifest anew; what was there is quarantined, and its new place returned."""
     path = manifest_path(store)
     store.tmp.mkdir(exist_ok=True)
     fresh = store.tmp / _NAME

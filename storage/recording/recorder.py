@@ -266,7 +266,7 @@ class Recorder:
         with self._state:
             if not self._incoming and not self._closing and self._settle_wanted == self._settle_done:
                 self._state.wait(self._sync_interval_s)
-            # a bounded bite, so that data reach the disk and are acknowledged while more are waiting
+            # a bounded chunk, so that data reach the disk and are acknowledged while more are waiting
             taken = [self._incoming.popleft() for _ in range(min(len(self._incoming), 1000))]
             self._incoming_bytes -= sum(_size(key, payload) for key, payload, _ in taken)
             self._state.notify_all()

@@ -143,7 +143,7 @@ class Outbox:
         if reason:
             self.progress_at = self._paused_at = now
             for stream in self.streams.values():
-                stream.hear()
+                stream.on_ack()
         elif self.paused:
             for stream in self.streams.values():
                 stream.quiet_since = float("-inf")  # it takes again: ask at once what it has
@@ -156,7 +156,7 @@ class Outbox:
             self._spool.acknowledge(store, stream.id, next_seq)
         freed = stream.let_go(next_seq)
         if freed:
-            stream.stir(now)
+            stream.mark_progress(now)
             self.bytes -= freed
             self.credit = min(self.credit + 2 * freed, self._window_bytes)
             self.progress_at = now
@@ -209,9 +209,9 @@ class Outbox:
         self.resent += len(asked)
         return asked
 
-    def next_bite(self) -> list[Due]:
+    def next_chunk(self) -> list[Due]:
         """The next messages of the streams that are behind, as far as credit goes."""
-        bite: list[Due] = []
+        chunk: list[Due] = []
         room = min(BITE_BYTES, self.credit)
         while self.behind and room > 0:
             stream = next(iter(self.behind))
@@ -219,8 +219,8 @@ class Outbox:
             if stream.sent == len(stream.held):
                 del self.behind[stream]
             stream.pumping = bool(messages)
-            bite += [(stream, held) for held in messages]
+            chunk += [(stream, held) for held in messages]
             size = sum(len(held.payload) for held in messages)
             room -= size
             self.credit -= size
-        return bite
+        return chunk

@@ -105,13 +105,13 @@ class OutgoingStream:
         self.sent = max(0, self.sent - count)
         return size
 
-    def hear(self) -> None:
+    def on_ack(self) -> None:
         """The recorder is there: it need not be asked less and less often."""
         self.patience_s = self._first_patience_s
 
-    def stir(self, now: float) -> None:
+    def mark_progress(self, now: float) -> None:
         """The recorder has taken something."""
-        self.hear()
+        self.on_ack()
         self.quiet_since = now
         self.lost_since = None
 
@@ -134,7 +134,7 @@ class OutgoingStream:
         What was on its way when it was first asked for makes the recorder ask for the same again: such requests are
         left alone for a while, and longer each time.
         """
-        self.hear()
+        self.on_ack()
         if asked == self._rewound_to:
             if now - self._rewound_at < self._rewind_patience_s:
                 return 0

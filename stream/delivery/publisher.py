@@ -326,16 +326,16 @@ class DurablePublisher:
                     if self._closed:
                         return
                     now = time.monotonic()
-                    bite: list[Due] = []
+                    chunk: list[Due] = []
                     if now >= tick_at:
                         tick_at = now + tick_s
-                        bite += self._out.overdue(now)
-                    bite += self._out.next_bite()
-                bite += self._load()
-                for stream, held in bite:
+                        chunk += self._out.overdue(now)
+                    chunk += self._out.next_chunk()
+                chunk += self._load()
+                for stream, held in chunk:
                     self._bus.publish(stream.id.key, stream.on_wire(held.payload))
                 with self._lock:
-                    for stream, _ in bite:
+                    for stream, _ in chunk:
                         stream.pumping = False
                         if stream.sent < len(stream.held):
                             self._out.behind[stream] = None

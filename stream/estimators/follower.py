@@ -35,7 +35,7 @@ class EstimatorState(NamedTuple):
 class Follower(ABC):
     """Something that follows one signal and says what it knows of it.
 
-    A concrete one in this package is found by itself (`base.follower_classes`) and held against the laws that all
+    A concrete one in this package is found by itself (`base.follower_classes`) and compared with the laws that all
     keep: the result does not depend on how the stream is cut into batches, the input is not
     modified, gaps and NaN take their true place in time, memory is bounded, and too little data is a `NoEstimate`.
     Neighbouring parts of a signal can be estimated apart and merged (`successor`, `merge`).

@@ -46,31 +46,31 @@ def decode_received(payload: bytes) -> EventMessage:
         raise WireError(f"not a run document: seq {message.seq} is beyond its bounds")
     if _EPOCH.fullmatch(message.epoch) is None:
         raise WireError(f"not a run document: epoch {message.epoch[:80]!r} is not 1 to 64 of 0-9, A-Z, a-z and -")
-    if (reason := senseless(message.document)) is not None:
+    if (reason := invalid_reason(message.document)) is not None:
         raise WireError(f"not a run document: {reason}")
     return message
 
 
-def senseless(document: AnyDocument) -> str | None:
+def invalid_reason(document: AnyDocument) -> str | None:
     """Why nobody can make use of a document; None where it makes sense.
 
     Examples
     --------
     >>> from stream.events import NoteAdded
-    >>> senseless(NoteAdded(run="r1", t_ns=0, text="door opened"))
-    >>> senseless(StoreNoted(run="", t_ns=0, what="numbers_missing", text="", details={"lost": 7}))
+    >>> invalid_reason(NoteAdded(run="r1", t_ns=0, text="door opened"))
+    >>> invalid_reason(StoreNoted(run="", t_ns=0, what="numbers_missing", text="", details={"lost": 7}))
     'what is lost is no list of stretches'
     """
     if (reason := beyond_bounds(document)) is not None:
         return reason
     if isinstance(document, RunEnded):
-        return next((reason for total in document.totals if (reason := _senseless_total(total)) is not None), None)
+        return next((reason for total in document.totals if (reason := _invalid_total(total)) is not None), None)
     if isinstance(document, StoreNoted):
-        return _senseless_details(document)
+        return _invalid_details(document)
     return None
 
 
-def _senseless_total(total: StreamTotal) -> str | None:
+def _invalid_total(total: StreamTotal) -> str | None:
     whose = f"total of unit {total.unit[:80]!r}"
     try:
         check_name("unit", total.unit)
@@ -86,7 +86,7 @@ def _senseless_total(total: StreamTotal) -> str | None:
     return None
 
 
-def _senseless_details(document: StoreNoted) -> str | None:
+def _invalid_details(document: StoreNoted) -> str | None:
     details = document.details
     lost = details.get("lost")
     if lost is not None and not (isinstance(lost, list) and all(_is_stretch(each) for each in lost)):

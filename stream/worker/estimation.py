@@ -167,7 +167,7 @@ class Estimation:
                 self.left_out = True
                 return
         if first < expected:
-            # what overlaps only in part is kept aside by the recorder too
+            # what overlaps only in part is quarantined by the recorder too
             counts.duplicates += after <= expected
             counts.rejected += after > expected
             return
@@ -197,7 +197,7 @@ class Estimation:
                 self.left_out = True
                 return
         if message.seq < expected:
-            self._held.hear(stream, message.seq, is_recorded=self.catching_up)
+            self._held.mark_seen(stream, message.seq, is_recorded=self.catching_up)
             return
         if isinstance(parsed, EventKey) and (self._held.next_seq(stream) or self._must_wait(parsed.place, message)):
             self._held.hold(stream, parsed.place, message, is_recorded=self.catching_up)

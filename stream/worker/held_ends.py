@@ -51,9 +51,9 @@ class HeldEnds:
     def hold(self, stream: StreamId, place: Place, message: EventMessage, *, is_recorded: bool) -> None:
         """Let a message wait; `is_recorded` says that it came out of the log."""
         self._waiting.setdefault(stream, _Waiting()).messages.append((place, message))
-        self.hear(stream, message.seq, is_recorded=is_recorded)
+        self.mark_seen(stream, message.seq, is_recorded=is_recorded)
 
-    def hear(self, stream: StreamId, seq: int, *, is_recorded: bool) -> None:
+    def mark_seen(self, stream: StreamId, seq: int, *, is_recorded: bool) -> None:
         """A message of that number came once more."""
         waiting = self._waiting.get(stream)
         if waiting is not None and waiting.messages[0][1].seq == seq:

@@ -24,7 +24,7 @@ from stream.identity import Place
 from stream.quantities import ANGULAR_RATE_UNIT
 from stream.wire.batches import WireBatch
 from stream.worker.early_decisions import EarlyDecisions
-from stream.worker.gathering import Gathering, GatheringState, Piece
+from stream.worker.piece_buffer import Piece, PieceBuffer, PieceBufferState
 
 NOISE_COEFFICIENTS = "noise_coefficients"
 SPECTRAL_LINES = "spectral_lines"
@@ -39,7 +39,7 @@ class SignalState(msgspec.Struct, frozen=True):
     """A signal's analysis as it is kept in a checkpoint."""
 
     place: tuple[str, str]
-    gathering: GatheringState
+    gathering: PieceBufferState
     first_ns: int | None
     last_ns: int
     refusal: str | None
@@ -71,7 +71,7 @@ class SignalAnalysis:
         self.unit, self.signal, self.run = name
         self._every_ns = every_ns
         self._followers = list(followers)
-        self._gathering = Gathering(name, every_ns)
+        self._pieces = PieceBuffer(name, every_ns)
         self._decisions = EarlyDecisions(self.signal)
         self._refusal: str | None = None
         self._first_ns: int | None = None
@@ -84,7 +84,7 @@ class SignalAnalysis:
     def take(self, batch: WireBatch) -> Documents:
         """Take in the next batch; the documents that are due, with the names under which they are published."""
         found: Documents = []
-        for piece in self._gathering.take(batch):
+        for piece in self._pieces.take(batch):
             self._follow(piece)
             if piece.is_due:
                 found += self._documents(final=False)
@@ -92,7 +92,7 @@ class SignalAnalysis:
 
     def finish(self) -> Documents:
         """Take in what is left: the run has ended; the documents that say what is known, marked final."""
-        for piece in self._gathering.rest():
+        for piece in self._pieces.rest():
             self._follow(piece)
         return self._documents(final=True)
 
@@ -179,7 +179,7 @@ class SignalAnalysis:
         """Everything that is kept, for a checkpoint."""
         return SignalState(
             place=(self.place.site, self.place.station),
-            gathering=self._gathering.export_state(),
+            gathering=self._pieces.export_state(),
             first_ns=self._first_ns,
             last_ns=self._last_ns,
             refusal=self._refusal,
@@ -198,7 +198,7 @@ class SignalAnalysis:
         """
         followers = [restore(snapshot) for snapshot in state.snapshots]
         analysis = cls(Place(*state.place), state.gathering.name, state.gathering.every_ns, followers)
-        analysis._gathering = Gathering.from_state(state.gathering)
+        analysis._pieces = PieceBuffer.from_state(state.gathering)
         analysis._decisions = EarlyDecisions.from_state(analysis.signal, state.decisions)
         analysis._refusal = state.refusal
         analysis._first_ns, analysis._last_ns = state.first_ns, state.last_ns

@@ -63,7 +63,7 @@ def as_units(*found: UnitDiagnosis) -> UnitsDiagnosis:
     return UnitsDiagnosis(units, {}, standing({unit: each.diagnosis for unit, each in units.items()}))
 
 
-def test_residuals_are_those_of_the_models_and_the_lockbox_is_the_last_third() -> None:
+def test_residuals_are_those_of_the_models_and_the_held_out_set_is_the_last_third() -> None:
     found = diagnosed()
     residuals = left(found)
     names = [run.run for run in found.data.runs]

@@ -187,7 +187,7 @@ def test_a_lost_version_can_be_taken_out_of_use(store: Store) -> None:
     assert document.stage == "off"
 
 
-def test_what_the_lockbox_did_not_confirm_does_not_go_live(store: Store) -> None:
+def test_what_the_held_out_set_did_not_confirm_does_not_go_live(store: Store) -> None:
     written = ModelRegistry(store).add(version(holdout={"accepted": False}))
     with pytest.raises(BadInput, match="not confirmed"):
         activate(store, written, Stage.LIVE, reason="", by="Li")

@@ -39,7 +39,7 @@ def last_outside(output: np.ndarray, level: float, band: float = 5.0) -> float:
     return (AFTER_NS + after * DT_NS) / SECOND_NS
 
 
-def power_up(tested: Any, unit: str, output: np.ndarray, t_ns: int, procedure: str, **words: Any) -> int:
+def power_cycle(tested: Any, unit: str, output: np.ndarray, t_ns: int, procedure: str, **words: Any) -> int:
     tested.power_on("r1", unit, t_ns)
     tested.step("r1", unit, output, t0_ns=t_ns + AFTER_NS, dt_ns=DT_NS, procedure=procedure, **words)
     return t_ns + 400 * SECOND_NS
@@ -58,9 +58,9 @@ def test_startup_time(tested: Any) -> None:
     tested.mount("r1", "U1", product="FOG-70")
     rates = starting(rng, 50.0, BIAS + UP + 300 * 3600 * 1.0001)
     up, east = starting(rng, 100.0, BIAS + UP), starting(rng, 20.0, BIAS)
-    t_ns = power_up(tested, "U1", rates, t_ns, "startup_time", rate_command_deg_per_s=300.0)
-    t_ns = power_up(tested, "U1", up, t_ns, "startup_time", position="IRA_up")
-    t_ns = power_up(tested, "U1", east, t_ns, "startup_time", position="IRA_east")
+    t_ns = power_cycle(tested, "U1", rates, t_ns, "startup_time", rate_command_deg_per_s=300.0)
+    t_ns = power_cycle(tested, "U1", up, t_ns, "startup_time", position="IRA_up")
+    t_ns = power_cycle(tested, "U1", east, t_ns, "startup_time", position="IRA_east")
     found = tested.metric("startup_time")
     expected = {
         # without a measured scale factor the end of the record is what a rate test settles to
@@ -88,7 +88,7 @@ def test_the_limits_of_the_startup_time_hold_the_time_without_noise(tested: Any)
     transients = rng.uniform(20, 200, 40)
     for unit, transient in enumerate(transients):
         tested.mount("r1", f"U{unit:02d}", product="FOG-70")
-        power_up(tested, f"U{unit:02d}", starting(rng, transient, 0.0), START_NS, "startup_time", position="IRA_up")
+        power_cycle(tested, f"U{unit:02d}", starting(rng, transient, 0.0), START_NS, "startup_time", position="IRA_up")
     found = {row["unit"]: row for row in tested.metric("startup_time") if row["test"] == "largest"}
     for unit, transient in enumerate(transients):
         row = found[f"U{unit:02d}"]
@@ -102,9 +102,9 @@ def test_warmup_time_and_why_there_is_none(tested: Any) -> None:
     good = starting(rng, 50.0, 1.0)
     for unit, product in (("U1", "FOG-70"), ("U2", "FOG-50"), ("U3", None), ("U4", "FOG-70")):
         tested.mount("r1", unit, product=product)
-        power_up(tested, unit, good, START_NS, "warmup_time", position="IRA_east")
+        power_cycle(tested, unit, good, START_NS, "warmup_time", position="IRA_east")
     wandering = 1.0 + 20 * np.sin(np.arange(N) / 50)
-    power_up(tested, "U4", wandering, START_NS + 400 * SECOND_NS, "warmup_time", position="IRA_west")
+    power_cycle(tested, "U4", wandering, START_NS + 400 * SECOND_NS, "warmup_time", position="IRA_west")
     tested.step("r1", "U5", good, t0_ns=START_NS, dt_ns=DT_NS, procedure="warmup_time", position="IRA_east")
     tested.mount("r1", "U5", product="FOG-70")
     found = tested.metric("warmup_time")

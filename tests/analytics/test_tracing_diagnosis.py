@@ -188,10 +188,10 @@ def test_runs_must_belong_together(campaign: Campaign) -> None:
         diagnose(runs, MODEL, holdout=["nine"])
 
 
-def test_two_runs_have_no_lockbox(campaign: Campaign) -> None:
+def test_two_runs_have_no_held_out_set(campaign: Campaign) -> None:
     found = told(campaign.runs()[:2])
     assert found.holdout is None
-    assert any("no lockbox" in each for each in found.limits)
+    assert any("no held-out set" in each for each in found.limits)
 
 
 def test_noise_that_is_not_declared_is_guessed(campaign: Campaign) -> None:

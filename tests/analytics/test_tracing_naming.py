@@ -1,4 +1,4 @@
-"""What an effect may be called: how far it has to lead, what it keeps beside it, and when the lockbox accepts it."""
+"""What an effect may be called: how far it has to lead, what it keeps beside it, and what held-out runs accept."""
 
 from typing import Any, cast
 
@@ -10,10 +10,10 @@ from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
 from analytics.loop.tracing.candidates import Candidate
-from analytics.loop.tracing.contenders import Contender
 from analytics.loop.tracing.diagnosis import _of_open_form
+from analytics.loop.tracing.fitted_candidates import FittedCandidate
+from analytics.loop.tracing.held_out_set import HeldOutSet, _slope
 from analytics.loop.tracing.least_squares import fit_of_clusters
-from analytics.loop.tracing.lockbox import Lockbox, _slope
 from analytics.loop.tracing.result import FoundEffect
 from analytics.loop.tracing.selection import Selected, _as_before
 from analytics.loop.tracing.stack import stacked
@@ -23,9 +23,11 @@ from tests.bench.loop_campaign import Campaign
 MODEL = ErrorModel.parse("rate = bias + scale_factor*input_rate + temperature")
 
 
-def contender(name: str, evidence: float, *, role: Role = Role.CAUSE, at_most: float | None = None) -> Contender:
-    """A contender of so much evidence; its fit plays no part in its name."""
-    return Contender(
+def fitted_candidate(
+    name: str, evidence: float, *, role: Role = Role.CAUSE, at_most: float | None = None
+) -> FittedCandidate:
+    """A fitted candidate of so much evidence; its fit plays no part in its name."""
+    return FittedCandidate(
         name=name,
         kind=Kind.LIBRARY,
         role=role,
@@ -50,37 +52,37 @@ def contender(name: str, evidence: float, *, role: Role = Role.CAUSE, at_most: f
     ],
 )
 def test_an_effect_leads_by_twelve_or_three_per_cent(best: float, other: float, is_near: bool) -> None:
-    assert contender("humidity", other).is_near(contender("gravity_o", best)) is is_near
+    assert fitted_candidate("humidity", other).is_near(fitted_candidate("gravity_o", best)) is is_near
 
 
 def test_causes_that_look_alike_have_to_lead_by_a_quarter() -> None:
-    rate = contender("temperature_rate", 1000.0)
+    rate = fitted_candidate("temperature_rate", 1000.0)
     assert "temperature_gradient" in effect("temperature_rate").aliases
-    assert contender("temperature_gradient", 751.0).is_near(rate)
-    assert not contender("temperature_gradient", 749.0).is_near(rate)
+    assert fitted_candidate("temperature_gradient", 751.0).is_near(rate)
+    assert not fitted_candidate("temperature_gradient", 749.0).is_near(rate)
     # it holds whichever of the two names the other
-    assert contender("drift_in_run", 751.0).is_near(contender("ageing", 1000.0))
-    assert contender("ageing", 751.0).is_near(contender("drift_in_run", 1000.0))
+    assert fitted_candidate("drift_in_run", 751.0).is_near(fitted_candidate("ageing", 1000.0))
+    assert fitted_candidate("ageing", 751.0).is_near(fitted_candidate("drift_in_run", 1000.0))
     # a clock that follows a cause is not another cause
-    assert not contender("temperature_time_offset", 751.0, role=Role.ALIAS).is_near(rate)
+    assert not fitted_candidate("temperature_time_offset", 751.0, role=Role.ALIAS).is_near(rate)
 
 
 def test_noise_at_its_pace_is_no_argument_against_another_form() -> None:
-    best = contender("gravity_o", 100.0)
-    assert contender("humidity", 20.0, at_most=95.0).is_near(best)
-    assert not contender("humidity", 20.0).is_near(best)
+    best = fitted_candidate("gravity_o", 100.0)
+    assert fitted_candidate("humidity", 20.0, at_most=95.0).is_near(best)
+    assert not fitted_candidate("humidity", 20.0).is_near(best)
 
 
 def test_an_effect_chosen_anew_keeps_what_it_was_not_told_from() -> None:
-    other = contender("temperature_gradient", 95.0)
-    old = Selected(contender("temperature_rate", 100.0), (other,), ())
-    again = Selected(contender("temperature_rate", 300.0), (), ())
+    other = fitted_candidate("temperature_gradient", 95.0)
+    old = Selected(fitted_candidate("temperature_rate", 100.0), (other,), ())
+    again = Selected(fitted_candidate("temperature_rate", 300.0), (), ())
     kept = _as_before(old, again)
     assert [(each.name, each.evidence) for each in kept.confounded] == [("temperature_gradient", 295.0)]
     # the place may be taken by what was beside it, but by no more than that
-    swapped = _as_before(old, Selected(contender("temperature_gradient", 300.0), (), ()))
+    swapped = _as_before(old, Selected(fitted_candidate("temperature_gradient", 300.0), (), ()))
     assert [(each.name, each.evidence) for each in swapped.confounded] == [("temperature_rate", 300.0)]
-    new = Selected(contender("humidity", 300.0), (), ())
+    new = Selected(fitted_candidate("humidity", 300.0), (), ())
     assert _as_before(old, new) is new
 
 
@@ -95,7 +97,9 @@ def test_an_effect_chosen_anew_keeps_what_it_was_not_told_from() -> None:
         (-1.0, 0.02, False),
     ],
 )
-def test_the_lockbox_accepts_a_size_by_chance_or_by_what_it_wins(slope: float, slope_se: float, accepted: bool) -> None:
+def test_the_held_out_set_accepts_a_size_by_chance_or_by_what_it_wins(
+    slope: float, slope_se: float, accepted: bool
+) -> None:
     assert _slope("gravity_o", slope, slope_se, 0.01).accepted is accepted
 
 
@@ -129,7 +133,7 @@ def test_before_is_the_better_of_two_fits_with_its_own_uncertainty(weighted_is_b
     held_out = stack.of_replicates(stack.replicates[10:])
     best = np.linalg.lstsq(record.design[held_out], record.value[held_out])[0]
     declared = np.asarray(best + np.array([0.0 if weighted_is_better else 5.0, 0.0, 0.0]), dtype=np.float64)
-    box = Lockbox(
+    box = HeldOutSet(
         record=record,
         held_out=held_out,
         declared=declared,

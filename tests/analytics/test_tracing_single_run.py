@@ -51,7 +51,7 @@ def test_a_short_run_with_a_transient_is_confounded() -> None:
     assert found.replication == "within_run"
     assert len(named & {"warm_up", "thermal_lag", "temperature_rate", "temperature_squared"}) >= 3
     assert all(each.separating_test for each in found.confounded)
-    assert any("no lockbox: one run of 25 blocks" in limit for limit in found.limits)
+    assert any("no held-out set: one run of 25 blocks" in limit for limit in found.limits)
     assert FEWEST_BLOCKS_TO_SPLIT > 25
 
 

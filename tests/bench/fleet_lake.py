@@ -15,7 +15,7 @@ import pyarrow as pa
 from analytics.step_records import step_table
 from analytics.step_records.reduction import COLUMNS
 from analytics.step_records.series_statistics import SeriesStatistics, series_statistics
-from storage.lake.channel_buffer import GatheredChannel
+from storage.lake.channel_buffer import ChannelBuffer
 from storage.lake.lake import Lake, builder_lock
 from storage.lake.part import BuiltPart, Drops, channel_id
 from storage.lake.rollups import merge, rollup_table
@@ -196,7 +196,7 @@ def put_part(
     number: int,
     documents: Iterable[AnyDocument],
     channels: pa.Table | None = None,
-    gathered: Sequence[GatheredChannel] = (),
+    gathered: Sequence[ChannelBuffer] = (),
 ) -> None:
     """Put a part in force that holds documents, and either channels alone or gathered ones with their samples."""
     name = f"{number:08d}"
@@ -272,16 +272,16 @@ def write_raw_day(folder: Path, units: int, rate_hz: int, hours: int = 24) -> St
 
 def _day_of_counts(
     rng: np.random.Generator, unit: str, run: str, epoch: UUID, n: int, dt_ns: int, size: int
-) -> GatheredChannel:
+) -> ChannelBuffer:
     """White noise of 50 counts about a bias that walks."""
     bias = rng.normal(0, 20_000) + np.cumsum(rng.normal(0, 0.3, n // size))
-    found: GatheredChannel | None = None
+    found: ChannelBuffer | None = None
     for at, mean in enumerate(bias):
         counts = np.round(rng.normal(mean, 50.0, size)).astype(np.int32)
         t0_ns = START_NS + at * size * dt_ns
         batch = SampleBatch(unit, "rate", run, epoch, at * size, t0_ns, dt_ns, "deg/h", counts=counts, scale=1e-3)
         if found is None:
-            found = GatheredChannel(channel_id(sample_key(PLACE, unit, "rate"), batch), PLACE, batch)
+            found = ChannelBuffer(channel_id(sample_key(PLACE, unit, "rate"), batch), PLACE, batch)
         found.add(batch, batch.last_ns + 10**6)
     assert found is not None
     return found

@@ -5,7 +5,7 @@
     runs = campaign.runs([Planted("warm_up", size, {"time_constant": 2000.0})], misspecified="heavy_tails")
 
 Effects are planted by their `simulate` at instants of two seconds and then averaged; the noise is made in
-`loop_noise`, the channels in `loop_drives`. The last third of the runs holds one of each type: the lockbox.
+`loop_noise`, the channels in `loop_drives`. The last third of the runs holds one of each type: the held-out set.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -81,7 +81,7 @@ class Campaign:
 
     @property
     def training(self) -> list[int]:
-        """Numbers of the runs that are no lockbox: the first two thirds."""
+        """Numbers of the runs that are no held-out set: the first two thirds."""
         return list(range(len(self.drives) - len(self.drives) // 3))
 
     def runs(

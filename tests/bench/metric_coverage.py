@@ -35,7 +35,7 @@ Told = Mapping[str, Any]
 
 
 class Check(NamedTuple):
-    """A metric's rows that are held against one truth.
+    """A metric's rows that are compared with one truth.
 
     Parameters
     ----------

@@ -81,12 +81,12 @@ def null_table(lines: Sequence[Line]) -> Iterator[str | tuple[str, bool]]:
         counts = f"n {len(of_name):3d}  before {before:2d}  after {after:2d}  seen once {once:2d}"
         yield f"    {name:22s} {counts}  {verdicts}"
     before, after = _false(own)
-    yield judged("before the lockbox", before, len(own), 0.03, most=True)
-    yield judged("after the lockbox", after, len(own), 0.01, most=True)
+    yield judged("before the held-out set", before, len(own), 0.03, most=True)
+    yield judged("after the held-out set", after, len(own), 0.01, most=True)
 
 
 def _false(lines: Sequence[Line]) -> tuple[int, int]:
-    """Campaigns with an effect before the lockbox, and after it; a jump is told but never counts as confirmed."""
+    """Campaigns with an effect before the held-out set, and after it; a jump is told but never counts as confirmed."""
     confirmed = sum(any(found["replicates"] for found in each["found"]) for each in lines)
     return sum(bool(each["found"] or each["refused"]) for each in lines), confirmed
 
@@ -157,12 +157,12 @@ def design_table(lines: Sequence[Line]) -> Iterator[str | tuple[str, bool]]:
 
 
 def error_table(lines: Sequence[Line]) -> Iterator[str | tuple[str, bool]]:
-    """Error before, after and floor on the lockbox, z >= 10, where the effect was named."""
+    """Error before, after and floor on the held-out set, z >= 10, where the effect was named."""
     own = [each for each in lines if each["row"] == "planted" and each["z"] >= 10 and each["outcome"] in RIGHT]
     own = [each for each in own if each["error"] and each["found"][0]["replicates"]]
     whole = [each["error"]["fraction"] for each in own if each["error"]["fraction"] is not None]
     excited = [each["error"]["fraction_excited"] for each in own if each["error"]["fraction_excited"] is not None]
-    yield "\nError on the lockbox at 1800 s, z >= 10: part of what could be won that was won"
+    yield "\nError on the held-out set at 1800 s, z >= 10: part of what could be won that was won"
     for what, values in (("all averages", whole), ("averages in which the effect is excited", excited)):
         if values:
             low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))

@@ -85,7 +85,7 @@ ODD_JSON = (
 
 
 class Message(NamedTuple):
-    """What is sent under which key; whether it must be kept aside."""
+    """What is sent under which key; whether it must be quarantined."""
 
     how: str
     key: str
@@ -266,7 +266,7 @@ class Trial:
         self.refused = 0
 
     def run(self, count: int, oversize: int, wait_for: Callable[[int], None]) -> None:
-        """Send so many malformed messages, and good ones between them; `wait_for` so many that are kept aside."""
+        """Send so many malformed messages, and good ones between them; `wait_for` so many that are quarantined."""
         forge = Forge(self._rng).messages()
         self.source.send()
         for number in range(count):
@@ -309,7 +309,7 @@ class Trial:
         wrong = []
         if found != self.aside:
             missing, more = list(self.aside - found), list(found - self.aside)
-            wrong.append(f"kept aside: {len(missing)} are missing, {missing[:3]}, {len(more)} too many, {more[:3]}")
+            wrong.append(f"quarantined: {len(missing)} are missing, {missing[:3]}, {len(more)} too many, {more[:3]}")
         with builder_lock(store):
             list(build_missing(store))
         verified, _ = verify(store)

@@ -175,7 +175,7 @@ def test_runs_noise_and_blocks_can_be_named(gyrofleet: Callable[..., Any], store
     assert "rms_60s" in found["error"]["before"]
     none = gyrofleet(*ask(store, "--json", "--holdout", "none")).json
     assert none["holdout"] is None
-    assert any("no lockbox" in limit for limit in none["limits"])
+    assert any("no held-out set" in limit for limit in none["limits"])
     single = gyrofleet(*ask(store, "--json", "--run", "r0")).json
     assert single["replication"] == "within_run"
     assert single["verdict"] != "effect_found"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ingest.run.live_run import LiveRun
-from ingest.run.live_source import PowerUp, SimulatedStation, station_units
+from ingest.run.live_source import PowerCycle, SimulatedStation, station_units
 from ingest.run.run_state import RunParameters
 from stream.batch import SampleBatch
 from stream.delivery.spool import Spool
@@ -27,14 +27,14 @@ def counts(batches: list[SampleBatch], unit: str, signal: str) -> np.ndarray:
 
 
 def test_any_stretch_made_again_is_the_same_in_batches_of_whatever_size() -> None:
-    power_up = PowerUp(0, 5 * SECOND)
-    whole = list(station().batches("r1", power_up, end_ns=305 * SECOND))
+    power_cycle = PowerCycle(0, 5 * SECOND)
+    whole = list(station().batches("r1", power_cycle, end_ns=305 * SECOND))
     assert [batch.last_ns for batch in whole] == sorted(batch.last_ns for batch in whole)
     first = {("SIM-0001", "rate"): 20_000, ("SIM-0002", "rate"): 10_000, ("SIM-0002", "temperature"): 50}
-    part = list(station().batches("r1", power_up, end_ns=305 * SECOND, first=first))
+    part = list(station().batches("r1", power_cycle, end_ns=305 * SECOND, first=first))
     wanted = [batch for batch in whole if batch.seq >= first.get((batch.unit, batch.signal), 0)]
     assert part == wanted
-    larger = list(station(batch=777).batches("r1", power_up, end_ns=305 * SECOND))
+    larger = list(station(batch=777).batches("r1", power_cycle, end_ns=305 * SECOND))
     for unit in ("SIM-0001", "SIM-0003"):
         for signal, n in (("rate", 30_000), ("temperature", 300)):
             assert len(counts(whole, unit, signal)) == n
@@ -44,13 +44,13 @@ def test_any_stretch_made_again_is_the_same_in_batches_of_whatever_size() -> Non
 def test_power_ons_units_and_seeds_differ() -> None:
     def of(number: int, unit: str, seed: int) -> np.ndarray:
         return counts(
-            list(station(seed=seed).batches("r1", PowerUp(number, 0), end_ns=10 * SECOND)), f"SIM-000{unit}", "rate"
+            list(station(seed=seed).batches("r1", PowerCycle(number, 0), end_ns=10 * SECOND)), f"SIM-000{unit}", "rate"
         )
 
     one = of(0, "1", 1)
     for other in (of(1, "1", 1), of(0, "2", 1), of(0, "1", 2)):
         assert np.mean(one == other) < 0.2
-    epochs = {station().epoch(PowerUp(k, 0), unit) for k in range(3) for unit in ("SIM-0001", "SIM-0002")}
+    epochs = {station().epoch(PowerCycle(k, 0), unit) for k in range(3) for unit in ("SIM-0001", "SIM-0002")}
     assert len(epochs) == 6
 
 

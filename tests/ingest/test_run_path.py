@@ -39,7 +39,7 @@ def test_a_recorder_that_pauses_and_a_spool_that_cannot_be_written_are_told_to_t
         operator.watch(TroubleWatch(publisher, operator.told).look)
 
         def told() -> list[str]:
-            assert operator.wishes() is None
+            assert operator.poll_request() is None
             return said.getvalue().splitlines()
 
         def pause(reason: str) -> None:

@@ -108,7 +108,7 @@ class Supply(Instrument):
 class Operator:
     def __init__(self) -> None:
         self.said: list[str] = []
-        self.wish: str | None = None
+        self.request: str | None = None
 
     def told(self, text: str) -> None:
         self.said.append(text)
@@ -116,8 +116,8 @@ class Operator:
     def ready(self, prompt: str) -> bool:
         return True
 
-    def wishes(self) -> str | None:
-        return self.wish
+    def poll_request(self) -> str | None:
+        return self.request
 
     def at(self, step: PlannedStep, doing: str, left_s: float) -> None:
         pass
@@ -244,7 +244,7 @@ def test_a_station_is_safe_before_anything_is_said(tmp_path: Path) -> None:
     with Spool(tmp_path) as spool:
         log = begun(tmp_path, wire, steps, spool)
         operator = Operator()
-        operator.wish = "stop"
+        operator.request = "stop"
         run = StationRun(log, steps, station(), {"supply": supply}, operator, supply.clock)
         wire.dies_at = wire.sent + 1  # PowerOn is said, then nothing more is taken
         with pytest.raises(Killed):

@@ -1,4 +1,4 @@
-"""Laws that every effect keeps; a new one in the package is found by itself and held against them.
+"""Laws that every effect keeps; a new one in the package is found by itself and compared with them.
 
 Each is planted by its own simulator in a short campaign of all types of test and found again by its own columns. The
 bounds come from the significance at which it is planted (z standard errors) and from how far a block's mean of the

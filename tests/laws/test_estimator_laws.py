@@ -1,4 +1,4 @@
-"""Laws that all keep that follow a signal; a new one in the package is found by itself and held against them."""
+"""Laws that all keep that follow a signal; a new one in the package is found by itself and compared with them."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""Laws that every metric keeps; a new one in the package is found by itself and held against them.
+"""Laws that every metric keeps; a new one in the package is found by itself and compared with them.
 
 Units are simulated in the tests of the standards: one that went through everything, one whose tests were cut short,
 and one whose output is in mV and for which no scale factor is known.

@@ -183,7 +183,7 @@ class ChannelJoiner:
         return polled_angle(signal.slot, self._block_s, turned.t_s, degrees, about * per_s)
 
     def _with_motion(self, source: Source, grid: Grid, joined: Joined, shown: BoolArray | None) -> Joined:
-        """The channel with the far readings that are motion; what else is far is counted."""
+        """The channel with the outliers that are motion; what else is far is counted."""
         if not joined.is_far.any():
             return joined
         left = joined.is_far if shown is None else joined.is_far & ~shown

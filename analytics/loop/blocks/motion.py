@@ -49,7 +49,7 @@ def moves(value: FloatArray) -> BoolArray:
 
 
 def motion(series: Mapping[str, RateSeries]) -> dict[str, BoolArray]:
-    """Mark, for each rate, the far readings that are motion: another rate shows it in the same block.
+    """Mark, for each rate, the outliers that are motion: another rate shows it in the same block.
 
     Two rates bear each other out where both leave their neighbours in one block by amounts within a factor of three. A
     fill value is alone in its column, or stands in several as the very same number.

@@ -59,7 +59,7 @@ class Stretch(NamedTuple):
 def gains(version: ModelVersion, run: RunBlocks) -> FloatArray:
     """Whitened log-likelihood of each block by the version, less that by the model before; NaN without a channel.
 
-    Both are held against the same noise, the version's, so that only what they predict counts; a bias that is another
+    Both are compared with the same noise, the version's, so that only what they predict counts; a bias that is another
     at each power-on is part of that noise.
 
     Raises

@@ -19,7 +19,7 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: W
     told = [
         words.of(
             f"Significance z = {found.significance:.1f} as one test of one degree of freedom, with the noise fitted "
-            f"anew with and without it; after the price of the search {number(found.evidence)} of chi-square are left.",
+            f"with and without it; after the multiplicity penalty {number(found.evidence)} of chi-square are left.",
             f"显著性z = {found.significance:.1f}（单自由度等效，噪声在有无该效应时分别重拟合）；扣除搜索代价后余卡方"
             f"{number(found.evidence)}。",
         )

@@ -9,10 +9,10 @@ _SENTENCES: Final[Mapping[str, str]] = {
     # limits of a verdict
     "one run only: its segments stand for replicates, so that what is tied to this run shows as an effect":
         "只有一次试验：以其分段代替重复试验，凡与这次试验相关的变化都会表现为效应",
-    "no lockbox: one run of {blocks} blocks; {least} or {runs} runs are needed":
+    "no held-out set: one run of {blocks} blocks; {least} or {runs} runs are needed":
         "无留出数据：只有一次试验，共{blocks}个数据块；需要{least}个数据块或{runs}次试验",
-    "no lockbox: {count} runs, {needed} are needed": "无留出数据：{count}次试验，需要{needed}次",
-    "no lockbox: none of the runs was held out": "无留出数据：没有留出任何试验",
+    "no held-out set: {count} runs, {needed} are needed": "无留出数据：{count}次试验，需要{needed}次",
+    "no held-out set: none of the runs was held out": "无留出数据：没有留出任何试验",
     "no noise was declared: it was guessed from these runs, so that an excess of noise cannot be told":
         "未声明噪声：噪声由这些试验估计，因此无法判定噪声是否过大",
     "more noise than declared at averages of 300 to 3600 s, and nothing in the channels explains it":

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from analytics.loop.effects.turn_on import TURN_ON
 from analytics.loop.report.wording import Wording, number
-from analytics.loop.tracing.contenders import JUMP
 from analytics.loop.tracing.error_result import ErrorGain
+from analytics.loop.tracing.fitted_candidates import JUMP
 from analytics.loop.tracing.result import Answer, ConfoundedEffect, Diagnosis, FoundEffect, HoldoutSlope, Verdict
 from analytics.loop.tracing.verdict_checks import reference_row
 

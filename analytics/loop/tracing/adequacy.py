@@ -41,7 +41,7 @@ class Homogeneity:
 
 def form_p_values(candidates: Candidates, joint: JointFit, which: Selected) -> dict[str, float]:
     """By channel of an effect: p-value of the test that a free function of that channel has nothing to add."""
-    candidate = which.contender.candidate
+    candidate = which.fitted_candidate.candidate
     if candidate is None or candidate.effect.kind is Kind.FUNCTION:
         return {}
     return {

@@ -8,7 +8,7 @@ import numpy as np
 
 from analytics.loop.effects.base import Effect, Kind, Shape
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.tracing.made_anew import MadeAnew
+from analytics.loop.tracing.recomputed import Recomputed
 from analytics.loop.tracing.record import Record
 from analytics.loop.tracing.stack import Stack
 from stream.batch import FloatArray
@@ -85,7 +85,7 @@ class Candidates:
         """Columns of one candidate on each record, in natural units; of several they are made when asked for."""
         if len(self.records) == 1:
             return (self.of(candidate, 0),)
-        return MadeAnew(partial(self.of, candidate), len(self.records))
+        return Recomputed(partial(self.of, candidate), len(self.records))
 
 
 def effect_columns(stack: Stack, effect: Effect, shape: Shape) -> FloatArray:

@@ -8,8 +8,8 @@ from scipy import stats
 from analytics.loop.effects.base import Kind
 from analytics.loop.effects.coefficient_units import coefficient_unit
 from analytics.loop.tracing.candidates import Candidates
-from analytics.loop.tracing.contenders import ALPHA
 from analytics.loop.tracing.evidence import PRICE
+from analytics.loop.tracing.fitted_candidates import ALPHA
 from analytics.loop.tracing.joint_fit import JointFit
 from analytics.loop.tracing.least_squares import solve
 from analytics.loop.tracing.result import DetectionLimit

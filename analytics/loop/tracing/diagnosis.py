@@ -18,15 +18,15 @@ from analytics.loop.tracing.adequacy import noise_excess
 from analytics.loop.tracing.candidates import Candidates, candidates_for
 from analytics.loop.tracing.channel_limits import blind_terms, channel_limits
 from analytics.loop.tracing.clock_bounds import with_bounds
-from analytics.loop.tracing.contenders import JUMP, LINE
 from analytics.loop.tracing.detection_limits import detection_limits
 from analytics.loop.tracing.error_report import error_table
 from analytics.loop.tracing.error_result import ErrorTable
 from analytics.loop.tracing.findings import findings, fitted_model, unreplicated
+from analytics.loop.tracing.fitted_candidates import JUMP, LINE
 from analytics.loop.tracing.followed_causes import with_causes
 from analytics.loop.tracing.gapped_channels import gapped_channels
+from analytics.loop.tracing.held_out_set import judge, open_held_out_set
 from analytics.loop.tracing.joint_fit import fit_jointly
-from analytics.loop.tracing.lockbox import judge, open_lockbox
 from analytics.loop.tracing.noise_agreement import disagreements, measured_noise
 from analytics.loop.tracing.partial_channels import denied, partial_channels, with_gapped, with_rest
 from analytics.loop.tracing.record import Record
@@ -47,7 +47,7 @@ from stream.errors import BadInput
 
 FEWEST_BLOCKS = 20
 FEWEST_REPLICATES = 3
-"""Fewer cannot be split into training and lockbox."""
+"""Fewer cannot be split into training and held-out set."""
 FEWEST_BLOCKS_TO_SPLIT = 60
 """A single run that is shorter cannot be split either."""
 FUNCTION = "function_of_"
@@ -169,7 +169,7 @@ def case_of(
     declared: NoiseCoefficients | None,
     holdout: Sequence[str] | None = None,
 ) -> Case:
-    """Runs of one unit, split into training and lockbox."""
+    """Runs of one unit, split into training and held-out set."""
     stack, report = stacked(runs, model.shaped(runs))
     return _split(stack, report, declared, holdout)
 
@@ -252,7 +252,7 @@ def _searched(
         return candidates, found
     more = candidates_for(records, effects, model, SECOND_TIER, case.report.lost_channels)
     again = search(records, more, rng)
-    if any(each.contender.kind is Kind.SECOND_TIER for each in again.selected):
+    if any(each.fitted_candidate.kind is Kind.SECOND_TIER for each in again.selected):
         return more, again
     return candidates, found
 
@@ -273,7 +273,9 @@ def _leaves_structure(records: Sequence[Record], candidates: Candidates, found: 
     """
     if noise_excess(records[0], found.joint).is_excess:
         return True
-    if any(each.contender.kind is Kind.EVENT for each in found.selected) or (found.unreplicated and not found.selected):
+    if any(each.fitted_candidate.kind is Kind.EVENT for each in found.selected) or (
+        found.unreplicated and not found.selected
+    ):
         return True
     return any(each.unknown_function_of for each in findings(records, candidates, found))
 
@@ -293,7 +295,7 @@ def _concluded(
     held_out = case.stack.of_replicates(case.held_out) if case.held_out else np.ones(len(case.stack), dtype=bool)
     holdout = None
     if case.held_out and found.selected:
-        box = open_lockbox(case.stack, held_out, case.training, found)
+        box = open_held_out_set(case.stack, held_out, case.training, found)
         holdout = judge([box], records, found, case.held_out)
     every = [_asked(each, holdout) for each in every]
     refused = [each for each in every if each.confirmed is False]
@@ -305,7 +307,7 @@ def _concluded(
     noise = measured_noise(case.training, kept.joint.noises[0])
     tests = screen(candidates, kept.joint.hypothesis.designs, kept.joint.noises, rng).tests
     limits, blind = detection_limits(candidates, kept.joint, [each.name for each in effects], tests)
-    box = open_lockbox(case.stack, held_out, case.training, kept)
+    box = open_held_out_set(case.stack, held_out, case.training, kept)
     names = case.held_out or case.stack.replicates
     error = error_table(box, kept, names, is_held_out=bool(case.held_out))
     untold = blind_terms(case.training, model.labels())
@@ -383,7 +385,7 @@ def _without(records: Sequence[Record], found: Search, names: Sequence[str]) -> 
     """Return the search without the effects that the held-out runs refused."""
     if not names:
         return found
-    kept: tuple[Selected, ...] = tuple(each for each in found.selected if each.contender.name not in names)
+    kept: tuple[Selected, ...] = tuple(each for each in found.selected if each.fitted_candidate.name not in names)
     joint = fit_jointly(records, hypothesis_of(records, kept), found.joint.noises, restricted=True)
     return replace(found, selected=kept, joint=joint)
 
@@ -412,16 +414,15 @@ def _not_tested(case: Case, candidates: Candidates, blind: Sequence[str]) -> dic
     return {**unavailable_effects(case.stack.runs), **candidates.not_tested, **reasons}
 
 
-def _no_lockbox(case: Case) -> str:
+def _no_held_out_set(case: Case) -> str:
     count = len(case.stack.replicates)
     if case.replication == "within_run":
         blocks = len(case.stack)
-        return (
-            f"no lockbox: one run of {blocks} blocks; {FEWEST_BLOCKS_TO_SPLIT} or {FEWEST_REPLICATES} runs are needed"
-        )
+        needed = f"{FEWEST_BLOCKS_TO_SPLIT} or {FEWEST_REPLICATES} runs"
+        return f"no held-out set: one run of {blocks} blocks; {needed} are needed"
     if count < FEWEST_REPLICATES:
-        return f"no lockbox: {count} runs, {FEWEST_REPLICATES} are needed"
-    return "no lockbox: none of the runs was held out"
+        return f"no held-out set: {count} runs, {FEWEST_REPLICATES} are needed"
+    return "no held-out set: none of the runs was held out"
 
 
 def _meant(effects: Sequence[FoundEffect]) -> set[str]:
@@ -460,7 +461,7 @@ def _limits(
             "it out"
         )
     if not case.held_out:
-        limits.append(_no_lockbox(case))
+        limits.append(_no_held_out_set(case))
     if declared is None:
         limits.append(
             "no noise was declared: it was guessed from these runs, so that an excess of noise cannot be told"

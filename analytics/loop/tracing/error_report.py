@@ -9,8 +9,8 @@ from scipy import stats
 
 from analytics.loop.tracing.error_gain import error_gain, less_run_means
 from analytics.loop.tracing.error_result import ErrorAt, ErrorTable
+from analytics.loop.tracing.held_out_set import HeldOutSet
 from analytics.loop.tracing.least_squares import solve
-from analytics.loop.tracing.lockbox import Lockbox
 from analytics.loop.tracing.noise_floor import Averages, averages_of, expected_variance, within_run_variance
 from analytics.loop.tracing.record import Record
 from analytics.loop.tracing.selection import Search
@@ -35,8 +35,8 @@ class _Squares(NamedTuple):
     floor: FloatArray
 
 
-def error_table(box: Lockbox, found: Search, names: Sequence[str], *, is_held_out: bool) -> ErrorTable:
-    """Return the table on the blocks of a lockbox.
+def error_table(box: HeldOutSet, found: Search, names: Sequence[str], *, is_held_out: bool) -> ErrorTable:
+    """Return the table on the blocks of a held-out set.
 
     The floor is what the noise leaves in these very runs, the error of the declared coefficients included: the residual
     less what is likely an error in the sizes of the effects, as the noise model and the training tell the two apart.
@@ -77,7 +77,7 @@ def _by_run(record: Record, rows: IntArray) -> list[BoolArray]:
     return [number == run for run in np.unique(number)]
 
 
-def _noise_alone(box: Lockbox, found: Search) -> tuple[FloatArray, FloatArray]:
+def _noise_alone(box: HeldOutSet, found: Search) -> tuple[FloatArray, FloatArray]:
     """Residual less the likely error of the sizes of the effects, and the covariance of what is left of that error."""
     width = box.predictions.shape[1]
     whitened = box.whitened[:, 1:]
@@ -93,7 +93,7 @@ def _noise_alone(box: Lockbox, found: Search) -> tuple[FloatArray, FloatArray]:
 
 
 def _floor(
-    averages: Averages, left: FloatArray, error: FloatArray, box: Lockbox, allowed: FloatArray, runs: tuple[int, int]
+    averages: Averages, left: FloatArray, error: FloatArray, box: HeldOutSet, allowed: FloatArray, runs: tuple[int, int]
 ) -> FloatArray:
     predictions = averages.of(box.predictions)
     there = averages.of(left) ** 2 + np.einsum("ij,jk,ik->i", predictions, error, predictions)
@@ -116,7 +116,7 @@ def _row(seconds: float, squares: _Squares, excited: FloatArray) -> ErrorAt:
     )
 
 
-def _within_runs(row: ErrorAt, box: Lockbox, averages: Averages, variance: float) -> ErrorAt:
+def _within_runs(row: ErrorAt, box: HeldOutSet, averages: Averages, variance: float) -> ErrorAt:
     """Return the row with the errors about the mean of each run, and how much the errors fall."""
     run = np.array([box.record.stack.run_number[rows[0]] for rows in averages.rows])
     raw = averages.of(box.before_alone), averages.of(box.after)

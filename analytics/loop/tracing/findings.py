@@ -11,7 +11,7 @@ from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
 from analytics.loop.tracing.adequacy import WRONG_FORM, form_p_values, homogeneity
 from analytics.loop.tracing.candidates import Candidates
-from analytics.loop.tracing.contenders import Contender
+from analytics.loop.tracing.fitted_candidates import FittedCandidate
 from analytics.loop.tracing.least_squares import solve
 from analytics.loop.tracing.line_scan import amplitude_of
 from analytics.loop.tracing.record import Record
@@ -28,10 +28,10 @@ def findings(records: Sequence[Record], candidates: Candidates, found: Search) -
     return sorted(every, key=lambda each: -each.evidence)
 
 
-def unreplicated(records: Sequence[Record], contenders: Sequence[Contender]) -> list[FoundEffect]:
+def unreplicated(records: Sequence[Record], fitted_candidates: Sequence[FittedCandidate]) -> list[FoundEffect]:
     """What had evidence, but from one replicate alone."""
     every = []
-    for each in contenders:
+    for each in fitted_candidates:
         if each.candidate is None:
             last = [(each.joint.own[place], -each.columns[place].shape[1]) for place in _places(each)]
             values = np.concatenate([solution.coefficients[start:] for solution, start in last])
@@ -57,13 +57,13 @@ def unreplicated(records: Sequence[Record], contenders: Sequence[Contender]) -> 
     return every
 
 
-def _effect_of(contender: Contender) -> Effect:
-    return effect(contender.name) if contender.candidate is None else contender.candidate.effect
+def _effect_of(fitted_candidate: FittedCandidate) -> Effect:
+    return effect(fitted_candidate.name) if fitted_candidate.candidate is None else fitted_candidate.candidate.effect
 
 
 def _finding(records: Sequence[Record], candidates: Candidates, found: Search, which: Selected) -> FoundEffect:
-    contender = which.contender
-    own = _effect_of(contender)
+    fitted_candidate = which.fitted_candidate
+    own = _effect_of(fitted_candidate)
     forms = form_p_values(candidates, found.joint, which)
     same = homogeneity(records, found, which)
     unknown = [channel for channel, p_value in forms.items() if p_value < WRONG_FORM]
@@ -79,26 +79,26 @@ def _finding(records: Sequence[Record], candidates: Candidates, found: Search, w
         theta, covariance = found.joint.common.coefficients[at], found.joint.common.covariance[at, at]
         coefficients = _coefficients(own, records, theta, covariance)
     else:
-        coefficients = _event_coefficients(records, contender, *own_fit(found, which, _places(contender)))
+        coefficients = _event_coefficients(records, fitted_candidate, *own_fit(found, which, _places(fitted_candidate)))
     return FoundEffect(
-        name=contender.name,
-        parameters=contender.parameters,
+        name=fitted_candidate.name,
+        parameters=fitted_candidate.parameters,
         coefficients=coefficients,
-        significance=contender.significance,
-        evidence=float(contender.evidence),
+        significance=fitted_candidate.significance,
+        evidence=float(fitted_candidate.evidence),
         roles=_roles(own),
-        confounded=tuple(_confounded(each, contender) for each in which.confounded),
+        confounded=tuple(_confounded(each, fitted_candidate) for each in which.confounded),
         companions=which.companions,
         unknown_function_of=tuple(unknown),
         form_p_value=min(forms.values(), default=1.0),
         heterogeneity_p_value=same.p_value,
-        largest_share=contender.replication.largest_share if contender.replication else 1.0,
-        replicates=contender.kind is not Kind.EVENT,
+        largest_share=fitted_candidate.replication.largest_share if fitted_candidate.replication else 1.0,
+        replicates=fitted_candidate.kind is not Kind.EVENT,
         by_run=dict(same.by_replicate),
     )
 
 
-def _confounded(other: Contender, beside: Contender) -> ConfoundedEffect:
+def _confounded(other: FittedCandidate, beside: FittedCandidate) -> ConfoundedEffect:
     own = _effect_of(other)
     width = other.columns[0].shape[1]
     fitted = other.candidate is not None and width > 0
@@ -130,13 +130,13 @@ def _coefficients(
     )
 
 
-def _places(event: Contender) -> list[int]:
+def _places(event: FittedCandidate) -> list[int]:
     """Which records a line or a jump is in."""
     return [number for number, columns in enumerate(event.columns) if columns.shape[1]]
 
 
 def _event_coefficients(
-    records: Sequence[Record], event: Contender, values: FloatArray, variance: FloatArray
+    records: Sequence[Record], event: FittedCandidate, values: FloatArray, variance: FloatArray
 ) -> tuple[Coefficient, ...]:
     """Size of a jump, or amplitude of a line, root mean square over the runs of all records."""
     unit = records[0].stack.runs[0].unit_of_measure
@@ -167,9 +167,9 @@ def fitted_model(
     if with_effects:
         for each in found.selected:
             if each.is_common:
-                own = _effect_of(each.contender)
-                model = model.with_term(each.contender.name, each.contender.parameters)
-                units += [coefficient_unit(own, run.unit_of_measure, run)] * each.contender.columns[0].shape[1]
+                own = _effect_of(each.fitted_candidate)
+                model = model.with_term(each.fitted_candidate.name, each.fitted_candidate.parameters)
+                units += [coefficient_unit(own, run.unit_of_measure, run)] * each.fitted_candidate.columns[0].shape[1]
     own_width = joint.hypothesis.own[0].shape[1]
     rows = np.concatenate([rows, own_width + np.arange(joint.common.coefficients.size)])
     whitened = joint.whitened[0][:, 1:]

@@ -17,8 +17,8 @@ from analytics.loop.tracing.candidates import candidates_for
 from analytics.loop.tracing.diagnosis import FIRST_TIER, Case, case_of, diagnose, verdict_of
 from analytics.loop.tracing.evidence import by_replicate
 from analytics.loop.tracing.findings import findings
+from analytics.loop.tracing.held_out_set import judge, open_held_out_set
 from analytics.loop.tracing.line_scan import amplitude_of
-from analytics.loop.tracing.lockbox import judge, open_lockbox
 from analytics.loop.tracing.partial_channels import denied
 from analytics.loop.tracing.record import Record
 from analytics.loop.tracing.result import Diagnosis, FoundEffect, Holdout, Verdict
@@ -182,9 +182,9 @@ def diagnose_fleet(
         unreplicated=gone,
         holdout=held,
         by_unit={
-            each.contender.name: _by_unit(records, found, each)
+            each.fitted_candidate.name: _by_unit(records, found, each)
             for each in found.selected
-            if each.is_common or each.contender.kind is Kind.LINE
+            if each.is_common or each.fitted_candidate.kind is Kind.LINE
         },
         units=alone,
         own_findings=standing(alone),
@@ -197,7 +197,7 @@ def _asked(cases: Sequence[Case], records: Sequence[Record], found: Search) -> H
     if not found.selected:
         return None
     boxes = [
-        open_lockbox(case.stack, case.stack.of_replicates(case.held_out), record, found, number)
+        open_held_out_set(case.stack, case.stack.of_replicates(case.held_out), record, found, number)
         for number, (case, record) in enumerate(zip(cases, records, strict=True))
         if case.held_out
     ]

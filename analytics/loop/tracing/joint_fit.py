@@ -8,8 +8,8 @@ import numpy as np
 
 from analytics.loop.model.noise import NoiseCoefficients
 from analytics.loop.tracing.least_squares import Solution, project, solve
-from analytics.loop.tracing.made_anew import joined
 from analytics.loop.tracing.noise_fit import fit_noise
+from analytics.loop.tracing.recomputed import joined
 from analytics.loop.tracing.record import Record
 from stream.batch import FloatArray
 

@@ -13,8 +13,8 @@ from scipy import special, stats
 from analytics.loop.effects.base import Kind, Role
 from analytics.loop.model.noise import NoiseCoefficients
 from analytics.loop.tracing.candidates import Candidate, Candidates
-from analytics.loop.tracing.contenders import Contender, least_noises
 from analytics.loop.tracing.evidence import PRICE, leave_one_out, one_degree
+from analytics.loop.tracing.fitted_candidates import FittedCandidate, least_noises
 from analytics.loop.tracing.joint_fit import JointFit, fit_jointly
 from analytics.loop.tracing.misfit import noise_inflation
 from analytics.loop.tracing.record import Record
@@ -33,7 +33,7 @@ _MOST_FITTED = 5
 
 def best_pair(
     records: Sequence[Record], candidates: Candidates, base: JointFit, tests: Callable[[], float]
-) -> list[Contender]:
+) -> list[FittedCandidate]:
     """Return the two effects that explain most together; none where no pair passes.
 
     Parameters
@@ -45,7 +45,7 @@ def best_pair(
     tests : callable
         Returns the effective number of independent tests of single effects; called only if a pair is worth a fit.
     """
-    found: list[tuple[float, list[Contender]]] = []
+    found: list[tuple[float, list[FittedCandidate]]] = []
     worth = _worth_fitting(candidates, base, least_noises(records, base.noises))
     singles = tests() if worth else 1.0
     for each in worth:
@@ -111,7 +111,7 @@ def _screened(
 
 def _fitted(
     records: Sequence[Record], candidates: Candidates, base: JointFit, pair: tuple[Candidate, Candidate], tests: float
-) -> tuple[float, list[Contender]] | None:
+) -> tuple[float, list[FittedCandidate]] | None:
     columns = [candidates.of_all(each) for each in pair]
     joint = fit_jointly(records, base.hypothesis.with_common(columns[0]).with_common(columns[1]), base.noises)
     ratio = 2 * (joint.log_likelihood - base.log_likelihood)
@@ -124,4 +124,6 @@ def _fitted(
     gain = one_degree(ratio, degrees) - PAIR_PRICE
     if gain <= 0 or family_p_value(p_value, max(tests, tests**2 / 2)) >= PAIR_ALPHA:
         return None
-    return gain, [Contender.of(each, own, joint, ratio, degrees, gain) for each, own in zip(pair, columns, strict=True)]
+    return gain, [
+        FittedCandidate.of(each, own, joint, ratio, degrees, gain) for each, own in zip(pair, columns, strict=True)
+    ]

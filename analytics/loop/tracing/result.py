@@ -169,7 +169,7 @@ class FoundEffect(msgspec.Struct, frozen=True):
     significance : float
         Of the effect as a whole, as the z of a test with one degree of freedom, noise re-fitted with and without it.
     evidence : float
-        Chi-square of one degree less the price of the search.
+        Chi-square of one degree less the multiplicity penalty.
     roles : mapping of str to str
         Part that each of its channels plays: cause, proxy or alias.
     confounded : tuple of ConfoundedEffect
@@ -266,7 +266,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     unreplicated : tuple of FoundEffect
         What was seen but does not repeat in other runs, or was refused by the held-out runs.
     holdout : Holdout, optional
-        None where no lockbox was possible or nothing was found.
+        None where no held-out set was possible or nothing was found.
     error : ErrorTable, optional
         Before, after, floor.
     noise : NoiseCoefficients

@@ -1,4 +1,4 @@
-"""The search for what is missing: rounds of contenders, then swap and prune."""
+"""The search for what is missing: rounds of fitted_candidates, then swap and prune."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -7,8 +7,8 @@ import numpy as np
 
 from analytics.loop.effects.base import Kind, Role
 from analytics.loop.tracing.candidates import Candidates
-from analytics.loop.tracing.contenders import Contender, contenders
 from analytics.loop.tracing.evidence import PRICE
+from analytics.loop.tracing.fitted_candidates import FittedCandidate, fitted_candidates
 from analytics.loop.tracing.joint_fit import Hypothesis, JointFit, fit_jointly, nothing_more
 from analytics.loop.tracing.pair_round import best_pair
 from analytics.loop.tracing.record import Record
@@ -25,9 +25,9 @@ class Selected:
 
     Parameters
     ----------
-    contender : Contender
+    fitted_candidate : FittedCandidate
         The effect.
-    confounded : tuple of Contender
+    confounded : tuple of FittedCandidate
         Others that it does not lead by 12, or 3 %, of evidence.
     companions : tuple of str
         Proxies of which the same is true.
@@ -35,15 +35,15 @@ class Selected:
         A proxy that explains far more than this cause: then the cause acts in another way than its form says.
     """
 
-    contender: Contender
-    confounded: tuple[Contender, ...]
+    fitted_candidate: FittedCandidate
+    confounded: tuple[FittedCandidate, ...]
     companions: tuple[str, ...]
     leading_proxy: str | None = None
 
     @property
     def is_common(self) -> bool:
         """Whether its coefficients are those of all units."""
-        return self.contender.candidate is not None
+        return self.fitted_candidate.candidate is not None
 
 
 @dataclass(frozen=True)
@@ -56,14 +56,14 @@ class Search:
         In the order in which they were found.
     null, joint : JointFit
         The declared model alone, and with all that was selected.
-    unreplicated : tuple of Contender
+    unreplicated : tuple of FittedCandidate
         What had evidence in the first round, but from one run alone.
     """
 
     selected: tuple[Selected, ...]
     null: JointFit
     joint: JointFit
-    unreplicated: tuple[Contender, ...]
+    unreplicated: tuple[FittedCandidate, ...]
 
     def common_columns(self, which: Selected) -> slice:
         """Where the columns of a selected effect are among the common ones."""
@@ -71,7 +71,7 @@ class Search:
         for each in self.selected:
             if not each.is_common:
                 continue
-            width = each.contender.columns[0].shape[1]
+            width = each.fitted_candidate.columns[0].shape[1]
             if each is which:
                 return slice(start, start + width)
             start += width
@@ -81,7 +81,7 @@ class Search:
         """Where the columns of a line or a jump are among the own ones of a record."""
         start = self.null.hypothesis.own[number].shape[1]
         for each in self.selected:
-            width = 0 if each.is_common else each.contender.columns[number].shape[1]
+            width = 0 if each.is_common else each.fitted_candidate.columns[number].shape[1]
             if each is which:
                 return slice(start, start + width)
             start += width
@@ -112,16 +112,16 @@ def search(records: Sequence[Record], candidates: Candidates, rng: np.random.Gen
     null = fit_jointly(records, nothing_more(records))
     joint = null
     selected: list[Selected] = []
-    unreplicated: tuple[Contender, ...] = ()
+    unreplicated: tuple[FittedCandidate, ...] = ()
     for _ in range(MOST_EFFECTS):
-        found = contenders(records, candidates, joint, rng, [each.contender.name for each in selected])
+        found = fitted_candidates(records, candidates, joint, rng, [each.fitted_candidate.name for each in selected])
         if not selected:
             unreplicated = tuple(each for each in found if not each.replicates and each.evidence > 0)
         best = _chosen(found)
         if best is None:
             break
         selected.append(best)
-        joint = best.contender.joint
+        joint = best.fitted_candidate.joint
     common = [each for each in selected if each.is_common]
     if len(common) < 2 and len(selected) - len(common) + 2 <= MOST_EFFECTS:
         selected, joint = _with_pair(records, candidates, selected, joint, rng)
@@ -143,7 +143,7 @@ def _with_pair(
     What is left of two that mask each other may look like a third, which then is the only one that is found.
     """
     events = [each for each in selected if not each.is_common]
-    least = sum(each.contender.evidence + each.contender.lead for each in selected if each.is_common)
+    least = sum(each.fitted_candidate.evidence + each.fitted_candidate.lead for each in selected if each.is_common)
     base = fit_jointly(records, hypothesis_of(records, events), joint.noises) if least else joint
     pair = best_pair(
         records, candidates, base, lambda: screen(candidates, base.hypothesis.designs, base.noises, rng).tests
@@ -156,8 +156,8 @@ def _with_pair(
     return (refined, after) if is_kept else (selected, joint)
 
 
-def _chosen(found: Sequence[Contender]) -> Selected | None:
-    """Return the best contender that replicates; a proxy or an alias only where no cause will do."""
+def _chosen(found: Sequence[FittedCandidate]) -> Selected | None:
+    """Return the best candidate that replicates; a proxy or an alias only where no cause will do."""
     usable = [each for each in found if each.replicates]
     if not usable or usable[0].evidence <= 0:
         return None
@@ -172,14 +172,14 @@ def _chosen(found: Sequence[Contender]) -> Selected | None:
         best = causes[0]
     near = [each for each in usable if each is not best and (each.is_near(best) or _by_design(each, best))]
     return Selected(
-        contender=best,
+        fitted_candidate=best,
         confounded=tuple(each for each in near if each.role is not Role.PROXY and not _contains(each, best)),
         companions=tuple(each.name for each in near if each.role is Role.PROXY),
         leading_proxy=leading,
     )
 
 
-def _by_design(first: Contender, second: Contender) -> bool:
+def _by_design(first: FittedCandidate, second: FittedCandidate) -> bool:
     """Whether one is a general function that names the other among its aliases.
 
     Then the design of the test and not the data decides between them, as between gravity and the bias of a mounting.
@@ -193,14 +193,14 @@ def _by_design(first: Contender, second: Contender) -> bool:
     )
 
 
-def _rivals(jump: Contender, found: Sequence[Contender]) -> list[Contender]:
+def _rivals(jump: FittedCandidate, found: Sequence[FittedCandidate]) -> list[FittedCandidate]:
     """Effects that explain the one run as well as a jump does, though no other run bears them out."""
     near = max(0.0, jump.evidence - PRICE)
     return [each for each in found if not each.replicates and each.evidence > near]
 
 
-def _contains(function: Contender, effect: Contender) -> bool:
-    """Whether a contender is a general function of the very channels of an effect: then it says nothing against it."""
+def _contains(function: FittedCandidate, effect: FittedCandidate) -> bool:
+    """Whether a candidate is a general function of the very channels of an effect: then it says nothing against it."""
     if function.kind is not Kind.FUNCTION or function.candidate is None or effect.candidate is None:
         return False
     return set(function.candidate.effect.needs) <= set(effect.candidate.effect.needs)
@@ -215,9 +215,9 @@ def _refined(
 ) -> tuple[list[Selected], JointFit]:
     """Choose each effect anew beside the others, and drop those that the others make needless."""
     for _ in range(_MOST_SWEEPS):
-        before = [each.contender.name for each in selected]
+        before = [each.fitted_candidate.name for each in selected]
         selected, joint = _sweep(records, candidates, selected, joint, rng)
-        if [each.contender.name for each in selected] == before:
+        if [each.fitted_candidate.name for each in selected] == before:
             break
     return selected, joint
 
@@ -232,12 +232,12 @@ def _sweep(
     for old in [each for each in selected if each.is_common]:
         others = [each for each in selected if each is not old]
         base = fit_jointly(records, hypothesis_of(records, others), joint.noises)
-        taken = [each.contender.name for each in others]
-        best = _chosen(contenders(records, candidates, base, rng, taken, with_events=False))
+        taken = [each.fitted_candidate.name for each in others]
+        best = _chosen(fitted_candidates(records, candidates, base, rng, taken, with_events=False))
         if best is None:
             selected, joint = [_as_before(old, each) for each in others], base
         else:
-            selected, joint = [*others, _as_before(old, best)], best.contender.joint
+            selected, joint = [*others, _as_before(old, best)], best.fitted_candidate.joint
     return selected, joint
 
 
@@ -246,12 +246,12 @@ def _as_before(old: Selected, new: Selected) -> Selected:
 
     A further effect may only mend what channels and forms lack, and must not decide between two of the first.
     """
-    before = (old.contender, *old.confounded)
-    first = next((each for each in before if each.name == new.contender.name), None)
+    before = (old.fitted_candidate, *old.confounded)
+    first = next((each for each in before if each.name == new.fitted_candidate.name), None)
     if first is None:
         return new
-    shift, most = new.contender.evidence - first.evidence, new.contender.evidence
-    known = {new.contender.name, *(each.name for each in new.confounded)}
+    shift, most = new.fitted_candidate.evidence - first.evidence, new.fitted_candidate.evidence
+    known = {new.fitted_candidate.name, *(each.name for each in new.confounded)}
     more = [each for each in before if each.name not in known]
     carried = (replace(each, evidence=min(each.evidence + shift, most), at_most=None) for each in more)
     return replace(new, confounded=(*new.confounded, *carried))
@@ -262,5 +262,5 @@ def hypothesis_of(records: Sequence[Record], selected: Sequence[Selected]) -> Hy
     hypothesis = nothing_more(records)
     for each in selected:
         add = hypothesis.with_common if each.is_common else hypothesis.with_own
-        hypothesis = add(each.contender.columns)
+        hypothesis = add(each.fitted_candidate.columns)
     return hypothesis

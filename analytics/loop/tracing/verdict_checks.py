@@ -3,8 +3,8 @@
 import math
 from collections.abc import Sequence
 
-from analytics.loop.tracing.contenders import LINE
 from analytics.loop.tracing.error_result import ErrorAt, ErrorTable
+from analytics.loop.tracing.fitted_candidates import LINE
 from analytics.loop.tracing.result import Answer, FoundEffect, Holdout, HoldoutSlope
 
 REFERENCE_S = 1800.0

@@ -193,7 +193,7 @@ class CanBus:
             elif intake.is_off:
                 intake = self._off(intake)
             else:
-                self._outage.fares(is_receiving=intake.gives_data)
+                self._outage.update(is_receiving=intake.gives_data)
         if intake is not None:
             intake.close()
         self._backlog.close()

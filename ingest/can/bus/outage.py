@@ -22,7 +22,7 @@ class Outage:
     >>> [outage.failed("it was unplugged") for _ in range(3)]
     it was unplugged
     [0.1, 0.2, 0.4]
-    >>> outage.fares(is_receiving=True)
+    >>> outage.update(is_receiving=True)
     back after 0 s
     """
 
@@ -56,7 +56,7 @@ class Outage:
         pause_s, self._pause_s = self._pause_s, min(self._longest_s, 2 * self._pause_s)
         return pause_s
 
-    def fares(self, *, is_receiving: bool) -> None:
+    def update(self, *, is_receiving: bool) -> None:
         """Note that the interface was asked and did not fail; one that was off the bus is back with its first data."""
         if self._began_s is None:
             return

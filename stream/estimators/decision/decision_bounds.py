@@ -148,7 +148,7 @@ def calibrated(ratios: FloatArray, error_probability: float) -> tuple[FloatArray
 
 
 def table() -> str:
-    """The table below, made anew: the PASS and FAIL bounds of each promise, looks down, T/tau across; 2 minutes."""
+    """The table below, rebuilt: the PASS and FAIL bounds of each promise, looks down, T/tau across; 2 minutes."""
     columns = [simulated_ratios(averages) for averages in AVERAGES]
     lines = []
     for promise in PROMISES:

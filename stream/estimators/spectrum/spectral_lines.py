@@ -110,7 +110,7 @@ def find_lines(average: WelchAverage, false_alarm_probability: float, confidence
 
     Notes
     -----
-    Bin k is held against F(edf, `background_edf`) with P_k/B_k; B_k is the mean of the medians of the 24 bins on either
+    P_k/B_k of bin k is compared with F(edf, `background_edf`); B_k is the mean of the medians of the 24 bins on either
     side, the nearest 4 left out, over the median of chi2_edf/edf. Bonferroni over the tested bins: that needs no
     independence. The mean of both sides is not below a density that is convex in frequency, as every sum of the power
     laws f**-2, f**-1, 1, f, f**2 is: slopes raise no false alarms. A resonance narrower than some 100 bins does.

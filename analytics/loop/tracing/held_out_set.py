@@ -1,4 +1,4 @@
-"""The lockbox: runs that took no part in the fit are predicted once, with frozen coefficients."""
+"""The held-out set: runs that took no part in the fit are predicted once, with frozen coefficients."""
 
 import math
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ LINE_P_VALUE = 0.005
 
 
 @dataclass(frozen=True)
-class Lockbox:
+class HeldOutSet:
     """Held-out blocks of one unit with what the training says of them.
 
     Parameters
@@ -94,7 +94,9 @@ class Lockbox:
         return np.asarray(self.record.value - self.record.design @ model.coefficients)
 
 
-def open_lockbox(stack: Stack, held_out: BoolArray, training: Record, found: Search, number: int = 0) -> Lockbox:
+def open_held_out_set(
+    stack: Stack, held_out: BoolArray, training: Record, found: Search, number: int = 0
+) -> HeldOutSet:
     """Predict the held-out blocks of a unit from its training.
 
     The declared coefficients of the training are split into what they are without the effects, and what each effect
@@ -132,7 +134,7 @@ def open_lockbox(stack: Stack, held_out: BoolArray, training: Record, found: Sea
         declared += taken
     before = record.value - record.design @ declared
     data = np.column_stack([before, predictions, record.design])
-    return Lockbox(
+    return HeldOutSet(
         record=record,
         held_out=held_out,
         declared=declared,
@@ -144,17 +146,19 @@ def open_lockbox(stack: Stack, held_out: BoolArray, training: Record, found: Sea
 
 
 def _columns_on(stack: Stack, which: Selected) -> FloatArray:
-    candidate = which.contender.candidate
+    candidate = which.fitted_candidate.candidate
     assert candidate is not None
     return effect_columns(stack, candidate.effect, candidate.shape)
 
 
-def judge(boxes: Sequence[Lockbox], trainings: Sequence[Record], found: Search, names: Sequence[str]) -> Holdout | None:
+def judge(
+    boxes: Sequence[HeldOutSet], trainings: Sequence[Record], found: Search, names: Sequence[str]
+) -> Holdout | None:
     """Return what the held-out runs say of each effect; None where they can say nothing, as of a jump."""
     common = [each for each in found.selected if each.is_common]
-    judged = _slopes(boxes, found, common, np.eye(len(common)), [each.contender.name for each in common])
+    judged = _slopes(boxes, found, common, np.eye(len(common)), [each.fitted_candidate.name for each in common])
     judged += [
-        _line_slope(boxes, trainings, found, each) for each in found.selected if each.contender.kind is Kind.LINE
+        _line_slope(boxes, trainings, found, each) for each in found.selected if each.fitted_candidate.kind is Kind.LINE
     ]
     if not judged:
         return None
@@ -165,7 +169,7 @@ def judge(boxes: Sequence[Lockbox], trainings: Sequence[Record], found: Search, 
 
 
 def _slopes(
-    boxes: Sequence[Lockbox], found: Search, common: Sequence[Selected], sums: FloatArray, names: Sequence[str]
+    boxes: Sequence[HeldOutSet], found: Search, common: Sequence[Selected], sums: FloatArray, names: Sequence[str]
 ) -> list[HoldoutSlope]:
     """Regression of the residual on sums of predictions, all units together."""
     if not common:
@@ -230,9 +234,11 @@ def differs(slope: float, slope_se: float, training_se: float) -> bool:
     return abs(slope - 1) >= SAME_SIZE * math.hypot(slope_se, training_se)
 
 
-def _line_slope(boxes: Sequence[Lockbox], trainings: Sequence[Record], found: Search, which: Selected) -> HoldoutSlope:
+def _line_slope(
+    boxes: Sequence[HeldOutSet], trainings: Sequence[Record], found: Search, which: Selected
+) -> HoldoutSlope:
     """Ratio of a line's amplitudes in held-out and training runs; accepted where the line is there at all."""
-    frequency_hz = which.contender.parameters["frequency_hz"]
+    frequency_hz = which.fitted_candidate.parameters["frequency_hz"]
     records = [record_of(box.record.stack.part(box.held_out), box.record.prior.center) for box in boxes]
     residuals = [box.whitened[:, 0] - box.whitened[:, 1 : 1 + box.predictions.shape[1]].sum(axis=1) for box in boxes]
     there = powers_at(records, residuals, frequency_hz)
@@ -244,10 +250,10 @@ def _line_slope(boxes: Sequence[Lockbox], trainings: Sequence[Record], found: Se
     # a line has a phase of its own in each run: it is there or it is not
     is_wide = answer_of(is_told=accepted, slope=slope, slope_se=slope_se, training_se=training_se) is Answer.NO_POWER
     answer = Answer.CONFIRMED if accepted else Answer.NO_POWER if is_wide else Answer.REFUSED
-    return HoldoutSlope(which.contender.name, slope, slope_se, training_se, accepted, answer)
+    return HoldoutSlope(which.fitted_candidate.name, slope, slope_se, training_se, accepted, answer)
 
 
-def _line_on(boxes: Sequence[Lockbox], found: Search, frequency_hz: float) -> tuple[FloatArray, FloatArray]:
+def _line_on(boxes: Sequence[HeldOutSet], found: Search, frequency_hz: float) -> tuple[FloatArray, FloatArray]:
     """Cosine and sine of a line in each held-out run, in the unit of the signal, and the variance of each."""
     values, variances = [], []
     for number, box in enumerate(boxes):

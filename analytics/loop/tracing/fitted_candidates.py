@@ -1,4 +1,4 @@
-"""Contenders of one round: what passed the screening, each fitted together with the noise, and its evidence."""
+"""Fitted candidates of one round: what passed the screening, each fitted together with the noise, and its evidence."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -44,7 +44,7 @@ LINE_MOST_FROM_ONE = 0.9
 
 
 @dataclass(frozen=True)
-class Contender:
+class FittedCandidate:
     """One explanation of what is left.
 
     Parameters
@@ -115,7 +115,7 @@ class Contender:
             evidence=evidence,
         )
 
-    def is_near(self, best: "Contender") -> bool:
+    def is_near(self, best: "FittedCandidate") -> bool:
         """Whether it may explain as much as the best one.
 
         Here the noise at its pace is no argument: a wrong shape makes an effect disagree between runs as well.
@@ -125,7 +125,7 @@ class Contender:
             lead = max(lead, ALIAS_SHARE_OF_LEAD * best.evidence)
         return best.evidence - (self.evidence if self.at_most is None else self.at_most) < lead
 
-    def is_alias_of(self, other: "Contender") -> bool:
+    def is_alias_of(self, other: "FittedCandidate") -> bool:
         """Whether the other's effect names this one among those that look like it."""
         return other.candidate is not None and self.name in other.candidate.effect.aliases
 
@@ -145,7 +145,7 @@ class Contender:
         return float(np.sqrt(one_degree(self.likelihood_ratio, self.degrees)))
 
 
-def contenders(
+def fitted_candidates(
     records: Sequence[Record],
     candidates: Candidates,
     base: JointFit,
@@ -153,7 +153,7 @@ def contenders(
     taken: Sequence[str],
     *,
     with_events: bool = True,
-) -> list[Contender]:
+) -> list[FittedCandidate]:
     """Everything that may be meant beside a fit, largest evidence first; what does not replicate included.
 
     Evidence of less than nothing counts as well: what has none of its own may be confounded with what has some.
@@ -227,9 +227,9 @@ def _least(noise: NoiseCoefficients, record: Record) -> NoiseCoefficients | None
 
 def _fitted(
     records: Sequence[Record], candidates: Candidates, base: JointFit, group: Sequence[Screened], screened: Screen
-) -> Contender | None:
+) -> FittedCandidate | None:
     """Fit the two best shapes of an effect and keep the better one; None where it fails the family-wise test."""
-    best: Contender | None = None
+    best: FittedCandidate | None = None
     for result in group[: 2 if len(records) == 1 else 1]:
         item = result.candidate
         columns = candidates.of_all(item)
@@ -240,7 +240,7 @@ def _fitted(
             continue
         degrees = result.degrees + (len(group) > 1)
         evidence = _evidence(records, joint, ratio, degrees, item.effect.kind)
-        best = Contender.of(item, columns, joint, ratio, degrees, evidence)
+        best = FittedCandidate.of(item, columns, joint, ratio, degrees, evidence)
     return best
 
 
@@ -255,25 +255,25 @@ def _evidence(records: Sequence[Record], joint: JointFit, ratio: float, degrees:
     return evidence(ratio, degrees, is_function=kind is Kind.FUNCTION) - price
 
 
-def _discounted(records: Sequence[Record], contender: Contender) -> Contender:
+def _discounted(records: Sequence[Record], fitted_candidate: FittedCandidate) -> FittedCandidate:
     """See whether the replicates bear an effect out; take back what noise at its pace can explain."""
     replicates = [record.stack.replicate for record in records]
     runs = [record.stack.run_number for record in records]
-    width = contender.columns[0].shape[1]
-    replication = leave_one_out(contender.joint, replicates, width)
+    width = fitted_candidate.columns[0].shape[1]
+    replication = leave_one_out(fitted_candidate.joint, replicates, width)
     if not replication.replicates:
-        return replace(contender, replication=replication, replicates=False)
-    ratio = contender.likelihood_ratio / noise_inflation(contender.joint, replicates, runs, width)
+        return replace(fitted_candidate, replication=replication, replicates=False)
+    ratio = fitted_candidate.likelihood_ratio / noise_inflation(fitted_candidate.joint, replicates, runs, width)
     return replace(
-        contender,
+        fitted_candidate,
         likelihood_ratio=ratio,
-        evidence=_evidence(records, contender.joint, ratio, contender.degrees, contender.kind),
+        evidence=_evidence(records, fitted_candidate.joint, ratio, fitted_candidate.degrees, fitted_candidate.kind),
         replication=replication,
-        at_most=contender.evidence,
+        at_most=fitted_candidate.evidence,
     )
 
 
-def _line(records: Sequence[Record], base: JointFit) -> Contender | None:
+def _line(records: Sequence[Record], base: JointFit) -> FittedCandidate | None:
     line = scan_lines(records, base.residuals)
     if line is None or line.family_p_value >= LINE_ALPHA:
         return None
@@ -285,7 +285,7 @@ def _line(records: Sequence[Record], base: JointFit) -> Contender | None:
     gain = strength - 2 * np.log(sum(map(len, records)))
     if gain <= 0:
         return None
-    return Contender(
+    return FittedCandidate(
         name=LINE,
         kind=Kind.LINE,
         role=Role.CAUSE,
@@ -300,7 +300,7 @@ def _line(records: Sequence[Record], base: JointFit) -> Contender | None:
     )
 
 
-def _jump(records: Sequence[Record], base: JointFit) -> Contender | None:
+def _jump(records: Sequence[Record], base: JointFit) -> FittedCandidate | None:
     jump = scan_jumps(records, base)
     if jump is None or jump.family_p_value >= ALPHA:
         return None
@@ -315,7 +315,7 @@ def _jump(records: Sequence[Record], base: JointFit) -> Contender | None:
         return None
     run = records[jump.record].stack.runs[jump.run]
     slot = records[jump.record].stack.slot[jump.row]
-    return Contender(
+    return FittedCandidate(
         name=JUMP,
         kind=Kind.EVENT,
         role=Role.CAUSE,

@@ -27,8 +27,8 @@ class Piece(NamedTuple):
     last_ns: int
 
 
-class GatheringState(msgspec.Struct, frozen=True):
-    """A gathering as it is kept in a checkpoint."""
+class PieceBufferState(msgspec.Struct, frozen=True):
+    """A buffer as it is kept in a checkpoint."""
 
     name: tuple[str, str, str]
     every_ns: int
@@ -43,7 +43,7 @@ class GatheringState(msgspec.Struct, frozen=True):
     times: bytes | None
 
 
-class Gathering:
+class PieceBuffer:
     """Puts the batches of one signal of one run together and cuts them into pieces.
 
     A piece ends before each sample whose number, counted from the epoch's first in the run, is a multiple of
@@ -62,10 +62,10 @@ class Gathering:
     --------
     >>> from stream.wire.batches import encode_batch, read_wire_batch
     >>> from uuid import UUID
-    >>> gathering = Gathering(("FOG-1", "rate", "r1"), every_ns=30)
+    >>> buffer = PieceBuffer(("FOG-1", "rate", "r1"), every_ns=30)
     >>> for seq in (0, 2, 4):
     ...     batch = SampleBatch("FOG-1", "rate", "r1", UUID(int=1), seq, 10 * seq, 10, "deg/s", values=np.zeros(2))
-    ...     for piece in gathering.take(read_wire_batch(encode_batch(batch))):
+    ...     for piece in buffer.take(read_wire_batch(encode_batch(batch))):
     ...         print(len(piece.batch), piece.is_due, piece.last_ns)
     4 True 30
     """
@@ -110,9 +110,9 @@ class Gathering:
         """What no border has come behind yet, as the last piece; none where that is nothing."""
         return [self._flush(is_due=False)] if self._data else []
 
-    def export_state(self) -> GatheringState:
+    def export_state(self) -> PieceBufferState:
         """Everything that is kept."""
-        return GatheringState(
+        return PieceBufferState(
             name=self._name,
             every_ns=self._every_ns,
             due_ns=self._due_ns,
@@ -127,17 +127,17 @@ class Gathering:
         )
 
     @classmethod
-    def from_state(cls, state: GatheringState) -> Self:
+    def from_state(cls, state: PieceBufferState) -> Self:
         """Go on from what another one has exported."""
-        gathering = cls(state.name, state.every_ns)
-        gathering._is_begun = state.meaning is not None
-        gathering._due_ns, gathering._origin, gathering._next_seq = state.due_ns, state.origin, state.next_seq
-        gathering._next_ns, gathering._t0_ns, gathering._meaning = state.next_ns, state.t0_ns, state.meaning
-        gathering._dtype, gathering._item_bytes = state.dtype, np.dtype(state.dtype).itemsize
-        gathering._data = bytearray(state.data)
-        gathering._times = None if state.times is None else bytearray(state.times)
-        gathering._set_border()
-        return gathering
+        buffer = cls(state.name, state.every_ns)
+        buffer._is_begun = state.meaning is not None
+        buffer._due_ns, buffer._origin, buffer._next_seq = state.due_ns, state.origin, state.next_seq
+        buffer._next_ns, buffer._t0_ns, buffer._meaning = state.next_ns, state.t0_ns, state.meaning
+        buffer._dtype, buffer._item_bytes = state.dtype, np.dtype(state.dtype).itemsize
+        buffer._data = bytearray(state.data)
+        buffer._times = None if state.times is None else bytearray(state.times)
+        buffer._set_border()
+        return buffer
 
     def _cut(self, batch: WireBatch) -> list[Piece]:
         pieces: list[Piece] = []

@@ -10,7 +10,7 @@ from stream.batch import FloatArray
 
 
 @dataclass(frozen=True)
-class MadeAnew(Sequence[FloatArray]):
+class Recomputed(Sequence[FloatArray]):
     """An array for each record, made each time it is asked for: those of a fleet, kept for all fits, fill the memory.
 
     Parameters
@@ -22,7 +22,7 @@ class MadeAnew(Sequence[FloatArray]):
 
     Examples
     --------
-    >>> [each.size for each in MadeAnew(np.ones, 3)]
+    >>> [each.size for each in Recomputed(np.ones, 3)]
     [0, 1, 2]
     """
 
@@ -49,4 +49,4 @@ def joined(before: Sequence[FloatArray], more: Sequence[FloatArray]) -> Sequence
     def of(number: int) -> FloatArray:
         return np.column_stack([before[number], more[number]])
 
-    return (of(0),) if len(before) == 1 else MadeAnew(of, len(before))
+    return (of(0),) if len(before) == 1 else Recomputed(of, len(before))

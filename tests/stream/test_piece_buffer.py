@@ -24,7 +24,7 @@ from stream.events import (
 from stream.identity import Place, event_key, sample_key
 from stream.wire.batches import encode_batch, read_wire_batch
 from stream.worker.estimation import Estimation
-from stream.worker.gathering import PIECE_SAMPLES, Gathering, GatheringState
+from stream.worker.piece_buffer import PIECE_SAMPLES, PieceBuffer, PieceBufferState
 from stream.worker.signal_analysis import SignalAnalysis, SignalState, fresh_followers
 
 DT_NS = 10**7
@@ -149,16 +149,16 @@ def test_pieces_hold_every_sample_once_in_order_and_end_where_documents_are_due(
     signal: list[Stretch], data: st.DataObject
 ) -> None:
     every_ns = 3 * 10**9
-    gathering = Gathering(("U1", "rate", "r1"), every_ns)
+    buffer = PieceBuffer(("U1", "rate", "r1"), every_ns)
     pieces = []
     for stretch in signal:
         for batch in cut(data, stretch):
-            pieces += gathering.take(read_wire_batch(encode_batch(batch)))
+            pieces += buffer.take(read_wire_batch(encode_batch(batch)))
             if data.draw(st.booleans()) if len(pieces) < 3 else False:
-                packed = msgspec.msgpack.encode(gathering.export_state())
-                gathering = Gathering.from_state(msgspec.msgpack.decode(packed, type=GatheringState))
-    pieces += gathering.rest()
-    assert not gathering.rest()
+                packed = msgspec.msgpack.encode(buffer.export_state())
+                buffer = PieceBuffer.from_state(msgspec.msgpack.decode(packed, type=PieceBufferState))
+    pieces += buffer.rest()
+    assert not buffer.rest()
     times = np.concatenate([stretch.times_ns for stretch in signal])
     values = np.concatenate([stretch.batch(0, len(stretch.counts), written_out=True).value_array for stretch in signal])
     np.testing.assert_array_equal(np.concatenate([piece.batch.time_array for piece in pieces]), times)
