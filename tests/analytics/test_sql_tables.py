@@ -26,7 +26,7 @@ from storage.store import Store
 from stream.errors import BadInput, NotFound, QueryError
 from stream.events import EstimatePoint, EstimatePublished, SpecificationAction, SpecificationEntered, new_uid
 
-README = Path(__file__).parents[2] / "README.md"
+GUIDE = Path(__file__).parents[2] / "docs" / "how-to" / "sql.md"
 T0_NS = 1_763_683_200 * 10**9
 SECOND_NS = 10**9
 SPECIFICATION = """
@@ -108,7 +108,7 @@ def test_every_column_says_what_it_holds(store: Store) -> None:
 
 def test_words_are_of_tables_and_columns_that_there_are(store: Store) -> None:
     """A column that was renamed takes its words with it."""
-    written = [read_words(files("storage").joinpath("schema", "columns.toml")), *(layer.columns for layer in layers())]
+    written = [read_words(files("storage.sql").joinpath("schema", "columns.toml")), *(layer.columns for layer in layers())]
     with Catalog(store) as catalog:
         columns = {name: {row["column"] for row in columns_of(catalog, name)} for name in known_tables()}
     for words in written:
@@ -303,8 +303,8 @@ def test_words_of_a_table_go_before_those_of_every(store: Store) -> None:
     assert column_words("estimates")["n"] == "terms that it rests on"
 
 
-def test_what_the_readme_asks_runs(store: Store) -> None:
-    section = README.read_text(encoding="utf-8").split("\n## Ask in SQL\n")[1].split("\n## ")[0]
+def test_what_the_guide_asks_runs(store: Store) -> None:
+    section = GUIDE.read_text(encoding="utf-8")
     statements = re.findall(r'gyrofleet sql "(.*?)"\n', section, re.DOTALL)
     assert len(statements) > 10
     with Catalog(store) as catalog:

@@ -1,4 +1,4 @@
-"""The instrument that the README shows, in a file of its own, measures; and its procedure and station can be read."""
+"""The instrument that the guide shows, in a file of its own, measures; and its procedure and station can be read."""
 
 import importlib.util
 import re
@@ -13,17 +13,17 @@ from ingest.simulator.scpi.server import ScpiServer
 from ingest.station.station import load_station
 from ingest.station_clock import StationClock
 
-README = Path(__file__).parents[2] / "README.md"
+GUIDES = Path(__file__).parents[2] / "docs" / "how-to"
 
 
-def block(language: str, holds: str) -> str:
-    blocks = re.findall(rf"```{language}\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+def block(guide: str, language: str, holds: str) -> str:
+    blocks = re.findall(rf"```{language}\n(.*?)```", (GUIDES / guide).read_text(encoding="utf-8"), re.DOTALL)
     (found,) = (each for each in blocks if holds in each)
     return str(found)
 
 
 def test_an_instrument_of_forty_lines_measures(tmp_path: Path) -> None:
-    source = block("python", "class PressureGauge(")
+    source = block("instrument.md", "python", "class PressureGauge(")
     assert len(source.splitlines()) <= 40
     path = tmp_path / "pressure_gauge.py"
     path.write_text(source)
@@ -45,12 +45,12 @@ def test_an_instrument_of_forty_lines_measures(tmp_path: Path) -> None:
 
 def test_the_procedure_and_the_station_shown_are_whole(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
-    path.write_text(block("toml", "bias_two_temperatures"), encoding="utf-8")
+    path.write_text(block("station.md", "toml", "bias_two_temperatures"), encoding="utf-8")
     steps = load_procedure(str(path)).steps()
     assert [step.settings["temperature"] for step in steps if step.words.step == "static"] == [-20.0, 50.0]
     assert sum(step.record_s for step in steps) == 3600.0
     path = tmp_path / "station.toml"
-    path.write_text(block("toml", "[instruments.chamber]"), encoding="utf-8")
+    path.write_text(block("station.md", "toml", "[instruments.chamber]"), encoding="utf-8")
     station = load_station(path)
     assert station.settings == {"temperature": "chamber"}
     assert station.buses["can"].bus.interface == "socketcan"

@@ -1,0 +1,53 @@
+"""The documentation: links lead somewhere, files and commands that it names exist, and the README stays short."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from gyrofleet import main
+
+ROOT = Path(__file__).parents[1]
+PAGES = (ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md")))
+LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
+NAMED_FILE = re.compile(r"`((?:tests|stream|storage|ingest|analytics)/[\w/.-]+\.(?:py|toml|sql|proto))`")
+COMMAND = re.compile(r"(?m)^\s*gyrofleet[ ]+([a-z-]+)(?:[ ]+([a-z-]+))?")
+
+
+def named(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_links_lead_somewhere(page: Path) -> None:
+    found = [target for target, _ in LINK.findall(page.read_text(encoding="utf-8")) if "://" not in target]
+    assert [target for target in found if not (page.parent / target).exists()] == []
+
+
+@pytest.mark.parametrize("page", PAGES[:1] + PAGES[2:], ids=named)
+def test_files_that_are_named_exist(page: Path) -> None:
+    found = NAMED_FILE.findall(page.read_text(encoding="utf-8"))
+    assert [each for each in found if not (ROOT / each).exists()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_commands_that_are_shown_exist(page: Path) -> None:
+    shells = re.findall(r"```sh\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    for command, _ in COMMAND.findall("\n".join(shells)):
+        assert command in main.commands, f"gyrofleet {command}"
+
+
+def test_every_page_is_reached_from_the_readme() -> None:
+    reached, waiting = {ROOT / "README.md"}, [ROOT / "README.md"]
+    while waiting:
+        page = waiting.pop()
+        for target, _ in LINK.findall(page.read_text(encoding="utf-8")):
+            path = (page.parent / target).resolve()
+            if path.suffix == ".md" and path.exists() and path not in reached:
+                reached.add(path)
+                waiting.append(path)
+    assert [named(page) for page in PAGES if page not in reached] == []
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
