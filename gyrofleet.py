@@ -1,10 +1,28 @@
-"""The front door: the commands of all packages, assembled."""
+"""The front door: what `import gyrofleet` offers in Python, and the commands of all packages, assembled.
+
+>>> import gyrofleet as gf
+>>> curve = gf.allan_deviation([1.0, 3.0, 2.0, 6.0, 4.0], rate_hz=1.0)
+>>> curve.tau_s.tolist()
+[1.0, 2.0]
+"""
 
 import atexit
+import importlib
+import importlib.util
 import os
 import sys
 from contextlib import suppress
-from typing import NoReturn
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+for _name in ("stream", "storage", "ingest", "analytics"):
+    _spec = importlib.util.find_spec(_name)
+    _origin = None if _spec is None else _spec.origin
+    if _origin is None or Path(_origin).resolve().parents[1] != Path(__file__).resolve().parent:
+        raise ImportError(
+            f"gyrofleet needs its own package {_name!r}, but Python finds {_origin or 'none'} first: rename that file "
+            "or folder, or start Python in another folder"
+        )
 
 import click
 
@@ -30,6 +48,25 @@ from storage.commands.lake import lake, rebuild, retain
 from storage.commands.record import record, router
 from storage.commands.sql import sql
 from storage.commands.verify import recover, verify
+
+if TYPE_CHECKING:
+    from analytics.api.arrays import DeviationCurve, allan_deviation, noise_fit
+    from analytics.api.store import FleetStore, open_store
+
+_OFFERED = {
+    "DeviationCurve": "analytics.api.arrays",
+    "FleetStore": "analytics.api.store",
+    "allan_deviation": "analytics.api.arrays",
+    "noise_fit": "analytics.api.arrays",
+    "open_store": "analytics.api.store",
+}
+__all__ = ["DeviationCurve", "FleetStore", "allan_deviation", "main", "noise_fit", "open_store"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _OFFERED:  # commands that need none of it start faster
+        return getattr(importlib.import_module(_OFFERED[name]), name)
+    raise AttributeError(f"gyrofleet offers no {name!r}: it has {', '.join(__all__)}")
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

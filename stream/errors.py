@@ -24,6 +24,10 @@ class NotFound(GyrofleetError):
     """A unit, signal or run that the store does not hold."""
 
 
+class NotEnoughData(GyrofleetError):
+    """A record that is too short, or a question that the data cannot answer; the message says why."""
+
+
 class QueryError(GyrofleetError):
     """A SQL statement that is refused, fails, or takes more than it may."""
 

@@ -44,6 +44,8 @@ class AllanCurve:
         Which deviation `adev` holds.
     plausible : tuple of tuple of int
         Exponents of the noises that are plausible at each averaging time, see `EstimatePoint`; empty where unknown.
+    windows : tuple of int
+        Differences that each deviation rests on; empty where unknown.
     overlap : {"full", "strided"}
         Windows at every sample, or at every 1/16 of the averaging time or closer.
 
@@ -68,6 +70,7 @@ class AllanCurve:
     deviation: Deviation = Deviation.OVERLAPPING_ALLAN
     overlap: Overlap = "strided"
     plausible: tuple[tuple[int, ...], ...] = ()
+    windows: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         """Check that the columns fit together."""
@@ -88,7 +91,7 @@ class AllanCurve:
         ]
         columns = zip(*rows, strict=True) if rows else ((),) * 5
         tau_s, adev, lo, hi, edf = (tuple(column) for column in columns)
-        return replace(self, tau_s=tau_s, adev=adev, lo=lo, hi=hi, edf=edf, plausible=())
+        return replace(self, tau_s=tau_s, adev=adev, lo=lo, hi=hi, edf=edf, plausible=(), windows=())
 
     @property
     def bare_names(self) -> tuple[str, str]:
@@ -203,6 +206,7 @@ def _curve(
         deviation=deviation,
         overlap=overlap,
         plausible=tuple(point.plausible for point in points),
+        windows=tuple(point.n for point in points),
     )
 
 

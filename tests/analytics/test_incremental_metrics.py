@@ -118,7 +118,9 @@ def from_scratch(tested: Any) -> pa.Table:
     return table_of(tested)
 
 
-def test_a_growing_store_has_the_metrics_of_one_computed_from_scratch(tested: Any, work: Work) -> None:
+@pytest.mark.parametrize("each", [3, pytest.param(1, marks=pytest.mark.long)])
+def test_a_growing_store_has_the_metrics_of_one_computed_from_scratch(tested: Any, work: Work, each: int) -> None:
+    """Compared after every third growth; in the long form after each."""
     expected = [
         (["U1", "U2"], ["r1"]),
         (["U1"], ["r2"]),
@@ -127,10 +129,12 @@ def test_a_growing_store_has_the_metrics_of_one_computed_from_scratch(tested: An
         (["U2"], []),
         (["U3"], ["r1b"]),
     ]
-    for grow, changed in zip(Bench(tested).grown(), expected, strict=True):
+    for number, (grow, changed) in enumerate(zip(Bench(tested).grown(), expected, strict=True), start=1):
         grow()
         found = table_of(tested)
         assert work.done() == changed
+        if number % each:
+            continue
         kept = {path.name: path.read_bytes() for path in (tested.store.folder / "metrics").iterdir()}
         assert found.equals(from_scratch(tested))
         work.done()

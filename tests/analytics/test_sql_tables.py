@@ -108,7 +108,10 @@ def test_every_column_says_what_it_holds(store: Store) -> None:
 
 def test_words_are_of_tables_and_columns_that_there_are(store: Store) -> None:
     """A column that was renamed takes its words with it."""
-    written = [read_words(files("storage.sql").joinpath("schema", "columns.toml")), *(layer.columns for layer in layers())]
+    written = [
+        read_words(files("storage.sql").joinpath("schema", "columns.toml")),
+        *(layer.columns for layer in layers()),
+    ]
     with Catalog(store) as catalog:
         columns = {name: {row["column"] for row in columns_of(catalog, name)} for name in known_tables()}
     for words in written:

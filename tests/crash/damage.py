@@ -178,7 +178,8 @@ def main() -> None:
             shutil.rmtree(folder, ignore_errors=True)
             shutil.copytree(whole, folder)
             store = Store.open(folder)
-            kind = rng.choice(sorted(victims(store)))
+            kinds = sorted(victims(store))
+            kind = kinds[number] if number < len(kinds) else rng.choice(kinds)  # each at least once
             path = rng.choice(victims(store)[kind])
             told, touched = inflict(rng, path)
             least = all_samples

@@ -5,15 +5,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 
-def test_damage_at_any_place_is_found_and_mended() -> None:
+
+@pytest.mark.parametrize("count", [12, pytest.param(60, marks=pytest.mark.long)])
+def test_damage_at_any_place_is_found_and_mended(count: int) -> None:
     done = subprocess.run(
-        [sys.executable, Path(__file__).with_name("damage.py"), "--count", "60", "--seed", "20261121", "--json"],
+        [sys.executable, Path(__file__).with_name("damage.py"), "--count", str(count), "--seed", "20261121", "--json"],
         capture_output=True,
         text=True,
         timeout=300,
     )
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
-    assert (result["trials"], result["wrong"]) == (60, [])
+    assert (result["trials"], result["wrong"]) == (count, [])
     assert len(result["by_kind"]) == 6

@@ -217,11 +217,13 @@ def test_a_rebuild_never_gives_up_what_the_log_does_not_give(days: Filler) -> No
     assert (aside / "00000003").is_dir()
 
 
+@pytest.mark.parametrize("kills", [2, pytest.param(5, marks=pytest.mark.long)])
 @pytest.mark.parametrize("command", [("lake", "--once", "--grace-s", "0"), ("rebuild",)])
 def test_a_killed_builder_goes_on_and_gives_the_same_rows(
     days: Filler,
     tmp_path: Path,
     command: tuple[str, ...],
+    kills: int,
     command_line: Callable[..., list[str]],
     gyrofleet: Callable[..., Outcome],
 ) -> None:
@@ -238,7 +240,7 @@ def test_a_killed_builder_goes_on_and_gives_the_same_rows(
     rng = np.random.default_rng(7)
     if command[0] == "rebuild":
         assert gyrofleet("lake", "--once", "--store", store.folder).code == 0
-    for _ in range(5):
+    for _ in range(kills):
         process = subprocess.Popen(
             command_line(*command, "--store", store.folder, "--json"), stdout=subprocess.PIPE, text=True, cwd=tmp_path
         )

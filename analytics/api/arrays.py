@@ -1,0 +1,214 @@
+"""Estimates of plain arrays, without a store: Allan deviation and noise coefficients."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+from uuid import UUID
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from analytics.curves.allan_curve import AllanCurve
+from stream.batch import FloatArray, SampleBatch
+from stream.bounds import MAX_INTERVAL_NS
+from stream.errors import BadInput, NotEnoughData
+from stream.estimators.base import NoEstimate
+from stream.estimators.full_overlap.deviation_forms import Deviation
+from stream.estimators.full_overlap.full_overlap import FullOverlap
+from stream.estimators.noise.noise_fit import NoiseFit, fit_noise
+from stream.events import EstimatePoint
+
+if TYPE_CHECKING:
+    import polars as pl
+
+_PIECE_SAMPLES = 1_000_000
+
+
+@dataclass(frozen=True)
+class DeviationCurve:
+    """A deviation over averaging time, with 95 % confidence bounds.
+
+    Parameters
+    ----------
+    tau_s : array of shape (n,)
+        Averaging times, seconds, rising.
+    deviation, lo, hi : arrays of shape (n,)
+        Deviation and its bounds.
+    edf : array of shape (n,)
+        Equivalent degrees of freedom.
+    n : array of int, shape (n,)
+        Differences that each deviation rests on.
+    kind : Deviation
+        Which deviation.
+    unit_of_measure : str
+        Of the deviation: deg/h for angular rates, else that of the values.
+    curve : AllanCurve
+        The same for plots and reports.
+    """
+
+    tau_s: FloatArray
+    deviation: FloatArray
+    lo: FloatArray
+    hi: FloatArray
+    edf: FloatArray
+    n: npt.NDArray[np.int64]
+    kind: Deviation
+    unit_of_measure: str
+    curve: AllanCurve
+
+    def polars(self) -> "pl.DataFrame":
+        """As a Polars frame, one row an averaging time."""
+        import polars as pl
+
+        names = ("tau_s", "deviation", "lo", "hi", "edf", "n")
+        return pl.DataFrame({name: getattr(self, name) for name in names})
+
+    def plot(self, path: str | Path) -> Path:
+        """Draw it into a ``.png`` or ``.svg`` file; returns its path."""
+        from analytics.plots.allan_plot import plot_allan
+
+        plot_allan([self.curve], Path(path))
+        return Path(path)
+
+
+def allan_deviation(
+    values: npt.ArrayLike,
+    rate_hz: float,
+    *,
+    unit_of_measure: str = "1",
+    deviation: str = "oadev",
+    points_per_octave: int = 1,
+) -> DeviationCurve:
+    """Allan deviation of an array, or another deviation, with every window there is and its confidence bounds.
+
+    Parameters
+    ----------
+    values : array of shape (n,)
+        Samples at equal intervals; NaN where one is missing.
+    rate_hz : float
+        Samples a second.
+    unit_of_measure : str
+        Of the values. Angular rates such as deg/s give deviations in deg/h.
+    deviation : str
+        ``oadev``, ``adev``, ``mdev``, ``ohdev`` or ``hdev``.
+    points_per_octave : int
+        1, 2, 4 or 8 averaging times an octave.
+
+    Raises
+    ------
+    BadInput
+        If the values are no row of numbers, or `rate_hz` or `deviation` is none that can be.
+    NotEnoughData
+        If there are too few values.
+
+    Notes
+    -----
+    NIST SP 1065 5.2, IEEE 952-2020 annex C; bounds by chi-square with the least equivalent degrees of freedom of the
+    noises that the curve leaves plausible.
+
+    Examples
+    --------
+    >>> found = allan_deviation([1.0, 3.0, 2.0, 6.0, 4.0], rate_hz=1.0)
+    >>> found.tau_s.tolist(), found.deviation.round(6).tolist()
+    ([1.0, 2.0], [1.767767, 1.600781])
+    >>> bool((found.lo < found.deviation).all() and (found.deviation < found.hi).all())
+    True
+    """
+    row = _row_of(values)
+    interval_ns = _interval_ns(rate_hz)
+    try:
+        kind = Deviation(deviation)
+    except ValueError:
+        raise BadInput(f"no deviation {deviation!r}: choose one of {', '.join(Deviation)}") from None
+    with FullOverlap() as record:
+        for begin in range(0, row.size, _PIECE_SAMPLES):
+            piece = row[begin : begin + _PIECE_SAMPLES]
+            record.update(
+                SampleBatch("array", "values", "r1", UUID(int=0), begin, begin * interval_ns, interval_ns,
+                            unit_of_measure, values=piece)
+            )  # fmt: skip
+        points = record.evaluate(kind, points_per_octave)
+        if isinstance(points, NoEstimate):
+            raise NotEnoughData(points.reason.removeprefix("unit array, signal values: "))
+        exact = 1e9 / (rate_hz * interval_ns)  # intervals count in whole nanoseconds
+        return _curve([msgspec.structs.replace(each, tau_s=each.tau_s * exact) for each in points], record, kind)
+
+
+def noise_fit(curve: DeviationCurve) -> NoiseFit:
+    """Noise coefficients Q, N, B, K, R of IEEE 952 from an overlapping Allan deviation, with their bounds.
+
+    Parameters
+    ----------
+    curve : DeviationCurve
+        Of an angular rate, by `allan_deviation`.
+
+    Raises
+    ------
+    BadInput
+        If it is of another deviation or of no angular rate.
+    NotEnoughData
+        If it has too few averaging times.
+
+    Examples
+    --------
+    >>> rate_deg_per_h = np.random.default_rng(2).normal(0.0, 6.0, 100_000)  # N = 6/60/sqrt(100) deg/sqrt(h)
+    >>> found = noise_fit(allan_deviation(rate_deg_per_h, rate_hz=100.0, unit_of_measure="deg/h"))
+    >>> found.angle_random_walk.lo < 0.01 < found.angle_random_walk.hi
+    True
+    """
+    if curve.kind is not Deviation.OVERLAPPING_ALLAN:
+        raise BadInput(f"noise coefficients are fitted to the overlapping Allan deviation, not to {curve.kind}")
+    if curve.unit_of_measure != "deg/h":
+        raise BadInput(
+            f"noise coefficients are those of an angular rate, and these values are in {curve.unit_of_measure}: give "
+            "allan_deviation their unit_of_measure, as deg/s or rad/s"
+        )
+    columns = zip(curve.tau_s, curve.deviation, curve.lo, curve.hi, curve.edf, curve.n, strict=True)
+    noises = curve.curve.plausible
+    points = [
+        EstimatePoint(tau_s=tau_s, value=value, lo=lo, hi=hi, edf=edf, n=int(n), plausible=plausible)
+        for (tau_s, value, lo, hi, edf, n), plausible in zip(columns, noises, strict=True)
+    ]
+    found = fit_noise(points)
+    if isinstance(found, NoEstimate):
+        raise NotEnoughData(found.reason)
+    return found
+
+
+def _row_of(values: npt.ArrayLike) -> FloatArray:
+    try:
+        row = np.ascontiguousarray(values, np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"values are not numbers: {error}") from None
+    if row.ndim != 1:
+        raise BadInput(f"values have the shape {row.shape}: one row of samples of one axis is expected")
+    return row
+
+
+def _interval_ns(rate_hz: float) -> int:
+    interval_ns = 1e9 / rate_hz if rate_hz > 0 else 0.0
+    if not 1.0 <= interval_ns <= MAX_INTERVAL_NS:
+        raise BadInput(f"rate_hz is {rate_hz:g}: samples a second are expected, above 0 and at most 1e9")
+    return round(interval_ns)
+
+
+def _curve(points: Sequence[EstimatePoint], record: FullOverlap, kind: Deviation) -> DeviationCurve:
+    columns = {name: np.array([getattr(each, name) for each in points]) for name in ("tau_s", "lo", "hi", "edf", "n")}
+    values = np.array([each.value for each in points])
+    curve = AllanCurve(
+        unit="array",
+        signal="values",
+        run="",
+        unit_of_measure=record.unit_of_measure,
+        sample_interval_s=record.sample_interval_s,
+        samples=record.samples,
+        missing=record.missing,
+        adev=tuple(values.tolist()),
+        **{name: tuple(columns[name].tolist()) for name in ("tau_s", "lo", "hi", "edf")},
+        deviation=kind,
+        overlap="full",
+        plausible=tuple(each.plausible for each in points),
+    )
+    return DeviationCurve(deviation=values, kind=kind, unit_of_measure=record.unit_of_measure, curve=curve, **columns)

@@ -1,0 +1,276 @@
+"""A store opened for Python: runs, samples, curves, metrics and diagnoses as Polars frames and typed results."""
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from datetime import datetime
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from analytics.api.arrays import DeviationCurve
+from ingest.moment import moment_ns
+from storage.sql.door import QueryLimits
+from storage.sql.opened import Answer, OpenedStore
+from storage.store import Store
+from stream.errors import BadInput
+from stream.estimators.full_overlap.deviation_forms import Deviation
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from analytics.loop.unit_diagnosis import UnitDiagnosis
+    from storage.sql.catalog import Catalog
+
+_UNITS = """
+select s.unit, s.run, u.product, u.lot, u.slot, u.fixture, s.signals
+from (select unit, run, count(*) as signals from signals group by all) s left join units u using (unit, run)
+order by s.unit, s.run
+"""
+_SAMPLES = """
+select t_ns, make_timestamp_ns(t_ns) as time, value, unit_of_measure
+from samples
+where unit = $unit and signal = $signal and run = $run
+  and ($start is null or t_ns >= $start) and ($stop is null or t_ns < $stop)
+order by t_ns
+"""
+
+
+class FleetStore:
+    """A store as it is when it is opened; use it in a ``with``, or close it.
+
+    Parameters
+    ----------
+    folder : path
+        Of the store.
+    limits : QueryLimits, optional
+        Time, memory and rows that one SQL statement may take.
+
+    Raises
+    ------
+    StoreError
+        If the folder is no store.
+
+    Examples
+    --------
+    >>> import gyrofleet as gf
+    >>> with gf.open_store("gyrofleet-data") as store:  # doctest: +SKIP
+    ...     print(store.metrics(unit="FOG-0231", metric="bias"))
+    ...     store.allan("FOG-0231", "rate").plot("allan.png")
+    """
+
+    def __init__(self, folder: str | PathLike[str], limits: QueryLimits | None = None) -> None:
+        self._store = Store.open(Path(folder))
+        self._sql = OpenedStore(folder, limits)
+        self._stack = ExitStack()
+        self._stack.callback(self._sql.close)
+        self._opened: Catalog | None = None
+
+    def sql(self, statement: str, parameters: object = None) -> Answer:
+        """Answer one statement that reads; `parameters` fill its ``$name`` or ``?``.
+
+        Raises
+        ------
+        QueryError
+            If it would do more than read the store, fails, or takes more than the limits allow.
+        """
+        return self._sql.sql(statement, parameters)
+
+    def runs(self) -> "pl.DataFrame":
+        """All runs: when, how long, how they ended, which units."""
+        return self.sql("from runs order by started, run").polars()
+
+    def units(self) -> "pl.DataFrame":
+        """All units of each run, with product, lot, slot and fixture where they were said."""
+        return self.sql(_UNITS).polars()
+
+    def signals(self) -> "pl.DataFrame":
+        """All recorded signals, with their unit of measure and number of samples."""
+        return self.sql("from signals order by unit, signal, run").polars()
+
+    def samples(
+        self,
+        unit: str,
+        signal: str,
+        run: str | None = None,
+        start: str | datetime | int | None = None,
+        stop: str | datetime | int | None = None,
+    ) -> "pl.DataFrame":
+        """Samples of one signal in the order of their time.
+
+        Parameters
+        ----------
+        unit, signal : str
+            Which signal.
+        run : str, optional
+            Of which run; the one measured last if left out.
+        start, stop : str, datetime or int, optional
+            From when, and until before when: a moment with a time zone, or nanoseconds UTC.
+
+        Returns
+        -------
+        DataFrame
+            ``t_ns``, ``time`` (UTC), ``value`` and ``unit_of_measure``.
+
+        Raises
+        ------
+        NotFound
+            If the store does not hold it.
+        BadInput
+            If a moment has no time zone.
+        """
+        from storage.sql.reading import find_signal
+
+        record = find_signal(self._catalog, unit, signal, run)
+        given = {"unit": unit, "signal": signal, "run": record.run}
+        bounds = {"start": _moment_ns(start, "start"), "stop": _moment_ns(stop, "stop")}
+        return self.sql(_SAMPLES, given | bounds).polars()
+
+    def allan(
+        self, unit: str, signal: str, run: str | None = None, *, deviation: str = "oadev", points_per_octave: int = 1
+    ) -> DeviationCurve:
+        """Allan deviation of a recorded signal, or another deviation; see `gyrofleet.allan_deviation`.
+
+        Raises
+        ------
+        NotFound
+            If the store does not hold the signal, or holds too little of it.
+        """
+        from analytics.curves.allan_curve import allan_curve
+
+        if deviation not in set(Deviation):
+            raise BadInput(f"no deviation {deviation!r}: choose one of {', '.join(Deviation)}")
+        curve = allan_curve(
+            self._catalog, unit, signal, run, points_per_octave=points_per_octave, deviation=Deviation(deviation)
+        )
+        columns = {name: np.array(getattr(curve, name)) for name in ("tau_s", "lo", "hi", "edf")}
+        return DeviationCurve(
+            deviation=np.array(curve.adev),
+            n=np.array(curve.windows, np.int64),
+            kind=curve.deviation,
+            unit_of_measure=curve.unit_of_measure,
+            curve=curve,
+            **columns,
+        )
+
+    def metrics(
+        self,
+        *,
+        unit: str | Sequence[str] = (),
+        metric: str | Sequence[str] = (),
+        lot: str | Sequence[str] = (),
+        run: str | Sequence[str] = (),
+        standard: str | Sequence[str] = (),
+    ) -> "pl.DataFrame":
+        """Characteristics of the standards: value, 95 % interval and clause, or the reason why there is none.
+
+        Parameters
+        ----------
+        unit, metric, lot, run, standard : str or sequence of str
+            Only these; all if left out.
+
+        Raises
+        ------
+        NotFound
+            If a unit, lot or run is not in the store.
+        BadInput
+            If there is no such metric or standard.
+        """
+        import polars as pl
+
+        from analytics.evaluation.selection import Selection, selected
+
+        asked = Selection(_each(unit), _each(lot), _each(run), _each(metric), _each(standard))
+        rows = selected(self._catalog, asked)
+        return pl.DataFrame(
+            [row | {"parameters": str(row["parameters"])} for row in rows], infer_schema_length=None, strict=False
+        )
+
+    def diagnose(
+        self,
+        unit: str,
+        model: str,
+        *,
+        signal: str | None = None,
+        runs: Sequence[str] | None = None,
+        holdout: Sequence[str] | None = None,
+        progress: Callable[[str], None] = lambda _: None,
+    ) -> "UnitDiagnosis":
+        """Find what a declared error model lacks; `gyrofleet diagnose` says the same in words.
+
+        Parameters
+        ----------
+        unit : str
+            Which unit.
+        model : str
+            Declared, such as ``"rate = bias + scale_factor*input_rate"``.
+        signal : str, optional
+            Which signal; the one that the model names if left out.
+        runs : sequence of str, optional
+            Only these.
+        holdout : sequence of str, optional
+            Runs that the fit does not see; the last third if left out.
+        progress : callable, optional
+            Is told what is being done.
+
+        Returns
+        -------
+        UnitDiagnosis
+            Its ``diagnosis`` has the verdict, the effects with their coefficients, and the error before and after.
+
+        Raises
+        ------
+        GyrofleetError
+            If the unit cannot be diagnosed; the message says why.
+        """
+        from analytics.loop.unit_diagnosis import diagnose_units
+        from analytics.loop.unit_reduction import Question
+
+        question = Question(
+            model=model,
+            signal=signal,
+            holdout=None if holdout is None else tuple(holdout),
+            runs=None if runs is None else tuple(runs),
+        )
+        return diagnose_units(self._catalog, [unit], question, told=progress).units[unit]
+
+    @property
+    def _catalog(self) -> "Catalog":
+        if self._opened is None:
+            from storage.sql.catalog import Catalog
+
+            self._opened = self._stack.enter_context(Catalog(self._store))
+        return self._opened
+
+    def close(self) -> None:
+        """Close it."""
+        self._stack.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def open_store(folder: str | PathLike[str], limits: QueryLimits | None = None) -> FleetStore:
+    """Open a store for Python; see `FleetStore`.
+
+    Raises
+    ------
+    StoreError
+        If the folder is no store.
+    """
+    return FleetStore(folder, limits)
+
+
+def _each(names: str | Sequence[str]) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
+def _moment_ns(moment: str | datetime | int | None, name: str) -> int | None:
+    if moment is None or isinstance(moment, int):
+        return moment
+    text = moment if isinstance(moment, str) else moment.isoformat()
+    return moment_ns(text, name)

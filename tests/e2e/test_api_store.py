@@ -1,0 +1,97 @@
+"""`gyrofleet.open_store`: what commands have recorded, as frames and typed results."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import gyrofleet as gf
+from stream.errors import BadInput, NotFound, StoreError
+
+START = "2026-11-01T00:00:00+08:00"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, run_command: Callable[..., Any]) -> Path:
+    """A store of one unit: an hour at rest, and six runs of two hours with a temperature of its own."""
+    folder = tmp_path_factory.mktemp("api")
+    rng = np.random.default_rng(11)
+    rate = 5.0 + rng.normal(0.0, 1.0, 3700)
+    lines = ["time[s],rate[deg/h],temperature[degC]", *(f"{i},{x:.6f},20" for i, x in enumerate(rate))]
+    (folder / "still.csv").write_text("\n".join(lines))
+    words = ("--unit", "G-1", "--start", START, "--procedure", "static_bias", "--position", "IRA_up", "--store", "S")
+    done = run_command("import", "still.csv", *words, cwd=folder)
+    assert done.code == 0, done.err
+    for run in range(6):
+        t = np.arange(720) * 10.0
+        temperature = 20 + 15 * np.sin(2 * np.pi * t / 3600 + run)
+        values = 1.0 + 0.5 * (temperature - 20) + rng.normal(0.0, 0.3, t.size)
+        rows = [f"{a:g},{b:.6f},{c:.4f}" for a, b, c in zip(t, values, temperature, strict=True)]
+        (folder / f"t{run}.csv").write_text("\n".join(["time[s],rate[deg/h],temperature[degC]", *rows]))
+    done = run_command("import", *(f"t{run}.csv" for run in range(6)), "--unit", "G-2", "--store", "S", cwd=folder)
+    assert done.code == 0, done.err
+    return folder
+
+
+@pytest.fixture(scope="module")
+def store(folder: Path) -> Iterator[gf.FleetStore]:
+    with gf.open_store(folder / "S") as store:
+        yield store
+
+
+def test_what_there_is(store: gf.FleetStore) -> None:
+    assert set(store.runs()["run"]) == {"still", *(f"t{run}" for run in range(6))}
+    assert set(store.units()["unit"]) == {"G-1", "G-2"}
+    assert store.signals().filter(unit="G-1")["samples"].to_list() == [3700, 3700]
+    assert store.sql("select count(*) as n from samples where unit = $unit", {"unit": "G-1"}).rows() == [{"n": 7400}]
+
+
+def test_samples_between_two_moments(store: gf.FleetStore) -> None:
+    assert store.samples("G-1", "rate").height == 3700
+    found = store.samples("G-1", "rate", start="2026-11-01T00:00:10+08:00", stop="2026-11-01T00:00:20+08:00")
+    assert found.height == 10
+    assert found["time"][0].isoformat() == "2026-10-31T16:00:10"
+    assert found["t_ns"].diff().drop_nulls().unique().to_list() == [10**9]
+    assert found["unit_of_measure"].unique().to_list() == ["deg/h"]
+    with pytest.raises(BadInput, match="start"):
+        store.samples("G-1", "rate", start="2026-11-01T00:00:10")
+    with pytest.raises(NotFound, match="G-9"):
+        store.samples("G-9", "rate")
+
+
+def test_a_curve_is_that_of_the_array_and_of_the_command(
+    store: gf.FleetStore, folder: Path, run_command: Callable[..., Any]
+) -> None:
+    found = store.allan("G-1", "rate")
+    plain = gf.allan_deviation(store.samples("G-1", "rate")["value"].to_numpy(), 1.0, unit_of_measure="deg/h")
+    for name in ("tau_s", "deviation", "lo", "hi", "edf", "n"):
+        np.testing.assert_allclose(getattr(found, name), getattr(plain, name), rtol=1e-12)
+    told = json.loads(
+        run_command("allan", "--unit", "G-1", "--signal", "rate", "--store", "S", "--json", cwd=folder).out
+    )
+    np.testing.assert_allclose(told["adev"], found.deviation, rtol=1e-12)
+    with pytest.raises(BadInput, match="choose one of"):
+        store.allan("G-1", "rate", deviation="tdev")
+
+
+def test_metrics_are_a_frame(store: gf.FleetStore) -> None:
+    (row,) = store.metrics(unit="G-1", metric="bias_stability", standard="GJB 2426A").rows(named=True)
+    assert row["lo"] < 1.0 < row["hi"]
+    with pytest.raises(NotFound, match="G-9"):
+        store.metrics(unit="G-9")
+    with pytest.raises(BadInput, match="no metric"):
+        store.metrics(metric="no_such_metric")
+    assert store.metrics(unit="G-1", metric="bandwidth").height == 0
+
+
+def test_an_effect_that_was_not_declared_is_found(store: gf.FleetStore) -> None:
+    found = store.diagnose("G-2", "rate = bias").diagnosis
+    assert "temperature" in {name for each in found.effects for name in (each.name, *(c.name for c in each.confounded))}
+
+
+def test_what_is_no_store_is_told(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="no store"):
+        gf.open_store(tmp_path)
