@@ -33,7 +33,7 @@ from stream.transport.bus import Bus
 
 _QUEUE_BYTES = 64 << 20
 _OVERHEAD_BYTES = 300  # of a message in the queue, beside its key and payload
-_ROOM_PATIENCE_S = 2.0  # of a callback of the bus, far below the 60 s after which a stalled transport is closed
+_ROOM_PATIENCE_S = 2.0  # of a callback of the bus: a source closes a transport that stalls for 8 s
 _SEAL_GRACE_S = 1.0  # the last estimates of a run come just after its end
 _SETTLE_S = 120.0
 _MEND_AFTER_S = 5.0  # an abandoned segment is sealed with the next one, and not only when that is full
