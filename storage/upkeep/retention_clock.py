@@ -79,7 +79,7 @@ def _doubt(manifest: Manifest, last: Seen | None, now_ns: int) -> str | None:
     if reached_ns - now_ns > _MOST_APART_NS:
         return f"the clock stands {_days(reached_ns - now_ns)} before what was recorded last"
     if now_ns - reached_ns > _LONGEST_PAUSE_NS:
-        return f"the clock stands {_days(now_ns - reached_ns)} behind what was recorded last"
+        return f"the clock stands {_days(now_ns - reached_ns)} after what was recorded last"
     return None
 
 

@@ -52,9 +52,9 @@ def compared(series: Series) -> Comparison:
     return found
 
 
-def test_station_offset_is_found_and_covered() -> None:
+@pytest.mark.parametrize("trials", [30, pytest.param(100, marks=pytest.mark.long)])
+def test_station_offset_is_found_and_covered(trials: int) -> None:
     rng = np.random.default_rng(20260721)
-    trials = 100
     covered = found = pairs = 0
     for _ in range(trials):
         comparison = compared(two_stations(rng, 0.05))
@@ -70,9 +70,9 @@ def test_station_offset_is_found_and_covered() -> None:
         assert binom.ppf(0.001 / 2, trials, 0.95) <= count
 
 
-def test_scatter_of_units_is_covered() -> None:
+@pytest.mark.parametrize("trials", [15, pytest.param(40, marks=pytest.mark.long)])
+def test_scatter_of_units_is_covered(trials: int) -> None:
     rng = np.random.default_rng(20260731)
-    trials = 40
     covered = 0
     for _ in range(trials):
         unit = np.repeat(np.arange(40), 3)
@@ -95,9 +95,9 @@ def test_scatter_of_stations() -> None:
     assert components(series_of(np.ones(20), np.arange(20)), GROUPS) == {}
 
 
-def test_no_station_is_named_where_there_is_no_offset() -> None:
+@pytest.mark.parametrize("trials", [25, pytest.param(80, marks=pytest.mark.long)])
+def test_no_station_is_named_where_there_is_no_offset(trials: int) -> None:
     rng = np.random.default_rng(20260722)
-    trials = 80
     named = 0
     for _ in range(trials):
         unit = np.r_[np.arange(40), np.arange(20)]

@@ -248,10 +248,11 @@ def test_a_wild_point_stands_with_its_chance_and_a_deviation_has_no_limit_below_
     assert chart.limits.lower == 0.0
 
 
-def test_nothing_stands_out_in_noise() -> None:
+@pytest.mark.parametrize("trials", [30, pytest.param(100, marks=pytest.mark.long)])
+def test_nothing_stands_out_in_noise(trials: int) -> None:
     """Of trends of noise alone at most 5 in a hundred say anything."""
     rng = np.random.default_rng(20260745)
-    trials, loud = 100, 0
+    loud = 0
     for _ in range(trials):
         n = 60
         units = np.r_[np.arange(40), np.arange(20)]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
 from analytics.commands.diagnose import diagnose
 from gyrofleet import main
@@ -125,15 +125,27 @@ def test_a_verdict_is_told_though_its_model_cannot_be_saved(
     assert "its error model cannot be written" in done.err
 
 
-def test_several_units_are_a_list_and_a_fleet_is_pooled(gyrofleet: Callable[..., Any], store: Path) -> None:
+@pytest.fixture(scope="module")
+def fleet(store: Path) -> Result:
+    """All units of the store diagnosed together, with every line of progress."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("stream.console._TOLD_EVERY_S", 0.0)
+        done = CliRunner().invoke(main, ["diagnose", "--fleet", "--model", MODEL, "--store", str(store), "--json"])
+    assert done.exit_code == 0, done.output
+    return done
+
+
+def test_a_fleet_is_pooled(fleet: Result) -> None:
+    found = json.loads(fleet.stdout)
+    assert list(found["units"]) == ["FOG-1", "FOG-2"]
+    assert {"verdict", "effects", "by_unit", "own_findings"} <= set(found)
+
+
+def test_several_units_are_a_list(gyrofleet: Callable[..., Any], store: Path) -> None:
     two = gyrofleet("diagnose", "--unit", "FOG-1", "--unit", "FOG-2", "--model", MODEL, "--store", store, "--json").json
     assert list(two["units"]) == ["FOG-1", "FOG-2"]
     assert list(two["own_findings"]) == ["FOG-2"]
     assert "by_unit" not in two
-    fleet = gyrofleet("diagnose", "--fleet", "--model", MODEL, "--store", store, "--json")
-    assert fleet.code == 0
-    assert list(fleet.json["units"]) == ["FOG-1", "FOG-2"]
-    assert {"verdict", "effects", "by_unit", "own_findings"} <= set(fleet.json)
     told = gyrofleet("diagnose", "--fleet", "--model", MODEL, "--store", store, "--lang", "zh").err
     assert "局限 (FOG-1, FOG-2): 9次试验均无上电记录" in told
     words = ("diagnose", "--fleet", "--model", MODEL, "--store", store, "--json", "--holdout")
@@ -149,13 +161,8 @@ def test_several_units_are_a_list_and_a_fleet_is_pooled(gyrofleet: Callable[...,
     assert list(failed.json["units"]) == ["FOG-2"]
 
 
-def test_a_fleet_is_counted_on_standard_error(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    words = ["diagnose", "--fleet", "--model", MODEL, "--store", str(store), "--json"]
-    monkeypatch.setattr("stream.console._TOLD_EVERY_S", 0.0)
-    done = CliRunner().invoke(main, words)
-    assert done.exit_code == 0, done.output
-    assert json.loads(done.stdout)["units"].keys() == {"FOG-1", "FOG-2"}
-    assert [line for line in done.stderr.splitlines() if line.startswith(("reading", "tracing", "searching"))] == [
+def test_a_fleet_is_counted_on_standard_error(fleet: Result) -> None:
+    assert [line for line in fleet.stderr.splitlines() if line.startswith(("reading", "tracing", "searching"))] == [
         "reading FOG-1 (1 of 2)",
         "reading FOG-2 (2 of 2)",
         "tracing FOG-1 (1 of 2)",

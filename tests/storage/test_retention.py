@@ -243,7 +243,7 @@ def test_retain_sends_its_document_to_a_recorder_that_runs(
         assert (dry.json["dry_run"], dry.json["segments"], dry.json["samples"]) == (True, 12, 12 * 2525)
         paused = gyrofleet("retain", "--older-than", "1d", "--store", store.folder, "--json")
         assert paused.code == 1  # these were recorded a long time ago, and nothing since
-        assert "behind what was recorded last" in paused.json["error"]["message"]
+        assert "after what was recorded last" in paused.json["error"]["message"]
         done = gyrofleet("retain", "--older-than", "1d", "--trust-clock", "--store", store.folder, "--json")
         assert (done.code, done.json["samples"]) == (0, 12 * 2525), done
     finally:
