@@ -109,7 +109,7 @@ class AllanCurve:
     def document(self) -> dict[str, Any]:
         """Return the curve as it stands in JSON: the column of deviations is named after what it holds."""
         column = self.deviation.value.removeprefix("o")
-        return {column if key == "adev" else key: value for key, value in asdict(self).items()}
+        return {column if key == "adev" else key: value for key, value in asdict(self).items() if key != "windows"}
 
 
 def allan_curve(
