@@ -97,3 +97,14 @@ def test_a_package_of_another_owner_is_told_in_one_sentence(tmp_path: Path) -> N
 def test_what_is_not_offered_is_told() -> None:
     with pytest.raises(AttributeError, match="it has DeviationCurve, FleetStore, allan_deviation"):
         gf.alan_deviation  # noqa: B018
+
+
+def test_what_the_guide_shows_of_arrays_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    guide = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_text(encoding="utf-8")
+    code = guide.split("```python\n")[1].split("```")[0]
+    monkeypatch.chdir(tmp_path)
+    found: dict[str, Any] = {}
+    exec(code, found)
+    assert found["curve"].unit_of_measure == "deg/h"
+    assert found["fit"].angle_random_walk.lo < 0.002 * 60 / np.sqrt(100) < found["fit"].angle_random_walk.hi
+    assert (tmp_path / "allan.png").stat().st_size > 20_000
