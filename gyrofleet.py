@@ -15,6 +15,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+import click
+
 for _name in ("stream", "storage", "ingest", "analytics"):
     _spec = importlib.util.find_spec(_name)
     _origin = None if _spec is None else _spec.origin
@@ -24,34 +26,10 @@ for _name in ("stream", "storage", "ingest", "analytics"):
             "or folder, or start Python in another folder"
         )
 
-import click
-
-from analytics.commands.allan import allan
-from analytics.commands.compensate import compensate
-from analytics.commands.demo import demo
-from analytics.commands.diagnose import diagnose
-from analytics.commands.limits import limits
-from analytics.commands.metrics import metrics
-from analytics.commands.model import model
-from analytics.commands.spectrum import spectrum
-from analytics.commands.trend import trend
-from analytics.commands.verdicts import verdicts
-from ingest.commands.can import can
-from ingest.commands.check import check
-from ingest.commands.import_files import import_files
-from ingest.commands.procedure import procedure
-from ingest.commands.replay import replay
-from ingest.commands.run import run
-from ingest.commands.simulate import simulate
-from storage.commands.estimate import estimate
-from storage.commands.lake import lake, rebuild, retain
-from storage.commands.record import record, router
-from storage.commands.sql import sql
-from storage.commands.verify import recover, verify
-
 if TYPE_CHECKING:
     from analytics.api.arrays import DeviationCurve, allan_deviation, noise_fit
     from analytics.api.store import FleetStore, open_store
+    from stream.errors import BadInput, GyrofleetError, NotEnoughData, NotFound, QueryError, StoreError
 
 _OFFERED = {
     "DeviationCurve": "analytics.api.arrays",
@@ -59,8 +37,27 @@ _OFFERED = {
     "allan_deviation": "analytics.api.arrays",
     "noise_fit": "analytics.api.arrays",
     "open_store": "analytics.api.store",
+    "BadInput": "stream.errors",
+    "GyrofleetError": "stream.errors",
+    "NotEnoughData": "stream.errors",
+    "NotFound": "stream.errors",
+    "QueryError": "stream.errors",
+    "StoreError": "stream.errors",
 }
-__all__ = ["DeviationCurve", "FleetStore", "allan_deviation", "main", "noise_fit", "open_store"]
+__all__ = [
+    "BadInput",
+    "DeviationCurve",
+    "FleetStore",
+    "GyrofleetError",
+    "NotEnoughData",
+    "NotFound",
+    "QueryError",
+    "StoreError",
+    "allan_deviation",
+    "main",
+    "noise_fit",
+    "open_store",
+]
 
 
 def __getattr__(name: str) -> Any:
@@ -69,41 +66,73 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"gyrofleet offers no {name!r}: it has {', '.join(__all__)}")
 
 
+def __dir__() -> list[str]:
+    return __all__
+
+
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="gyrofleet")
 def main() -> None:
     """Screen many gyroscopes for hours or weeks: record, estimate while it flows, ask in SQL."""
 
 
-for command in (
-    demo,
-    import_files,
-    can,
-    procedure,
-    run,
-    simulate,
-    record,
-    router,
-    estimate,
-    replay,
-    lake,
-    rebuild,
-    retain,
-    verify,
-    recover,
-    sql,
-    allan,
-    spectrum,
-    trend,
-    metrics,
-    check,
-    limits,
-    verdicts,
-    diagnose,
-    model,
-    compensate,
-):
-    main.add_command(command)
+def _commands() -> tuple[click.Command, ...]:
+    """All commands, in the order of the help."""
+    from analytics.commands.allan import allan
+    from analytics.commands.compensate import compensate
+    from analytics.commands.demo import demo
+    from analytics.commands.diagnose import diagnose
+    from analytics.commands.limits import limits
+    from analytics.commands.metrics import metrics
+    from analytics.commands.model import model
+    from analytics.commands.spectrum import spectrum
+    from analytics.commands.trend import trend
+    from analytics.commands.verdicts import verdicts
+    from ingest.commands.can import can
+    from ingest.commands.check import check
+    from ingest.commands.import_files import import_files
+    from ingest.commands.procedure import procedure
+    from ingest.commands.replay import replay
+    from ingest.commands.run import run
+    from ingest.commands.simulate import simulate
+    from storage.commands.estimate import estimate
+    from storage.commands.lake import lake, rebuild, retain
+    from storage.commands.record import record, router
+    from storage.commands.sql import sql
+    from storage.commands.verify import recover, verify
+
+    return (
+        demo,
+        import_files,
+        can,
+        procedure,
+        run,
+        simulate,
+        record,
+        router,
+        estimate,
+        replay,
+        lake,
+        rebuild,
+        retain,
+        verify,
+        recover,
+        sql,
+        allan,
+        spectrum,
+        trend,
+        metrics,
+        check,
+        limits,
+        verdicts,
+        diagnose,
+        model,
+        compensate,
+    )
+
+
+for _command in _commands():
+    main.add_command(_command)
 
 
 def front_door() -> NoReturn:

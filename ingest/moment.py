@@ -23,8 +23,11 @@ def moment_ns(text: str, option: str = "--start") -> int:
     try:
         moment = datetime.fromisoformat(text)
     except ValueError as error:
-        raise BadInput(f"{option} {text!r} is not a moment; write it as 2026-11-21T18:00:00+08:00") from error
+        raise BadInput(
+            f"{option} {text!r} is not a moment; write it with date, time and time zone, as 2026-11-21T18:00:00+08:00"
+        ) from error
     if moment.tzinfo is None:
-        raise BadInput(f"{option} {text!r} has no time zone; add one, as in {text}+08:00 or {text}Z")
+        whole = moment.replace(tzinfo=UTC).isoformat().removesuffix("+00:00")
+        raise BadInput(f"{option} {text!r} has no time zone; add one, as in {whole}+08:00 or {whole}Z")
     since = moment - _EPOCH
     return (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from analytics.curves.allan_curve import AllanCurve
 from stream.batch import FloatArray, SampleBatch
 from stream.bounds import MAX_INTERVAL_NS
-from stream.errors import BadInput, NotEnoughData
+from stream.errors import BadInput, EstimatorError, NotEnoughData
 from stream.estimators.base import NoEstimate
 from stream.estimators.full_overlap.deviation_forms import Deviation
 from stream.estimators.full_overlap.full_overlap import FullOverlap
@@ -129,7 +129,10 @@ def allan_deviation(
                 SampleBatch("array", "values", "r1", UUID(int=0), begin, begin * interval_ns, interval_ns,
                             unit_of_measure, values=piece)
             )  # fmt: skip
-        points = record.evaluate(kind, points_per_octave)
+        try:
+            points = record.evaluate(kind, points_per_octave)
+        except EstimatorError as error:
+            raise BadInput(str(error)) from None
         if isinstance(points, NoEstimate):
             raise NotEnoughData(points.reason.removeprefix("unit array, signal values: "))
         exact = 1e9 / (rate_hz * interval_ns)  # intervals count in whole nanoseconds
@@ -158,6 +161,8 @@ def noise_fit(curve: DeviationCurve) -> NoiseFit:
     >>> found.angle_random_walk.lo < 0.01 < found.angle_random_walk.hi
     True
     """
+    if not isinstance(curve, DeviationCurve):
+        raise BadInput("noise_fit takes what allan_deviation gives: noise_fit(allan_deviation(values, rate_hz, ...))")
     if curve.kind is not Deviation.OVERLAPPING_ALLAN:
         raise BadInput(f"noise coefficients are fitted to the overlapping Allan deviation, not to {curve.kind}")
     if curve.unit_of_measure != "deg/h":
@@ -178,19 +183,31 @@ def noise_fit(curve: DeviationCurve) -> NoiseFit:
 
 
 def _row_of(values: npt.ArrayLike) -> FloatArray:
+    if isinstance(values, np.ma.MaskedArray):
+        values = np.ma.filled(values.astype(np.float64), np.nan)
+    found = np.asarray(values)
+    if np.iscomplexobj(found):
+        raise BadInput("values are complex numbers: one real number a sample is expected")
     try:
-        row = np.ascontiguousarray(values, np.float64)
+        row = np.ascontiguousarray(found, np.float64)
     except (TypeError, ValueError) as error:
         raise BadInput(f"values are not numbers: {error}") from None
     if row.ndim != 1:
         raise BadInput(f"values have the shape {row.shape}: one row of samples of one axis is expected")
+    infinite = np.flatnonzero(np.isinf(row))
+    if infinite.size:
+        raise BadInput(f"value {infinite[0]} is infinite ({infinite.size} in all): give NaN where a sample is missing")
     return row
 
 
 def _interval_ns(rate_hz: float) -> int:
-    interval_ns = 1e9 / rate_hz if rate_hz > 0 else 0.0
+    try:
+        interval_ns = 1e9 / rate_hz if rate_hz > 0 else 0.0
+    except TypeError:
+        raise BadInput(f"rate_hz is {rate_hz!r}: a number of samples a second is expected") from None
     if not 1.0 <= interval_ns <= MAX_INTERVAL_NS:
-        raise BadInput(f"rate_hz is {rate_hz:g}: samples a second are expected, above 0 and at most 1e9")
+        least = 1e9 / MAX_INTERVAL_NS
+        raise BadInput(f"rate_hz is {rate_hz:g}: samples a second are expected, from {least:.2g} to 1e9")
     return round(interval_ns)
 
 

@@ -1,11 +1,13 @@
 """A store opened for Python: runs, samples, curves, metrics and diagnoses as Polars frames and typed results."""
 
+import json
+import operator
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from datetime import datetime
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -14,7 +16,7 @@ from ingest.moment import moment_ns
 from storage.sql.door import QueryLimits
 from storage.sql.opened import Answer, OpenedStore
 from storage.store import Store
-from stream.errors import BadInput
+from stream.errors import BadInput, StoreError
 from stream.estimators.full_overlap.deviation_forms import Deviation
 
 if TYPE_CHECKING:
@@ -66,6 +68,7 @@ class FleetStore:
         self._stack = ExitStack()
         self._stack.callback(self._sql.close)
         self._opened: Catalog | None = None
+        self._is_open = True
 
     def sql(self, statement: str, parameters: object = None) -> Answer:
         """Answer one statement that reads; `parameters` fill its ``$name`` or ``?``.
@@ -75,6 +78,7 @@ class FleetStore:
         QueryError
             If it would do more than read the store, fails, or takes more than the limits allow.
         """
+        self._check_open()
         return self._sql.sql(statement, parameters)
 
     def runs(self) -> "pl.DataFrame":
@@ -94,8 +98,8 @@ class FleetStore:
         unit: str,
         signal: str,
         run: str | None = None,
-        start: str | datetime | int | None = None,
-        stop: str | datetime | int | None = None,
+        start: str | datetime | np.datetime64 | int | None = None,
+        stop: str | datetime | np.datetime64 | int | None = None,
     ) -> "pl.DataFrame":
         """Samples of one signal in the order of their time.
 
@@ -106,7 +110,7 @@ class FleetStore:
         run : str, optional
             Of which run; the one measured last if left out.
         start, stop : str, datetime or int, optional
-            From when, and until before when: a moment with a time zone, or nanoseconds UTC.
+            From when, and until before when: a moment with a time zone, or nanoseconds UTC (as `t_ns`).
 
         Returns
         -------
@@ -125,7 +129,9 @@ class FleetStore:
         record = find_signal(self._catalog, unit, signal, run)
         given = {"unit": unit, "signal": signal, "run": record.run}
         bounds = {"start": _moment_ns(start, "start"), "stop": _moment_ns(stop, "stop")}
-        return self.sql(_SAMPLES, given | bounds).polars()
+        import polars as pl
+
+        return self.sql(_SAMPLES, given | bounds).polars().with_columns(pl.col("time").dt.replace_time_zone("UTC"))
 
     def allan(
         self, unit: str, signal: str, run: str | None = None, *, deviation: str = "oadev", points_per_octave: int = 1
@@ -179,13 +185,14 @@ class FleetStore:
         """
         import polars as pl
 
+        from analytics.evaluation.evaluation import COLUMNS
         from analytics.evaluation.selection import Selection, selected
 
         asked = Selection(_each(unit), _each(lot), _each(run), _each(metric), _each(standard))
         rows = selected(self._catalog, asked)
-        return pl.DataFrame(
-            [row | {"parameters": str(row["parameters"])} for row in rows], infer_schema_length=None, strict=False
-        )
+        told = [row | {"parameters": json.dumps(row["parameters"], ensure_ascii=False)} for row in rows]
+        names = [name for name in COLUMNS.names if name != "freedom"]
+        return pl.DataFrame(told, schema=None if told else names, infer_schema_length=None, strict=False)
 
     def diagnose(
         self,
@@ -193,8 +200,8 @@ class FleetStore:
         model: str,
         *,
         signal: str | None = None,
-        runs: Sequence[str] | None = None,
-        holdout: Sequence[str] | None = None,
+        runs: str | Sequence[str] | None = None,
+        holdout: str | Sequence[str] | None = None,
         progress: Callable[[str], None] = lambda _: None,
     ) -> "UnitDiagnosis":
         """Find what a declared error model lacks; `gyrofleet diagnose` says the same in words.
@@ -207,9 +214,9 @@ class FleetStore:
             Declared, such as ``"rate = bias + scale_factor*input_rate"``.
         signal : str, optional
             Which signal; the one that the model names if left out.
-        runs : sequence of str, optional
+        runs : str or sequence of str, optional
             Only these.
-        holdout : sequence of str, optional
+        holdout : str or sequence of str, optional
             Runs that the fit does not see; the last third if left out.
         progress : callable, optional
             Is told what is being done.
@@ -230,13 +237,14 @@ class FleetStore:
         question = Question(
             model=model,
             signal=signal,
-            holdout=None if holdout is None else tuple(holdout),
-            runs=None if runs is None else tuple(runs),
+            holdout=None if holdout is None else _each(holdout),
+            runs=None if runs is None else _each(runs),
         )
         return diagnose_units(self._catalog, [unit], question, told=progress).units[unit]
 
     @property
     def _catalog(self) -> "Catalog":
+        self._check_open()
         if self._opened is None:
             from storage.sql.catalog import Catalog
 
@@ -244,8 +252,13 @@ class FleetStore:
         return self._opened
 
     def close(self) -> None:
-        """Close it."""
+        """Close it; nothing can be asked any more."""
+        self._is_open = False
         self._stack.close()
+
+    def _check_open(self) -> None:
+        if not self._is_open:
+            raise StoreError(f"the store {self._store.folder} is closed: open it again with gyrofleet.open_store")
 
     def __enter__(self) -> Self:
         return self
@@ -269,8 +282,16 @@ def _each(names: str | Sequence[str]) -> tuple[str, ...]:
     return (names,) if isinstance(names, str) else tuple(names)
 
 
-def _moment_ns(moment: str | datetime | int | None, name: str) -> int | None:
-    if moment is None or isinstance(moment, int):
-        return moment
-    text = moment if isinstance(moment, str) else moment.isoformat()
-    return moment_ns(text, name)
+def _moment_ns(moment: str | datetime | np.datetime64 | int | np.integer[Any] | None, name: str) -> int | None:
+    if moment is None:
+        return None
+    if isinstance(moment, np.datetime64):  # numpy's are UTC
+        return int(moment.astype("datetime64[ns]").astype(np.int64))
+    if isinstance(moment, str | datetime):
+        return moment_ns(moment if isinstance(moment, str) else moment.isoformat(), name)
+    try:
+        return operator.index(moment)
+    except TypeError:
+        raise BadInput(
+            f"{name} is {moment!r}: a moment with a time zone, or whole nanoseconds UTC, are expected"
+        ) from None

@@ -43,6 +43,14 @@ def test_missing_samples_keep_their_place() -> None:
     assert found.curve.missing == 3
 
 
+def test_masked_samples_are_missing() -> None:
+    values = np.random.default_rng(8).normal(size=500)
+    masked = gf.allan_deviation(np.ma.masked_greater(values, 2.0), 1.0)
+    gappy = gf.allan_deviation(np.where(values > 2.0, np.nan, values), 1.0)
+    np.testing.assert_array_equal(masked.deviation, gappy.deviation)
+    assert masked.curve.missing > 0
+
+
 def test_planted_coefficients_are_covered() -> None:
     rng = np.random.default_rng(5)
     rate_hz, n = 10.0, 200_000
@@ -66,6 +74,11 @@ BAD: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
     ([[1.0, 2.0]], {}, BadInput, r"shape \(1, 2\)"),
     (["a"], {}, BadInput, "not numbers"),
     ([1.0, 2.0, 3.0], {"rate_hz": 0.0}, BadInput, "rate_hz is 0"),
+    ([1.0, 2.0, 3.0], {"rate_hz": 1e-12}, BadInput, "from 3.5e-09 to 1e9"),
+    ([1.0, 2.0, 3.0], {"rate_hz": "10"}, BadInput, "rate_hz is '10'"),
+    ([1.0, 2.0, 3.0], {"points_per_octave": 3}, BadInput, "1, 2, 4 or 8"),
+    ([1.0, np.inf, 3.0], {}, BadInput, "value 1 is infinite"),
+    ([1.0, 2.0j, 3.0], {}, BadInput, "complex"),
     ([1.0, 2.0, 3.0], {"rate_hz": float("nan")}, BadInput, "rate_hz is nan"),
     ([1.0, 2.0, 3.0], {"deviation": "tdev"}, BadInput, "choose one of"),
     ([1.0, 2.0, 3.0], {"unit_of_measure": "parsnips"}, BadInput, "parsnips"),
@@ -84,6 +97,8 @@ def test_coefficients_of_what_is_no_angular_rate_are_refused() -> None:
         gf.noise_fit(gf.allan_deviation(values, 1.0))
     with pytest.raises(BadInput, match="mdev"):
         gf.noise_fit(gf.allan_deviation(values, 1.0, unit_of_measure="deg/h", deviation="mdev"))
+    with pytest.raises(gf.BadInput, match="what allan_deviation gives"):
+        gf.noise_fit(values)  # type: ignore[arg-type]
 
 
 def test_a_package_of_another_owner_is_told_in_one_sentence(tmp_path: Path) -> None:
@@ -95,7 +110,11 @@ def test_a_package_of_another_owner_is_told_in_one_sentence(tmp_path: Path) -> N
 
 
 def test_what_is_not_offered_is_told() -> None:
-    with pytest.raises(AttributeError, match="it has DeviationCurve, FleetStore, allan_deviation"):
+    assert {"allan_deviation", "open_store", "BadInput"} <= set(dir(gf))
+    assert "metrics" not in dir(gf)  # a command, not a function
+    with pytest.raises(AttributeError):
+        gf.metrics  # noqa: B018
+    with pytest.raises(AttributeError, match="it has BadInput, DeviationCurve, FleetStore"):
         gf.alan_deviation  # noqa: B018
 
 

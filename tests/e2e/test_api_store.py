@@ -53,7 +53,11 @@ def test_samples_between_two_moments(store: gf.FleetStore) -> None:
     assert store.samples("G-1", "rate").height == 3700
     found = store.samples("G-1", "rate", start="2026-11-01T00:00:10+08:00", stop="2026-11-01T00:00:20+08:00")
     assert found.height == 10
-    assert found["time"][0].isoformat() == "2026-10-31T16:00:10"
+    assert found["time"][0].isoformat() == "2026-10-31T16:00:10+00:00"
+    for begin in (found["time"][3], found["t_ns"][3], found["t_ns"].to_numpy()[3], found["time"].to_numpy()[3]):
+        assert store.samples("G-1", "rate", start=begin, stop=found["t_ns"][5]).height == 2
+    with pytest.raises(BadInput, match="whole nanoseconds"):
+        store.samples("G-1", "rate", start=1.5)  # type: ignore[arg-type]
     assert found["t_ns"].diff().drop_nulls().unique().to_list() == [10**9]
     assert found["unit_of_measure"].unique().to_list() == ["deg/h"]
     with pytest.raises(BadInput, match="start"):
@@ -84,12 +88,25 @@ def test_metrics_are_a_frame(store: gf.FleetStore) -> None:
         store.metrics(unit="G-9")
     with pytest.raises(BadInput, match="no metric"):
         store.metrics(metric="no_such_metric")
-    assert store.metrics(unit="G-1", metric="bandwidth").height == 0
+    none = store.metrics(unit="G-1", metric="bandwidth")
+    assert none.height == 0
+    assert {"value", "lo", "hi", "reason", "parameters"} <= set(none.columns)
+    biases = store.metrics(unit="G-1", metric="bias")
+    assert "none" in {json.loads(each)["earth_rate"] for each in biases["parameters"]}
 
 
 def test_an_effect_that_was_not_declared_is_found(store: gf.FleetStore) -> None:
     found = store.diagnose("G-2", "rate = bias").diagnosis
+    assert store.diagnose("G-2", "rate = bias", runs=["t0", "t1"], holdout="t1").diagnosis.training_runs == ("t0",)
     assert "temperature" in {name for each in found.effects for name in (each.name, *(c.name for c in each.confounded))}
+
+
+def test_a_store_that_is_closed_is_told(folder: Path) -> None:
+    store = gf.open_store(folder / "S")
+    store.close()
+    for ask in (store.runs, store.metrics):
+        with pytest.raises(StoreError, match="is closed"):
+            ask()
 
 
 def test_what_is_no_store_is_told(tmp_path: Path) -> None:
