@@ -92,7 +92,7 @@ def test_a_recorder_elsewhere_may_be_killed_in_the_middle(
     time.sleep(1.5)
     recorder = record()
     last, _ = bench.ended(process)
-    # whether a record is short is the simulator's affair: at a hundred times real time a busy machine's frames come late
+    # short records are the simulator's: at a hundred times real time the frames of a busy machine come late
     assert last["outcome"] == "completed"
     recorder.send_signal(signal.SIGINT)
     recorder.communicate(timeout=30)
