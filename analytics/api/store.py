@@ -86,7 +86,7 @@ class FleetStore:
         return self.sql("from runs order by started, run").polars()
 
     def units(self) -> "pl.DataFrame":
-        """All units of each run, with product, lot, slot and fixture where they were said."""
+        """All units of each run, with product, lot, slot and fixture where they are known."""
         return self.sql(_UNITS).polars()
 
     def signals(self) -> "pl.DataFrame":
@@ -219,7 +219,7 @@ class FleetStore:
         holdout : str or sequence of str, optional
             Runs that the fit does not see; the last third if left out.
         progress : callable, optional
-            Is told what is being done.
+            Called with a sentence on each stage.
 
         Returns
         -------

@@ -91,7 +91,7 @@ def trace_units(
     is_pooled : bool
         Whether to search for what they have in common as well.
     told : callable, optional
-        Is told what is being done.
+        Called with a sentence on each stage.
 
     Raises
     ------

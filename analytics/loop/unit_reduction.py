@@ -136,7 +136,7 @@ def reduce_units(
     question : Question
         What is asked of them.
     told : callable, optional
-        Is told what is being done.
+        Called with a sentence on each stage.
 
     Raises
     ------

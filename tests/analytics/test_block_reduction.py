@@ -8,7 +8,6 @@ import pytest
 
 from analytics.loop.blocks.checks import check_clocks
 from analytics.loop.blocks.reduction import BlockReducer, Reduction
-from analytics.loop.model.declared_noise import declared_noise
 from analytics.loop.model.error_model import ErrorModel
 from storage.lake.lake import Lake, builder_lock
 from storage.sql.catalog import Catalog
@@ -16,8 +15,7 @@ from storage.store import Store
 from storage.upkeep.retention import Rule, apply_rule
 from stream.batch import FloatArray
 from stream.errors import BadInput, NotFound
-from stream.estimators.base import NoEstimate
-from stream.events import NoiseFitted, PowerOn
+from stream.events import PowerOn
 from tests.analytics.conftest import SECOND_NS, START_NS, TestedUnits, reduced
 
 
@@ -369,74 +367,6 @@ def test_runs_in_units_that_do_not_go_together_are_refused(tested: TestedUnits) 
         tested.samples(run, "U1", "rate", np.arange(600.0), t0_ns=START_NS, unit_of_measure=unit)
     with pytest.raises(BadInput, match="runs are in V and deg/h, which cannot be brought together"):
         reduced(tested)
-
-
-def test_noise_comes_from_the_allan_fits_of_the_unit(tested: TestedUnits) -> None:
-    rng = np.random.default_rng(7)
-    for at, run in enumerate(("r1", "r2", "r3", "r4", "r5")):
-        tested.run(run)
-        tested.samples(run, "U1", "rate", 10.0 * at + rng.normal(0.0, 1.0, 6000), t0_ns=START_NS)
-        seen = {"observable": True, "lo": 0.0, "hi": 0.9}
-        fit: dict[str, Any] = {
-            "angle_random_walk": {"value": 0.01 * (1 + at), **seen},
-            "bias_instability": {"value": 0.2, **seen},
-            "rate_random_walk": {"value": 0.0, "lo": 0.0, "hi": 0.9, "observable": False},
-            "misfit": 0.9 if run == "r1" else 0.01,
-        }
-        tested.document(NoiseFitted(run=run, t_ns=START_NS, unit="U1", signal="rate", coefficients=fit))
-    with tested.catalog() as catalog:
-        runs = BlockReducer(catalog, "rate").reduce("U1").runs
-        noise = declared_noise(catalog, runs, ErrorModel.parse("bias"))
-        assert not isinstance(noise, NoEstimate)
-        # the fit of r1 does not describe it; lower quartile of 0.02 to 0.05
-        np.testing.assert_allclose([noise.N, noise.B, noise.K], [0.0275, 0.2, 0.3])
-        assert noise.turn_on == pytest.approx(14.826, rel=0.01)  # of constants 10 apart
-        none = declared_noise(catalog, runs[:1], ErrorModel.parse("bias"))
-        assert isinstance(none, NoEstimate)
-        assert "give --noise" in none.reason
-
-
-def test_flicker_and_walk_come_from_long_runs(tested: TestedUnits) -> None:
-    """The long averages of short runs show their effects."""
-    rng = np.random.default_rng(9)
-    for run, samples, walk in (("r1", 1000, 5.0), ("r2", 1000, 6.0), ("r3", 1000, 7.0), ("r4", 9000, 0.1)):
-        tested.run(run)
-        tested.samples(run, "U1", "rate", rng.normal(0.0, 1.0, samples), t0_ns=START_NS)
-        keys = ("angle_random_walk", "bias_instability", "rate_random_walk")
-        fit: dict[str, Any] = {
-            key: {"value": value, "observable": True, "lo": 0.0, "hi": 9.0}
-            for key, value in zip(keys, (0.02, walk, walk), strict=True)
-        }
-        tested.document(
-            NoiseFitted(run=run, t_ns=START_NS, unit="U1", signal="rate", coefficients=fit | {"misfit": 0.0})
-        )
-    with tested.catalog() as catalog:
-        noise = declared_noise(catalog, BlockReducer(catalog, "rate").reduce("U1").runs, ErrorModel.parse("bias"))
-    assert not isinstance(noise, NoEstimate)
-    np.testing.assert_allclose([noise.N, noise.B, noise.K], [0.02, 0.1, 0.1])
-
-
-def test_allan_fits_of_runs_in_which_the_unit_was_turned_do_not_count(tested: TestedUnits) -> None:
-    """They are of the motion: white noise of 15 deg/sqrt(h) would hide everything."""
-    rng = np.random.default_rng(8)
-    for run, turned in (("r1", 0.0), ("r2", 1.0), ("r3", 1.0)):
-        tested.run(run)
-        rate = turned * np.repeat(np.tile([10.0, -10.0, 0.0], 4), 500)  # deg/s
-        tested.samples(run, "U1", "input_rate", rate, t0_ns=START_NS, unit_of_measure="deg/s")
-        tested.samples(run, "U1", "rate", 3600.0 * rate + rng.normal(0.0, 1.0, rate.size), t0_ns=START_NS)
-        seen = {"observable": True, "lo": 0.0, "hi": 0.9}
-        value = 15.0 if turned else 0.02
-        keys = ("angle_random_walk", "bias_instability", "rate_random_walk")
-        fit: dict[str, Any] = {key: {"value": value, **seen} for key in keys} | {"misfit": 0.0}
-        tested.document(NoiseFitted(run=run, t_ns=START_NS, unit="U1", signal="rate", coefficients=fit))
-    with tested.catalog() as catalog:
-        runs = BlockReducer(catalog, "rate").reduce("U1").runs
-        noise = declared_noise(catalog, runs, ErrorModel.parse("bias + scale_factor*input_rate"))
-        assert not isinstance(noise, NoEstimate)
-        assert pytest.approx(0.02) == noise.N
-        none = declared_noise(catalog, runs[1:], ErrorModel.parse("bias + scale_factor*input_rate"))
-        assert isinstance(none, NoEstimate)
-        assert "it was turned in all runs" in none.reason
 
 
 def test_a_time_since_power_on_that_is_recorded_is_taken(tested: TestedUnits) -> None:

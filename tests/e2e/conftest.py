@@ -149,6 +149,14 @@ def bench(tmp_path_factory: pytest.TempPathFactory, simulated: Callable[..., Ben
     finish(found)
 
 
+@pytest.fixture
+def slow(tmp_path: Path, simulated: Callable[..., Bench]) -> Iterator[Bench]:
+    """Twenty times real time: what a busy machine delays by a tenth of a second is two seconds late, and not ten."""
+    found = simulated(tmp_path / "slow", "--speed", 20, "--rate-hz", 10)
+    yield found
+    finish(found)
+
+
 @pytest.fixture(scope="module")
 def fast(tmp_path_factory: pytest.TempPathFactory, simulated: Callable[..., Bench]) -> Iterator[Bench]:
     """A thousand times real time: for what takes hours."""

@@ -214,9 +214,9 @@ def unresolved(
 def is_followed(value: FloatArray, reference: FloatArray, edges: FloatArray, rows: BoolArray) -> bool:
     """Whether a signal goes with its reference in blocks across edges as in others: both are means over one time.
 
-    Of readings at one moment of a block, half of an edge within it is missed by a third of the edge. That is told from
-    the signal less the reference, the line between them taken from the blocks without edges where they turn at all;
-    what such blocks scatter is no miss.
+    Readings at one moment of a block miss half of an edge within it by a third of the edge. The signal less the
+    reference shows it; the line between them comes from the blocks without edges, where they turn at all. The scatter
+    of those blocks is no miss.
 
     Parameters
     ----------

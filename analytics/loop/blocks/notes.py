@@ -47,7 +47,7 @@ def apart(records: Mapping[str, Record], block_s: float) -> list[Note]:
     apart_s = max(records[run].interval_s for run in having)
     text = (
         f"samples are up to {apart_s:g} s apart {in_runs(having, len(records))}, blocks are {block_s:g} s long: most "
-        f"are empty, and the noise N is told too low; give blocks from {apart_s:g} s on"
+        f"are empty, and the noise N is estimated too low; give blocks from {apart_s:g} s on"
     )
     return [Note("apart", text, runs=tuple(having), is_limit=True)]
 

@@ -1,4 +1,4 @@
-"""What isolated outliers do to the noise of the runs that are diagnosed, and what is to be said of it."""
+"""Notes on isolated outliers that raise the noise of diagnosed runs."""
 
 from collections.abc import Mapping
 

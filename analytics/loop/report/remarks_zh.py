@@ -45,10 +45,10 @@ _SENTENCES: Final[Mapping[str, str]] = {
     "channel {name} is constant: its effects cannot be looked for": "通道{name}为常值：无法查找其效应",
     "channels {first} and {second} are copies of each other: their effects cannot be told apart":
         "通道{first}与{second}互为副本：其效应无法区分",
-    "term {label} of the declared model cannot be told from the runs that were fitted ({runs}): hold out other runs "
+    "term {label} of the declared model cannot be determined from the fitted runs ({runs}): hold out other runs "
     "with --holdout runs=A,B, or leave the term out of the model":
         "由所拟合的试验（{runs}）无法确定声明模型的{label}项：用--holdout runs=A,B留出其他试验，或从模型中去掉该项",
-    "term {label} of the declared model cannot be told from the runs that were fitted ({runs}): measure runs that "
+    "term {label} of the declared model cannot be determined from the fitted runs ({runs}): measure runs that "
     "excite it, or leave the term out of the model":
         "由所拟合的试验（{runs}）无法确定声明模型的{label}项：请测量激励该项的试验，或从模型中去掉该项",
     "the held-out runs leave about the mean of each run {error} RMS over {seconds} s, where noise allows {noise}: the "
@@ -133,8 +133,8 @@ _SENTENCES: Final[Mapping[str, str]] = {
     "{count} blocks or readings of {name} are left out {where}: a reading, {value} the largest, lies far outside of "
     "those before and after it, as a fill value does, a bit that was flipped on the way, or a knock":
         "{where}略去{name}的{count}个数据块或读数：其中有读数（最大为{value}）远离前后读数，如填充值、传输误码或撞击",
-    "samples are up to {apart} s apart {where}, blocks are {block} s long: most are empty, and the noise N is told too "
-    "low; give blocks from {least} s on":
+    "samples are up to {apart} s apart {where}, blocks are {block} s long: most are empty, and the noise N is estimated "
+    "too low; give blocks from {least} s on":
         "{where}采样间隔达{apart} s，而数据块长{block} s：多数数据块为空，噪声N偏低；数据块请取{least} s以上",
     "{count} blocks are left out {where}: they hold less than {share} of the usual number of samples":
         "{where}略去{count}个数据块：采样数不足通常的{share}",

@@ -133,7 +133,7 @@ def diagnose_fleet(
     seed : int
         Of the draws that give the number of independent tests.
     told : callable, optional
-        Is told what is being done.
+        Called with a sentence on each stage.
     """
     noises, held_out, losses = declared_noise or {}, holdout or {}, left_out or {}
     alone: dict[str, Diagnosis] = {}

@@ -47,7 +47,7 @@ def untold_terms(labels: Sequence[str], training: Sequence[str], held_out: Seque
     runs = ", ".join(training) if len(training) <= _MOST_NAMED else f"{len(training)} runs"
     helps = "hold out other runs with --holdout runs=A,B" if held_out else "measure runs that excite it"
     return tuple(
-        f"term {label} of the declared model cannot be told from the runs that were fitted ({runs}): {helps}, or leave "
+        f"term {label} of the declared model cannot be determined from the fitted runs ({runs}): {helps}, or leave "
         "the term out of the model"
         for label in labels
     )
