@@ -133,8 +133,8 @@ _SENTENCES: Final[Mapping[str, str]] = {
     "{count} blocks or readings of {name} are left out {where}: a reading, {value} the largest, lies far outside of "
     "those before and after it, as a fill value does, a bit that was flipped on the way, or a knock":
         "{where}略去{name}的{count}个数据块或读数：其中有读数（最大为{value}）远离前后读数，如填充值、传输误码或撞击",
-    "samples are up to {apart} s apart {where}, blocks are {block} s long: most are empty, and the noise N is estimated "
-    "too low; give blocks from {least} s on":
+    "samples are up to {apart} s apart {where}, blocks are {block} s long: most are empty, and the noise N is "
+    "estimated too low; give blocks from {least} s on":
         "{where}采样间隔达{apart} s，而数据块长{block} s：多数数据块为空，噪声N偏低；数据块请取{least} s以上",
     "{count} blocks are left out {where}: they hold less than {share} of the usual number of samples":
         "{where}略去{count}个数据块：采样数不足通常的{share}",
