@@ -12,8 +12,7 @@ def moment_ns(text: str, option: str = "--start") -> int:
 
     Raises
     ------
-    BadInput
-        If it is no moment, or has no time zone.
+    BadInput: If it is no moment, or has no time zone.
 
     Examples
     --------

@@ -17,8 +17,7 @@ def read_state(path: Path, kind: type[State]) -> State | None:
 
     Raises
     ------
-    StoreError
-        If it cannot be read, or is not a state of this kind.
+    StoreError: If it cannot be read, or is not a state of this kind.
     """
     try:
         return msgspec.json.decode(path.read_bytes(), type=kind)
@@ -36,8 +35,7 @@ def write_state(path: Path, state: State) -> State:
 
     Raises
     ------
-    StoreError
-        If it cannot be written; the one before is then still there.
+    StoreError: If it cannot be written; the one before is then still there.
 
     Examples
     --------
@@ -58,8 +56,7 @@ def replace_file(path: Path, content: bytes) -> None:
 
     Raises
     ------
-    StoreError
-        If it cannot be written; the one before is then still there.
+    StoreError: If it cannot be written; the one before is then still there.
     """
     fresh = path.with_name(path.name + ".part")
     try:

@@ -13,18 +13,14 @@ class StationClock:
 
     Parameters
     ----------
-    speed : float
-        Seconds at the station in a second of the computer.
-    start_ns : int, optional
-        What it shows at `origin_s`; by default the time of day.
-    origin_s : float, optional
-        Moment of `time.time()` to which `start_ns` belongs; by default now. Clocks of several processes agree if
+    speed: Seconds at the station in a second of the computer.
+    start_ns: What it shows at `origin_s`; by default the time of day.
+    origin_s: Moment of `time.time()` to which `start_ns` belongs; by default now. Clocks of several processes agree if
         they share it.
 
     Raises
     ------
-    BadInput
-        If the speed is not positive.
+    BadInput: If the speed is not positive.
 
     Examples
     --------

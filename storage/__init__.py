@@ -13,8 +13,7 @@ def open_store(folder: "str | PathLike[str]", limits: "QueryLimits | None" = Non
 
     Raises
     ------
-    StoreError
-        If the folder is no store.
+    StoreError: If the folder is no store.
     """
     from storage.sql.opened import OpenedStore
 

@@ -26,16 +26,11 @@ class Finding(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    kind : str
-        What it is in one word, for programs.
-    severity : Severity
-        How bad it is.
-    where : str
-        File or stream.
-    what : str
-        What it is, in a sentence.
-    remedy : str
-        What `gyrofleet recover` would do, or a person should.
+    kind: What it is in one word, for programs.
+    severity: How bad it is.
+    where: File or stream.
+    what: What it is, in a sentence.
+    remedy: What `gyrofleet recover` would do, or a person should.
     """
 
     kind: str

@@ -34,10 +34,8 @@ class Store:
 
     Parameters
     ----------
-    folder : Path
-        Where it is.
-    identity : str
-        Its own, whatever the folder is called.
+    folder: Where it is.
+    identity: Its own, whatever the folder is called.
     """
 
     def __init__(self, folder: Path, identity: str) -> None:
@@ -54,8 +52,7 @@ class Store:
 
         Raises
         ------
-        StoreError
-            If the folder is missing, is no store, or was made by a newer gyrofleet.
+        StoreError: If the folder is missing, is no store, or was made by a newer gyrofleet.
         """
         marker = folder / MARKER
         try:
@@ -84,8 +81,7 @@ class Store:
 
         Raises
         ------
-        StoreError
-            If the folder holds other things, or cannot be written.
+        StoreError: If the folder holds other things, or cannot be written.
         """
         marker = folder / MARKER
         try:
@@ -120,8 +116,7 @@ class Store:
 
         Raises
         ------
-        StoreError
-            If there is nothing to make it anew from, or it cannot be written.
+        StoreError: If there is nothing to make it anew from, or it cannot be written.
         """
         marker = folder / MARKER
         try:
@@ -164,17 +159,13 @@ class WriterLock:
 
     Parameters
     ----------
-    store : Store
-        Which store.
-    role : str
-        Who writes, for the message that others get.
-    endpoint : str
-        Where the writer listens, if it does.
+    store: Which store.
+    role: Who writes, for the message that others get.
+    endpoint: Where the writer listens, if it does.
 
     Raises
     ------
-    StoreError
-        If another process holds it; the message names it.
+    StoreError: If another process holds it; the message names it.
     """
 
     def __init__(self, store: Store, role: str, endpoint: str = "") -> None:
@@ -219,8 +210,7 @@ def only_one(path: Path, what: str) -> Iterator[None]:
 
     Raises
     ------
-    StoreError
-        If another process holds it.
+    StoreError: If another process holds it.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

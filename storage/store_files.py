@@ -14,8 +14,7 @@ def check_outside(store: Store, path: Path) -> None:
 
     Raises
     ------
-    BadInput
-        If it would.
+    BadInput: If it would.
     """
     folder, target = store.folder.resolve(), path.resolve()
     if target.is_relative_to(folder):

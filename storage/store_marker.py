@@ -27,12 +27,9 @@ def read_marker(marker: Path) -> str:
 
     Raises
     ------
-    OSError
-        If it cannot be read.
-    ValueError
-        If it is not what was written.
-    StoreError
-        If it was written by a newer gyrofleet.
+    OSError: If it cannot be read.
+    ValueError: If it is not what was written.
+    StoreError: If it was written by a newer gyrofleet.
     """
     written = json.loads(marker.read_text())
     if not isinstance(written, dict):

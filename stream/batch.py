@@ -30,35 +30,22 @@ class SampleBatch:
 
     Parameters
     ----------
-    unit, signal, run : str
-        Whose samples these are.
-    epoch : UUID
-        Power-on of the source; `seq` counts within it.
-    seq : int
-        Number of the first sample within the epoch.
-    t0_ns : int
-        Time of the first sample, nanoseconds UTC (from 1970, or from the run's start where the date is unknown).
-    dt_ns : int
-        Nominal sample interval in nanoseconds, at least 1.
-    unit_of_measure : str
-        Unit of the values.
-    counts : ndarray of int32, shape (n,), optional
-        What the device gave, where it gives counts: value = counts * scale + offset.
-    values : ndarray of float64, shape (n,), optional
-        The values, where the device gives no counts. Exactly one of `counts` and `values` is set.
-    times_ns : ndarray of int64, shape (n,), optional
-        True times; None where sample i is at exactly t0_ns + i * dt_ns.
-    irregular : bool
-        True where the samples do not lie within a tenth of an interval of a grid of `dt_ns`.
-    scale, offset : float
-        From counts to values.
-    flags : ndarray of uint8, shape (n,), optional
-        Set only where a sample of the batch has one.
+    unit, signal, run: Whose samples these are.
+    epoch: Power-on of the source; `seq` counts within it.
+    seq: Number of the first sample within the epoch.
+    t0_ns: Time of the first sample, nanoseconds UTC (from 1970, or from the run's start where the date is unknown).
+    dt_ns: Nominal sample interval in nanoseconds, at least 1.
+    unit_of_measure: Unit of the values.
+    counts: shape (n,); what the device gave, where it gives counts: value = counts * scale + offset.
+    values: shape (n,); the values, where the device gives no counts. Exactly one of `counts` and `values` is set.
+    times_ns: shape (n,); true times; None where sample i is at exactly t0_ns + i * dt_ns.
+    irregular: True where the samples do not lie within a tenth of an interval of a grid of `dt_ns`.
+    scale, offset: From counts to values.
+    flags: shape (n,); set only where a sample of the batch has one.
 
     Raises
     ------
-    BadInput
-        If the arrays do not fit together, a scale is not finite, or a number or name is beyond its bounds.
+    BadInput: If the arrays do not fit together, a scale is not finite, or a number or name is beyond its bounds.
 
     Examples
     --------

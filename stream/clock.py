@@ -28,16 +28,12 @@ class GridTracker:
 
     Attributes
     ----------
-    samples : int
-        Samples placed that hold a finite value.
-    missing : int
-        Slots up to the last one without a finite value: never sent, or NaN.
-    late : int
-        Samples left out because their time was not after that of the last one placed.
-    start_slot, start_ns : int
-        Where it began: the next slot and the last time of the tracker that it is the successor of, else 0.
-    irregular : bool
-        True once a batch has come that lies on no grid. From then on every sample takes one slot and slots say
+    samples: Samples placed that hold a finite value.
+    missing: Slots up to the last one without a finite value: never sent, or NaN.
+    late: Samples left out because their time was not after that of the last one placed.
+    start_slot, start_ns: Where it began: the next slot and the last time of the tracker that it is the successor of,
+        else 0.
+    irregular: True once a batch has come that lies on no grid. From then on every sample takes one slot and slots say
         nothing of time; a slot that no sample was sent for cannot be told.
 
     Notes
@@ -96,8 +92,7 @@ class GridTracker:
 
         Raises
         ------
-        EstimatorError
-            If `later` was not begun as the successor of what this one is now.
+        EstimatorError: If `later` was not begun as the successor of what this one is now.
         """
         if (later.start_slot, later.start_ns) != (self.next_slot, self.last_ns):
             raise EstimatorError(
@@ -136,9 +131,8 @@ class GridTracker:
 
         Raises
         ------
-        EstimatorError
-            If the nominal interval differs from that of the first batch by more than 0.1 %, or the times lie too
-            far apart to be numbered.
+        EstimatorError: If the nominal interval differs from that of the first batch by more than 0.1 %, or the times
+            lie too far apart to be numbered.
         """
         n, t0_ns = len(batch), batch.t0_ns
         if batch.dt_ns != self.dt_ns:

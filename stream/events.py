@@ -39,12 +39,9 @@ class Document(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", omit
 
     Parameters
     ----------
-    run : str
-        The run it belongs to.
-    t_ns : int
-        When, on the source's clock, nanoseconds.
-    uid : str
-        Identity of the document.
+    run: The run it belongs to.
+    t_ns: When, on the source's clock, nanoseconds.
+    uid: Identity of the document.
     """
 
     run: str
@@ -174,22 +171,14 @@ class SpecificationEntered(Document, frozen=True, kw_only=True, tag=True):
 
     Parameters
     ----------
-    action : SpecificationAction
-        What is done; ``revised`` adds a revision of a name that is there.
-    name, revision : str
-        Which revision.
-    content : str
-        The TOML; empty where it is withdrawn.
-    by, reason : str
-        Who does it, and why.
-    previous : str
-        SHA-256 of the specification document before it in the store; empty in the first.
-    rejudges : bool
-        Whether what was recorded before is judged anew.
-    settles : tuple of str
-        Hashes of documents at which the chain is broken, and a person accepts that.
-    store, seal : str
-        Identity of the store that it is for, and its seal: recorders of several stores may hear one bus.
+    action: What is done; ``revised`` adds a revision of a name that is there.
+    name, revision: Which revision.
+    content: The TOML; empty where it is withdrawn.
+    by, reason: Who does it, and why.
+    previous: SHA-256 of the specification document before it in the store; empty in the first.
+    rejudges: Whether what was recorded before is judged anew.
+    settles: Hashes of documents at which the chain is broken, and a person accepts that.
+    store, seal: Identity of the store that it is for, and its seal: recorders of several stores may hear one bus.
     """
 
     action: SpecificationAction
@@ -461,10 +450,8 @@ def decode_event(payload: bytes) -> EventMessage:
 
     Raises
     ------
-    NewerSchema
-        If it was written by a newer gyrofleet.
-    WireError
-        If it is not a document.
+    NewerSchema: If it was written by a newer gyrofleet.
+    WireError: If it is not a document.
 
     Examples
     --------

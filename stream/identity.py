@@ -55,15 +55,12 @@ def check_name(kind: str, name: str) -> str:
 
     Parameters
     ----------
-    kind : str
-        What is named, for the message: ``unit``, ``signal``, ``run``, ...
-    name : str
-        The name itself.
+    kind: What is named, for the message: ``unit``, ``signal``, ``run``, ...
+    name: The name itself.
 
     Raises
     ------
-    BadInput
-        If the name is empty, longer than 128 characters, or holds white space or one of ``/ * $ ? #``.
+    BadInput: If the name is empty, longer than 128 characters, or holds white space or one of ``/ * $ ? #``.
 
     Examples
     --------
@@ -104,8 +101,7 @@ def parse_key(key: str) -> SampleKey | EstimateKey | EventKey:
 
     Raises
     ------
-    BadInput
-        If the key is none of the three forms above.
+    BadInput: If the key is none of the three forms above.
 
     Examples
     --------

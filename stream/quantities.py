@@ -34,8 +34,7 @@ def check_unit(text: str) -> str:
 
     Raises
     ------
-    UnknownUnit
-        If it is none; the message names units that look alike.
+    UnknownUnit: If it is none; the message names units that look alike.
 
     Examples
     --------
@@ -59,8 +58,7 @@ def conversion(source: str, target: str) -> tuple[float, float]:
 
     Raises
     ------
-    UnknownUnit
-        If one cannot be turned into the other.
+    UnknownUnit: If one cannot be turned into the other.
 
     Examples
     --------
@@ -123,8 +121,7 @@ def result_factor(source: str, target: str) -> float:
 
     Raises
     ------
-    UnknownUnit
-        If one cannot be turned into the other by a factor.
+    UnknownUnit: If one cannot be turned into the other by a factor.
 
     Examples
     --------
@@ -148,8 +145,7 @@ def check_result_unit(text: str) -> str:
 
     Raises
     ------
-    UnknownUnit
-        If it is none.
+    UnknownUnit: If it is none.
 
     Examples
     --------

@@ -14,8 +14,8 @@ def decode_toml(text: str | bytes, kind: type[T]) -> T:
 
     Raises
     ------
-    msgspec.DecodeError
-        If it is no such text, or one that no person has written: nested too deeply, numbers of thousands of digits.
+    msgspec.DecodeError: If it is no such text, or one that no person has written: nested too deeply, numbers of
+        thousands of digits.
 
     Examples
     --------

@@ -32,20 +32,13 @@ class DeviationCurve:
 
     Parameters
     ----------
-    tau_s : array of shape (n,)
-        Averaging times, seconds, rising.
-    deviation, lo, hi : arrays of shape (n,)
-        Deviation and its bounds.
-    edf : array of shape (n,)
-        Equivalent degrees of freedom.
-    n : array of int, shape (n,)
-        Differences that each deviation rests on.
-    kind : Deviation
-        Which deviation.
-    unit_of_measure : str
-        Of the deviation: deg/h for angular rates, else that of the values.
-    curve : AllanCurve
-        The same for plots and reports.
+    tau_s: shape (n,); averaging times, seconds, rising.
+    deviation, lo, hi: shape (n,); deviation and its bounds.
+    edf: shape (n,); equivalent degrees of freedom.
+    n: shape (n,); differences that each deviation rests on.
+    kind: Which deviation.
+    unit_of_measure: Of the deviation: deg/h for angular rates, else that of the values.
+    curve: The same for plots and reports.
     """
 
     tau_s: FloatArray
@@ -85,23 +78,16 @@ def allan_deviation(
 
     Parameters
     ----------
-    values : array of shape (n,)
-        Samples at equal intervals; NaN where one is missing.
-    rate_hz : float
-        Samples a second.
-    unit_of_measure : str
-        Of the values. Angular rates such as deg/s give deviations in deg/h.
-    deviation : str
-        ``oadev``, ``adev``, ``mdev``, ``ohdev`` or ``hdev``.
-    points_per_octave : int
-        1, 2, 4 or 8 averaging times an octave.
+    values: shape (n,); samples at equal intervals; NaN where one is missing.
+    rate_hz: Samples a second.
+    unit_of_measure: Of the values. Angular rates such as deg/s give deviations in deg/h.
+    deviation: ``oadev``, ``adev``, ``mdev``, ``ohdev`` or ``hdev``.
+    points_per_octave: 1, 2, 4 or 8 averaging times an octave.
 
     Raises
     ------
-    BadInput
-        If the values are no row of numbers, or `rate_hz` or `deviation` is none that can be.
-    NotEnoughData
-        If there are too few values.
+    BadInput: If the values are no row of numbers, or `rate_hz` or `deviation` is none that can be.
+    NotEnoughData: If there are too few values.
 
     Notes
     -----
@@ -144,15 +130,12 @@ def noise_fit(curve: DeviationCurve) -> NoiseFit:
 
     Parameters
     ----------
-    curve : DeviationCurve
-        Of an angular rate, by `allan_deviation`.
+    curve: Of an angular rate, by `allan_deviation`.
 
     Raises
     ------
-    BadInput
-        If it is of another deviation or of no angular rate.
-    NotEnoughData
-        If it has too few averaging times.
+    BadInput: If it is of another deviation or of no angular rate.
+    NotEnoughData: If it has too few averaging times.
 
     Examples
     --------

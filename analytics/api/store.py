@@ -44,15 +44,12 @@ class FleetStore:
 
     Parameters
     ----------
-    folder : path
-        Of the store.
-    limits : QueryLimits, optional
-        Time, memory and rows that one SQL statement may take.
+    folder: Of the store.
+    limits: Time, memory and rows that one SQL statement may take.
 
     Raises
     ------
-    StoreError
-        If the folder is no store.
+    StoreError: If the folder is no store.
 
     Examples
     --------
@@ -75,8 +72,7 @@ class FleetStore:
 
         Raises
         ------
-        QueryError
-            If it would do more than read the store, fails, or takes more than the limits allow.
+        QueryError: If it would do more than read the store, fails, or takes more than the limits allow.
         """
         self._check_open()
         return self._sql.sql(statement, parameters)
@@ -105,12 +101,9 @@ class FleetStore:
 
         Parameters
         ----------
-        unit, signal : str
-            Which signal.
-        run : str, optional
-            Of which run; the one measured last if left out.
-        start, stop : str, datetime or int, optional
-            From when, and until before when: a moment with a time zone, or nanoseconds UTC (as `t_ns`).
+        unit, signal: Which signal.
+        run: Of which run; the one measured last if left out.
+        start, stop: From when, and until before when: a moment with a time zone, or nanoseconds UTC (as `t_ns`).
 
         Returns
         -------
@@ -119,10 +112,8 @@ class FleetStore:
 
         Raises
         ------
-        NotFound
-            If the store does not hold it.
-        BadInput
-            If a moment has no time zone.
+        NotFound: If the store does not hold it.
+        BadInput: If a moment has no time zone.
         """
         from storage.sql.reading import find_signal
 
@@ -140,8 +131,7 @@ class FleetStore:
 
         Raises
         ------
-        NotFound
-            If the store does not hold the signal, or holds too little of it.
+        NotFound: If the store does not hold the signal, or holds too little of it.
         """
         from analytics.curves.allan_curve import allan_curve
 
@@ -173,15 +163,12 @@ class FleetStore:
 
         Parameters
         ----------
-        unit, metric, lot, run, standard : str or sequence of str
-            Only these; all if left out.
+        unit, metric, lot, run, standard: Only these; all if left out.
 
         Raises
         ------
-        NotFound
-            If a unit, lot or run is not in the store.
-        BadInput
-            If there is no such metric or standard.
+        NotFound: If a unit, lot or run is not in the store.
+        BadInput: If there is no such metric or standard.
         """
         import polars as pl
 
@@ -208,18 +195,12 @@ class FleetStore:
 
         Parameters
         ----------
-        unit : str
-            Which unit.
-        model : str
-            Declared, such as ``"rate = bias + scale_factor*input_rate"``.
-        signal : str, optional
-            Which signal; the one that the model names if left out.
-        runs : str or sequence of str, optional
-            Only these.
-        holdout : str or sequence of str, optional
-            Runs that the fit does not see; the last third if left out.
-        progress : callable, optional
-            Called with a sentence on each stage.
+        unit: Which unit.
+        model: Declared, such as ``"rate = bias + scale_factor*input_rate"``.
+        signal: Which signal; the one that the model names if left out.
+        runs: Only these.
+        holdout: Runs that the fit does not see; the last third if left out.
+        progress: Called with a sentence on each stage.
 
         Returns
         -------
@@ -228,8 +209,7 @@ class FleetStore:
 
         Raises
         ------
-        GyrofleetError
-            If the unit cannot be diagnosed; the message says why.
+        GyrofleetError: If the unit cannot be diagnosed; the message says why.
         """
         from analytics.loop.unit_diagnosis import diagnose_units
         from analytics.loop.unit_reduction import Question
@@ -272,8 +252,7 @@ def open_store(folder: str | PathLike[str], limits: QueryLimits | None = None) -
 
     Raises
     ------
-    StoreError
-        If the folder is no store.
+    StoreError: If the folder is no store.
     """
     return FleetStore(folder, limits)
 

@@ -23,8 +23,7 @@ class Found(NamedTuple):
 
     Parameters
     ----------
-    misfit : float
-        Root of the mean square of what the model leaves: relative for a bandwidth, rad for a delay.
+    misfit: Root of the mean square of what the model leaves: relative for a bandwidth, rad for a delay.
     """
 
     value: float
@@ -38,8 +37,7 @@ def first_order_bandwidth(response: Response) -> Found:
 
     Raises
     ------
-    BadInput
-        If the gains do not fall with the frequency.
+    BadInput: If the gains do not fall with the frequency.
 
     Notes
     -----
@@ -72,8 +70,7 @@ def time_constant(frequency_hz: FloatArray, gain: FloatArray) -> float:
 
     Raises
     ------
-    BadInput
-        If the gains do not fall with the frequency.
+    BadInput: If the gains do not fall with the frequency.
     """
     omega = 2 * math.pi * frequency_hz
     power = gain * gain
@@ -94,18 +91,14 @@ def crossing(response: Response, *, zero_gain: float | None = None, of_lowest: b
 
     Parameters
     ----------
-    response : Response
-        At three frequencies or more.
-    zero_gain : float, optional
-        Gain at zero frequency, of which it is a share, and a further point of the curve; where it is not known the
-        curve's own is taken.
-    of_lowest : bool
-        Whether it is a share of the gain at the lowest frequency, as GJB has it.
+    response: At three frequencies or more.
+    zero_gain: Gain at zero frequency, of which it is a share, and a further point of the curve; where it is not known
+        the curve's own is taken.
+    of_lowest: Whether it is a share of the gain at the lowest frequency, as GJB has it.
 
     Raises
     ------
-    BadInput
-        If the curve does not come down so far within the frequencies.
+    BadInput: If the curve does not come down so far within the frequencies.
 
     Notes
     -----
@@ -177,8 +170,7 @@ def output_delay(response: Response) -> Found:
 
     Raises
     ------
-    BadInput
-        If phases are not known, or the gains do not fall with the frequency.
+    BadInput: If phases are not known, or the gains do not fall with the frequency.
 
     Notes
     -----

@@ -14,16 +14,11 @@ class Record(NamedTuple):
 
     Parameters
     ----------
-    frequency_hz : float
-        Of the vibration.
-    gain : float
-        Amplitude of the output over amplitude of the rate.
-    gain_uncertainty : float
-        Standard uncertainty of the gain.
-    phase_rad : float
-        Of the output less that of the rate, at any multiple of 2 pi; NaN where the rate's phase is unknown.
-    phase_uncertainty_rad : float
-        Standard uncertainty of the phase.
+    frequency_hz: Of the vibration.
+    gain: Amplitude of the output over amplitude of the rate.
+    gain_uncertainty: Standard uncertainty of the gain.
+    phase_rad: Of the output less that of the rate, at any multiple of 2 pi; NaN where the rate's phase is unknown.
+    phase_uncertainty_rad: Standard uncertainty of the phase.
     """
 
     frequency_hz: float
@@ -38,12 +33,10 @@ class Response(NamedTuple):
 
     Parameters
     ----------
-    frequency_hz, gain, gain_uncertainty, phase_rad, phase_uncertainty_rad : array of float
-        Means of the records; phases are unwrapped over the frequency.
-    freedom : array of float
-        Degrees of freedom of the uncertainties.
-    records : array of int
-        How many records there are.
+    frequency_hz, gain, gain_uncertainty, phase_rad, phase_uncertainty_rad: Means of the records; phases are unwrapped
+        over the frequency.
+    freedom: Degrees of freedom of the uncertainties.
+    records: How many records there are.
     """
 
     frequency_hz: FloatArray

@@ -23,12 +23,9 @@ class GyroReading(NamedTuple):
 
     Parameters
     ----------
-    alpha_deg, beta_deg : float
-        Turn of the gyro in its fixture about the input axis, and of the fixture on the table, degrees.
-    rate_deg_per_s : float
-        Of the table, with its sign.
-    output : float
-        Mean output, in the unit of the scale factor's numerator.
+    alpha_deg, beta_deg: Turn of the gyro in its fixture about the input axis, and of the fixture on the table, degrees.
+    rate_deg_per_s: Of the table, with its sign.
+    output: Mean output, in the unit of the scale factor's numerator.
     """
 
     alpha_deg: float
@@ -58,17 +55,12 @@ class Separation(NamedTuple):
 
     Parameters
     ----------
-    angles : dict of str to Angle
-        By name: of a gyro ``y0``, ``x0`` (table), ``y1`` (fixture), ``y2``, ``z2`` (the gyro's own); of an
+    angles: By name: of a gyro ``y0``, ``x0`` (table), ``y1`` (fixture), ``y2``, ``z2`` (the gyro's own); of an
         accelerometer ``y2``, ``z2``.
-    gamma : Angle
-        hypot(y2, z2): the misalignment of the input axis. Its limits are not below 0.
-    offset : float
-        Output at rest, V0; where each position has its own, their mean.
-    rms : float
-        Root of the mean square of the residuals, in the output's unit.
-    freedom : int
-        Readings less unknowns; 0 leaves no standard errors (NaN).
+    gamma: hypot(y2, z2): the misalignment of the input axis. Its limits are not below 0.
+    offset: Output at rest, V0; where each position has its own, their mean.
+    rms: Root of the mean square of the residuals, in the output's unit.
+    freedom: Readings less unknowns; 0 leaves no standard errors (NaN).
     """
 
     angles: dict[str, Angle]
@@ -83,16 +75,13 @@ def gyro_separation(readings: Sequence[GyroReading], scale_factor: float) -> Sep
 
     Parameters
     ----------
-    readings : sequence of GyroReading
-        At least the fixture positions (alpha, beta) = (0, 0), (0, 180), (180, 180), (90, 180), (0, 90) degrees, each
-        turned both ways; any number of speeds and repeats.
-    scale_factor : float
-        Output per deg/s, with its sign.
+    readings: At least the fixture positions (alpha, beta) = (0, 0), (0, 180), (180, 180), (90, 180), (0, 90) degrees,
+        each turned both ways; any number of speeds and repeats.
+    scale_factor: Output per deg/s, with its sign.
 
     Raises
     ------
-    BadInput
-        If the positions do not tell all five angles apart.
+    BadInput: If the positions do not tell all five angles apart.
 
     Notes
     -----
@@ -132,15 +121,12 @@ def accelerometer_separation(readings: Sequence[AccelerometerReading], scale_fac
 
     Parameters
     ----------
-    readings : sequence of AccelerometerReading
-        At 0, 90, 180 and 270 degrees, any number of repeats.
-    scale_factor : float
-        Output per g.
+    readings: At 0, 90, 180 and 270 degrees, any number of repeats.
+    scale_factor: Output per g.
 
     Raises
     ------
-    BadInput
-        If the positions do not tell the two angles apart.
+    BadInput: If the positions do not tell the two angles apart.
 
     Notes
     -----

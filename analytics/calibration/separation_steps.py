@@ -24,17 +24,12 @@ def separation_rows(
 
     Parameters
     ----------
-    catalog : Catalog
-        Of the store.
-    statement : str
-        Gives `run, unit, signal, procedure, index, position, scale_source` of each step, and what `lack` and `separate`
-        take; in the order of the first four.
-    positions : mapping
-        The positions that the method names, by their words.
-    lack : callable
-        What a group's steps lack besides positions, None if nothing.
-    separate : callable
-        Solves a group; what it raises as `BadInput` is the reason why there is no value.
+    catalog: Of the store.
+    statement: Gives `run, unit, signal, procedure, index, position, scale_source` of each step, and what `lack` and
+        `separate` take; in the order of the first four.
+    positions: The positions that the method names, by their words.
+    lack: What a group's steps lack besides positions, None if nothing.
+    separate: Solves a group; what it raises as `BadInput` is the reason why there is no value.
     """
     steps: list[dict[str, Any]] = catalog.reader(statement).read_all().to_pylist()
     for key, group in groupby(steps, lambda row: tuple(row[name] for name in _GROUP)):

@@ -18,18 +18,12 @@ class SineFit(NamedTuple):
 
     Parameters
     ----------
-    frequency_hz : float
-        As it was given, or as it was refined.
-    amplitude, offset : float
-        In the unit of the values.
-    phase_rad : float
-        At t = 0, within -pi to pi.
-    amplitude_uncertainty, phase_uncertainty_rad : float
-        Standard uncertainties, of white noise as large as the residual.
-    residual_sd : float
-        Standard deviation of what is left, in the unit of the values.
-    n : int
-        Samples.
+    frequency_hz: As it was given, or as it was refined.
+    amplitude, offset: In the unit of the values.
+    phase_rad: At t = 0, within -pi to pi.
+    amplitude_uncertainty, phase_uncertainty_rad: Standard uncertainties, of white noise as large as the residual.
+    residual_sd: Standard deviation of what is left, in the unit of the values.
+    n: Samples.
     """
 
     frequency_hz: float
@@ -47,20 +41,16 @@ def fit_sine(t_s: FloatArray, values: FloatArray, frequency_hz: float, *, refine
 
     Parameters
     ----------
-    t_s : array of float, shape (n,)
-        Moments, seconds, in any spacing; where 0 is the middle of the record, phase and frequency do not correlate.
-    values : array of float, shape (n,)
-        The record.
-    frequency_hz : float
-        Of the sine.
-    refine : bool
-        Whether the frequency is fitted as well, from there; it stays as given where the record holds less than two
+    t_s: shape (n,); moments, seconds, in any spacing; where 0 is the middle of the record, phase and frequency do not
+        correlate.
+    values: shape (n,); the record.
+    frequency_hz: Of the sine.
+    refine: Whether the frequency is fitted as well, from there; it stays as given where the record holds less than two
         periods, and where the fit would leave it by more than half a period in the record.
 
     Raises
     ------
-    BadInput
-        If the record cannot hold such a sine.
+    BadInput: If the record cannot hold such a sine.
 
     Notes
     -----

@@ -49,22 +49,14 @@ class Vibration(NamedTuple):
 
     Parameters
     ----------
-    words : mapping
-        ``run``, ``unit``, ``signal``, ``procedure``, ``position``, ``axis``.
-    steps : list of int
-        Steps that were evaluated, or all where none could be.
-    response : Response or None
-        Gain per deg/s; of an output that is a rate, in deg/s.
-    reference : str
-        Which signal told what the gyro was given.
-    sample_rate_hz : float
-        Of the gyro.
-    scale_factor : float or None
-        The scale factor last measured before, output per deg/s.
-    scale_run : str or None
-        Where it was.
-    reason : str or None
-        Why records, some or all, could not be evaluated.
+    words: ``run``, ``unit``, ``signal``, ``procedure``, ``position``, ``axis``.
+    steps: Steps that were evaluated, or all where none could be.
+    response: Gain per deg/s; of an output that is a rate, in deg/s.
+    reference: Which signal told what the gyro was given.
+    sample_rate_hz: Of the gyro.
+    scale_factor: The scale factor last measured before, output per deg/s.
+    scale_run: Where it was.
+    reason: Why records, some or all, could not be evaluated.
     """
 
     words: Mapping[str, Any]

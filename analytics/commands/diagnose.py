@@ -131,8 +131,7 @@ def block_seconds(text: str) -> float:
 
     Raises
     ------
-    BadInput
-        If it is none.
+    BadInput: If it is none.
 
     Examples
     --------
@@ -153,8 +152,7 @@ def noise_of(text: str) -> "GivenNoise":
 
     Raises
     ------
-    BadInput
-        If a term other than turn_on is missing, one is not known or no number, or N is zero.
+    BadInput: If a term other than turn_on is missing, one is not known or no number, or N is zero.
 
     Examples
     --------
@@ -188,8 +186,7 @@ def holdout_of(text: str) -> tuple[str, ...] | None:
 
     Raises
     ------
-    BadInput
-        If it is written otherwise.
+    BadInput: If it is written otherwise.
 
     Examples
     --------

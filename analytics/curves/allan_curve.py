@@ -26,33 +26,22 @@ class AllanCurve:
 
     Parameters
     ----------
-    unit, signal, run : str
-        Whose curve it is.
-    unit_of_measure : str
-        Of `adev`, `lo` and `hi`.
-    sample_interval_s : float
-        Sample interval of the record, seconds.
-    samples, missing : int
-        Samples in the record, and missing from it.
-    tau_s : tuple of float
-        Averaging times, seconds, rising.
-    adev, lo, hi : tuple of float
-        Deviation and its confidence limits (95 %).
-    edf : tuple of float
-        Equivalent degrees of freedom.
-    deviation : Deviation
-        Which deviation `adev` holds.
-    plausible : tuple of tuple of int
-        Exponents of the noises that are plausible at each averaging time, see `EstimatePoint`; empty where unknown.
-    windows : tuple of int
-        Differences that each deviation rests on; empty where unknown.
-    overlap : {"full", "strided"}
-        Windows at every sample, or at every 1/16 of the averaging time or closer.
+    unit, signal, run: Whose curve it is.
+    unit_of_measure: Of `adev`, `lo` and `hi`.
+    sample_interval_s: Sample interval of the record, seconds.
+    samples, missing: Samples in the record, and missing from it.
+    tau_s: Averaging times, seconds, rising.
+    adev, lo, hi: Deviation and its confidence limits (95 %).
+    edf: Equivalent degrees of freedom.
+    deviation: Which deviation `adev` holds.
+    plausible: Exponents of the noises that are plausible at each averaging time, see `EstimatePoint`; empty where
+        unknown.
+    windows: Differences that each deviation rests on; empty where unknown.
+    overlap: Windows at every sample, or at every 1/16 of the averaging time or closer.
 
     Raises
     ------
-    BadInput
-        If the columns differ in length.
+    BadInput: If the columns differ in length.
     """
 
     unit: str
@@ -128,30 +117,20 @@ def allan_curve(
 
     Parameters
     ----------
-    catalog : Catalog
-        The store.
-    unit, signal : str
-        Which signal.
-    run : str, optional
-        Of which run; the one measured last where none is named.
-    points_per_octave : int
-        1, 2, 4 or 8 averaging times an octave.
-    resample_s : float, optional
-        Take means of blocks this long (seconds) first: the way to a curve from irregular samples.
-    deviation : Deviation
-        Which; all but the overlapping Allan deviation need the full overlap.
-    overlap : {"full", "strided"}, optional
-        "full" takes every window there is. "strided" is the estimator that runs while data flow, in small and constant
-        memory; its limits are as wide to 0.5 %. By default full up to a million samples.
-    scratch : Path, optional
-        Where the sums of a long record lie while it is evaluated with full overlap, 8 bytes a sample.
+    catalog: The store.
+    unit, signal: Which signal.
+    run: Of which run; the one measured last where none is named.
+    points_per_octave: 1, 2, 4 or 8 averaging times an octave.
+    resample_s: Take means of blocks this long (seconds) first: the way to a curve from irregular samples.
+    deviation: Which; all but the overlapping Allan deviation need the full overlap.
+    overlap: "full" takes every window there is. "strided" is the estimator that runs while data flow, in small and
+        constant memory; its limits are as wide to 0.5 %. By default full up to a million samples.
+    scratch: Where the sums of a long record lie while it is evaluated with full overlap, 8 bytes a sample.
 
     Raises
     ------
-    NotFound
-        If the store does not hold the signal, or holds too little of it.
-    BadInput
-        If another deviation than the overlapping Allan deviation is wanted with strides.
+    NotFound: If the store does not hold the signal, or holds too little of it.
+    BadInput: If another deviation than the overlapping Allan deviation is wanted with strides.
     """
     record = find_signal(catalog, unit, signal, run)
     if overlap is None:
@@ -215,8 +194,7 @@ def stored_curves(catalog: Catalog, run: str, signal: str) -> list[AllanCurve]:
 
     Raises
     ------
-    NotFound
-        If there are none.
+    NotFound: If there are none.
     """
     rows = catalog.rows(
         "select unit, unit_of_measure, sample_interval_s, samples, missing, "

@@ -25,12 +25,9 @@ class IsolatedOutliers:
 
     Parameters
     ----------
-    count : int
-        How many there are.
-    largest : float
-        The largest departure from the neighbours, in standard deviations of the noise from sample to sample.
-    raise_n_by : float
-        Relative amount by which they raise N as an Allan deviation tells it.
+    count: How many there are.
+    largest: The largest departure from the neighbours, in standard deviations of the noise from sample to sample.
+    raise_n_by: Relative amount by which they raise N as an Allan deviation tells it.
     """
 
     count: int

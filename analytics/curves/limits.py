@@ -57,10 +57,8 @@ class LimitsTable(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    revision : str
-        What a certificate calls this table.
-    limits : tuple of Limit
-        The limits, in the file's order.
+    revision: What a certificate calls this table.
+    limits: The limits, in the file's order.
     """
 
     revision: str
@@ -85,15 +83,12 @@ def parse_limits(text: str | bytes, source: str) -> LimitsTable:
 
     Parameters
     ----------
-    text : str or bytes
-        The TOML.
-    source : str
-        Where it comes from, for messages.
+    text: The TOML.
+    source: Where it comes from, for messages.
 
     Raises
     ------
-    BadInput
-        If it is not such a table; the message names the place, such as ``$.limit[2].upper``.
+    BadInput: If it is not such a table; the message names the place, such as ``$.limit[2].upper``.
 
     Examples
     --------
@@ -124,8 +119,7 @@ def read_limits(path: Path) -> LimitsTable:
 
     Raises
     ------
-    BadInput
-        If the file cannot be read or is not such a table.
+    BadInput: If the file cannot be read or is not such a table.
     """
     try:
         text = path.read_bytes()
@@ -161,10 +155,8 @@ def read_curve(points: Sequence[EstimatePoint], tau_s: float) -> Reading:
 
     Parameters
     ----------
-    points : sequence of EstimatePoint
-        The curve, in any order.
-    tau_s : float
-        Averaging time, seconds.
+    points: The curve, in any order.
+    tau_s: Averaging time, seconds.
 
     Notes
     -----
@@ -207,12 +199,9 @@ def judge(limit: Limit, estimates: Iterable[EstimatePublished]) -> Check:
 
     Parameters
     ----------
-    limit : Limit
-        The limit; its characteristic names the estimator, see `estimator_key`. `angle_random_walk` is the
-        Allan deviation at 1 s in deg/h, divided by 60 (N = sigma(1 s) sqrt(1 s)): true where white noise
-        dominates at 1 s.
-    estimates : iterable of EstimatePublished
-        What was estimated of the unit.
+    limit: The limit; its characteristic names the estimator, see `estimator_key`. `angle_random_walk` is the Allan
+        deviation at 1 s in deg/h, divided by 60 (N = sigma(1 s) sqrt(1 s)): true where white noise dominates at 1 s.
+    estimates: What was estimated of the unit.
 
     Returns
     -------

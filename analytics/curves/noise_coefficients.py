@@ -33,12 +33,9 @@ class FittedTerm:
 
     Parameters
     ----------
-    term : Term
-        Which one: its names, letter and unit.
-    coefficient : Coefficient
-        What the fit says of it.
-    correlation_s : float, optional
-        Correlation time of Markov noise, seconds; None for the others.
+    term: Which one: its names, letter and unit.
+    coefficient: What the fit says of it.
+    correlation_s: Correlation time of Markov noise, seconds; None for the others.
     """
 
     term: Term
@@ -61,10 +58,8 @@ class NoiseCoefficients:
 
     Parameters
     ----------
-    fit : NoiseFit
-        The coefficients of IEEE 952.
-    normalised : Coefficient or NoEstimate
-        Angle random walk by normalised bias stability (GJB 2426A-2004 5.12.5.4.1), or why there is none.
+    fit: The coefficients of IEEE 952.
+    normalised: Angle random walk by normalised bias stability (GJB 2426A-2004 5.12.5.4.1), or why there is none.
     """
 
     fit: NoiseFit
@@ -132,10 +127,8 @@ def noise_coefficients(curve: AllanCurve, normalised: Coefficient | NoEstimate) 
 
     Parameters
     ----------
-    curve : AllanCurve
-        Overlapping Allan deviation of a signal.
-    normalised : Coefficient or NoEstimate
-        Angle random walk of the same signal by the normalised method, see `normalised_walk`.
+    curve: Overlapping Allan deviation of a signal.
+    normalised: Angle random walk of the same signal by the normalised method, see `normalised_walk`.
 
     Returns
     -------

@@ -21,12 +21,9 @@ def normalised_walk(catalog: Catalog, record: SignalRecord, *, confidence: float
 
     Parameters
     ----------
-    catalog : Catalog
-        The store.
-    record : SignalRecord
-        Which signal of it, see `find_signal`.
-    confidence : float
-        Level of the limits.
+    catalog: The store.
+    record: Which signal of it, see `find_signal`.
+    confidence: Level of the limits.
 
     Returns
     -------

@@ -23,20 +23,14 @@ class RollingAllan:
 
     Parameters
     ----------
-    unit, signal, run : str
-        Whose it is.
-    unit_of_measure : str
-        Of `adev`, `lo` and `hi`.
-    window_s, step_s : float
-        Length of the window and by how much it moves on, seconds.
-    start_h : tuple of float
-        Where each window begins, hours since the first sample.
-    samples, missing : tuple of int
-        Samples in each window, and missing from it.
-    tau_s : tuple of float
-        Averaging times, seconds, rising.
-    adev, lo, hi : tuple of tuple of float or None, shape (windows, taus)
-        Deviation and its 95 % limits; None where a window is too short or has too many gaps.
+    unit, signal, run: Whose it is.
+    unit_of_measure: Of `adev`, `lo` and `hi`.
+    window_s, step_s: Length of the window and by how much it moves on, seconds.
+    start_h: Where each window begins, hours since the first sample.
+    samples, missing: Samples in each window, and missing from it.
+    tau_s: Averaging times, seconds, rising.
+    adev, lo, hi: shape (windows, taus); deviation and its 95 % limits; None where a window is too short or has too many
+        gaps.
     """
 
     unit: str
@@ -91,23 +85,16 @@ def rolling_allan(
 
     Parameters
     ----------
-    catalog : Catalog
-        The store.
-    unit, signal : str
-        Which signal.
-    run : str, optional
-        Of which run; where none is named the one measured last of those that fill a window.
-    window_s, step_s : float
-        Length of the window and by how much it moves on, seconds; the window is a whole number of steps.
-    points_per_octave : int
-        1, 2, 4 or 8 averaging times an octave.
+    catalog: The store.
+    unit, signal: Which signal.
+    run: Of which run; where none is named the one measured last of those that fill a window.
+    window_s, step_s: Length of the window and by how much it moves on, seconds; the window is a whole number of steps.
+    points_per_octave: 1, 2, 4 or 8 averaging times an octave.
 
     Raises
     ------
-    NotFound
-        If the store does not hold the signal, or no window of it has an Allan deviation.
-    EstimatorError
-        If the steps do not fill the window.
+    NotFound: If the store does not hold the signal, or no window of it has an Allan deviation.
+    EstimatorError: If the steps do not fill the window.
     """
     record = find_signal(catalog, unit, signal, run, at_least_s=window_s)
     rolling = RollingWindow(lambda: AllanDeviation(points_per_octave), window_s, step_s)

@@ -43,41 +43,26 @@ class SignalSpectrum:
 
     Parameters
     ----------
-    unit, signal, run : str
-        Whose it is.
-    unit_of_measure : str
-        Of the amplitudes of lines; ``deg/h`` for angular rates.
-    sample_interval_s : float
-        Sample interval of the record, seconds.
-    samples, missing : int
-        Samples in the record, and missing from it.
-    frequency_hz : tuple of float
-        Frequency of every bin, Hz, rising in equal steps.
-    psd, lo, hi : tuple of float
-        Density of every bin and its confidence limits, in `psd_unit`.
-    psd_unit : str
-        ``(deg/h)^2/Hz`` for angular rates.
-    confidence : float
-        Confidence level of all limits.
-    edf : float
-        Equivalent degrees of freedom of a bin.
-    segments, segments_left_out : int
-        Segments averaged, and those left out as a sample is missing from them.
-    segment_samples : int
-        Samples of a segment.
-    bin_width_hz : float
-        Distance of neighbouring bins, Hz.
-    false_alarm_probability : float
-        Most probability that a spectrum without any line shows one.
-    searched_lo_hz, searched_hi_hz : float
-        Band that was searched for lines, Hz: the bins that have neighbours on both sides to be compared with.
-    lines : tuple of Line
-        The lines, lowest frequency first.
+    unit, signal, run: Whose it is.
+    unit_of_measure: Of the amplitudes of lines; ``deg/h`` for angular rates.
+    sample_interval_s: Sample interval of the record, seconds.
+    samples, missing: Samples in the record, and missing from it.
+    frequency_hz: Frequency of every bin, Hz, rising in equal steps.
+    psd, lo, hi: Density of every bin and its confidence limits, in `psd_unit`.
+    psd_unit: ``(deg/h)^2/Hz`` for angular rates.
+    confidence: Confidence level of all limits.
+    edf: Equivalent degrees of freedom of a bin.
+    segments, segments_left_out: Segments averaged, and those left out as a sample is missing from them.
+    segment_samples: Samples of a segment.
+    bin_width_hz: Distance of neighbouring bins, Hz.
+    false_alarm_probability: Most probability that a spectrum without any line shows one.
+    searched_lo_hz, searched_hi_hz: Band that was searched for lines, Hz: the bins that have neighbours on both sides to
+        be compared with.
+    lines: The lines, lowest frequency first.
 
     Raises
     ------
-    BadInput
-        If the columns differ in length.
+    BadInput: If the columns differ in length.
     """
 
     unit: str
@@ -169,18 +154,14 @@ def spectrum_of(catalog: Catalog, unit: str, signal: str, run: str | None = None
 
     Parameters
     ----------
-    catalog : Catalog
-        The store.
-    unit, signal : str
-        Which signal.
-    run : str, optional
-        Of which run; the one measured last where none is named.
+    catalog: The store.
+    unit, signal: Which signal.
+    run: Of which run; the one measured last where none is named.
 
     Raises
     ------
-    NotFound
-        If the store does not hold the signal, or holds none that has a spectrum: too little of it without a gap, or
-        irregular samples.
+    NotFound: If the store does not hold the signal, or holds none that has a spectrum: too little of it without a gap,
+        or irregular samples.
 
     Notes
     -----

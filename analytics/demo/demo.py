@@ -80,19 +80,14 @@ def run_demo(
 
     Parameters
     ----------
-    folder : Path
-        The store.
-    hours : float
-        Simulated length of the run.
-    seed : int
-        Of the simulation: the same seed gives the same samples.
-    on_progress : callable, optional
-        Called now and then, in the caller's thread.
+    folder: The store.
+    hours: Simulated length of the run.
+    seed: Of the simulation: the same seed gives the same samples.
+    on_progress: Called now and then, in the caller's thread.
 
     Raises
     ------
-    GyrofleetError
-        If any part of the path failed.
+    GyrofleetError: If any part of the path failed.
     """
     fleet = demo_fleet()
     duration_s = hours * 3600.0

@@ -35,8 +35,7 @@ def send_cycle(
 
     Raises
     ------
-    GyrofleetError
-        If any part of the path failed.
+    GyrofleetError: If any part of the path failed.
     """
     events = event_key(place)
     units = tuple(each.unit for each in fleet)
@@ -72,8 +71,7 @@ def trace_fleet(
 
     Raises
     ------
-    GyrofleetError
-        If none can be traced.
+    GyrofleetError: If none can be traced.
     """
     with Catalog(Store.open(folder)) as catalog:
         return diagnose_units(catalog, units, Question(model=DECLARED_MODEL, runs=runs), told=told)

@@ -79,8 +79,7 @@ def annex_a(catalog: Catalog, unit: str) -> list[AnnexRow]:
 
     Raises
     ------
-    NotFound
-        If the store has no completed step of it.
+    NotFound: If the store has no completed step of it.
     """
     rows = selected(catalog, Selection(units=(unit,), standards=(STANDARD,)))
     began = dict(catalog.rows("select run, t_start_ns from unit_runs where unit = $unit", {"unit": unit}))

@@ -81,10 +81,8 @@ def unit_metrics(catalog: Catalog, told: Told | None = None) -> pa.Table:
 
     Parameters
     ----------
-    catalog : Catalog
-        Of the store.
-    told : callable, optional
-        Hears how many of how many changed runs have been reduced.
+    catalog: Of the store.
+    told: Hears how many of how many changed runs have been reduced.
 
     Returns
     -------

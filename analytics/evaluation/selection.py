@@ -22,10 +22,8 @@ class Selection(NamedTuple):
 
     Parameters
     ----------
-    units, lots, runs, metrics, standards : tuple of str
-        Names.
-    since_ns : int, optional
-        Only what rests on a run that was begun at this moment or later.
+    units, lots, runs, metrics, standards: Names.
+    since_ns: Only what rests on a run that was begun at this moment or later.
     """
 
     units: tuple[str, ...] = ()
@@ -41,10 +39,8 @@ def selected(catalog: Catalog, asked: Selection) -> list[Row]:
 
     Raises
     ------
-    NotFound
-        If a unit, lot or run is not in the store; the message names what looks alike.
-    BadInput
-        If there is no such metric or standard.
+    NotFound: If a unit, lot or run is not in the store; the message names what looks alike.
+    BadInput: If there is no such metric or standard.
     """
     check_metrics(asked.metrics)
     standards = [standard_named(each) for each in asked.standards]
@@ -68,8 +64,7 @@ def dated(text: str) -> int:
 
     Raises
     ------
-    BadInput
-        If it is neither.
+    BadInput: If it is neither.
 
     Examples
     --------
@@ -124,8 +119,7 @@ def standard_named(text: str) -> str:
 
     Raises
     ------
-    BadInput
-        If no metric is of that standard.
+    BadInput: If no metric is of that standard.
 
     Examples
     --------

@@ -177,8 +177,7 @@ def write_csv(rows: Iterable[Row], path: Path, language: str) -> None:
 
     Raises
     ------
-    BadInput
-        If the file cannot be written.
+    BadInput: If the file cannot be written.
     """
     fresh = path.with_name(path.name + ".part")
     try:
@@ -199,8 +198,7 @@ def write_xlsx(rows: Iterable[Row], path: Path, language: str) -> None:
 
     Raises
     ------
-    BadInput
-        If the file cannot be written.
+    BadInput: If the file cannot be written.
     """
     import xlsxwriter
     from xlsxwriter.exceptions import XlsxWriterException

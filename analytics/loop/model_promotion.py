@@ -26,8 +26,7 @@ def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: str, n
 
     Raises
     ------
-    BadInput
-        If the trace has no fitted model.
+    BadInput: If the trace has no fitted model.
     """
     diagnosis = found.diagnosis
     if diagnosis.model is None or diagnosis.declared is None or diagnosis.noise is None:
@@ -94,8 +93,7 @@ def promote_trace(
 
     Raises
     ------
-    BadInput
-        If the trace has no model, or it must not go live; then nothing is written.
+    BadInput: If the trace has no model, or it must not go live; then nothing is written.
     """
     with Catalog(store) as catalog:
         found = diagnose_units(catalog, [unit], question, told=told).units[unit]
@@ -111,8 +109,8 @@ def check_usable(version: ModelVersion, stage: Stage) -> None:
 
     Raises
     ------
-    BadInput
-        If what it adds is not confirmed by held-out runs, or has a term that cannot be computed while a run goes on.
+    BadInput: If what it adds is not confirmed by held-out runs, or has a term that cannot be computed while a run goes
+        on.
     """
     if stage is not Stage.LIVE:
         return

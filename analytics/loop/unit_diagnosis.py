@@ -36,14 +36,10 @@ class UnitsDiagnosis:
 
     Parameters
     ----------
-    units : mapping of str to UnitDiagnosis
-        Each unit alone.
-    failed : mapping of str to str
-        Units that could not be diagnosed, and why.
-    own_findings : mapping of str to tuple of str
-        Findings that stand among so many units (Benjamini and Hochberg).
-    fleet : FleetDiagnosis, optional
-        All units pooled, where that was asked.
+    units: Each unit alone.
+    failed: Units that could not be diagnosed, and why.
+    own_findings: Findings that stand among so many units (Benjamini and Hochberg).
+    fleet: All units pooled, where that was asked.
     """
 
     units: Mapping[str, UnitDiagnosis]
@@ -84,19 +80,14 @@ def trace_units(
 
     Parameters
     ----------
-    read : ReducedUnits
-        The units.
-    question : Question
-        What is asked of them.
-    is_pooled : bool
-        Whether to search for what they have in common as well.
-    told : callable, optional
-        Called with a sentence on each stage.
+    read: The units.
+    question: What is asked of them.
+    is_pooled: Whether to search for what they have in common as well.
+    told: Called with a sentence on each stage.
 
     Raises
     ------
-    GyrofleetError
-        If there is one unit only and it cannot be diagnosed, or none of several can.
+    GyrofleetError: If there is one unit only and it cannot be diagnosed, or none of several can.
     """
     failed = dict(read.failed)
     is_one = len(read.units) + len(failed) == 1
@@ -157,8 +148,7 @@ def _held_out_of_each(
 
     Raises
     ------
-    BadInput
-        If no unit has one of the runs.
+    BadInput: If no unit has one of the runs.
     """
     if asked is None:
         return {}, ()
@@ -182,8 +172,7 @@ def held_out_runs(asked: Sequence[str] | None, runs: Sequence[RunBlocks]) -> tup
 
     Raises
     ------
-    BadInput
-        If a run is not among them.
+    BadInput: If a run is not among them.
     """
     if asked is None:
         return None

@@ -28,20 +28,13 @@ class Question:
 
     Parameters
     ----------
-    model : str
-        The declared error model as text.
-    signal : str, optional
-        Which signal; the one that the model names if left out.
-    block_s : float, optional
-        Length of a block, seconds; by default 30, or the interval of the samples where that is longer.
-    noise : GivenNoise or NoiseCoefficients, optional
-        Declared; by default that of each unit's own Allan fits. Turn-on scatter that is not given is estimated.
-    holdout : tuple of str, optional
-        Runs to hold out; the last third if left out.
-    runs : tuple of str, optional
-        Only these runs.
-    since_ns : int, optional
-        Only samples from then on.
+    model: The declared error model as text.
+    signal: Which signal; the one that the model names if left out.
+    block_s: Length of a block, seconds; by default 30, or the interval of the samples where that is longer.
+    noise: Declared; by default that of each unit's own Allan fits. Turn-on scatter that is not given is estimated.
+    holdout: Runs to hold out; the last third if left out.
+    runs: Only these runs.
+    since_ns: Only samples from then on.
     """
 
     model: str
@@ -58,8 +51,7 @@ class Question:
 
         Raises
         ------
-        BadInput
-            If neither names it, or they differ.
+        BadInput: If neither names it, or they differ.
 
         Examples
         --------
@@ -81,18 +73,12 @@ class ReducedUnit:
 
     Parameters
     ----------
-    runs : tuple of RunBlocks
-        The runs.
-    notes : tuple of Note
-        What was left out, converted, supposed or looks wrong.
-    noise : NoiseCoefficients, optional
-        Declared, or by the unit's own Allan fits.
-    noise_source : str
-        Where that comes from, or why there is none.
-    left_out : tuple of LeftOut
-        What was left out of the record, with its share.
-    turn_on_is_declared : bool
-        Whether the turn-on scatter of `noise` was given, and not estimated from these runs.
+    runs: The runs.
+    notes: What was left out, converted, supposed or looks wrong.
+    noise: Declared, or by the unit's own Allan fits.
+    noise_source: Where that comes from, or why there is none.
+    left_out: What was left out of the record, with its share.
+    turn_on_is_declared: Whether the turn-on scatter of `noise` was given, and not estimated from these runs.
     """
 
     runs: tuple[RunBlocks, ...]
@@ -109,12 +95,9 @@ class ReducedUnits:
 
     Parameters
     ----------
-    units : mapping of str to ReducedUnit
-        Those that could be read.
-    models : mapping of str to ErrorModel
-        The declared model, on the channels of each.
-    failed : mapping of str to str
-        The others, and why.
+    units: Those that could be read.
+    models: The declared model, on the channels of each.
+    failed: The others, and why.
     """
 
     units: Mapping[str, ReducedUnit]
@@ -129,19 +112,14 @@ def reduce_units(
 
     Parameters
     ----------
-    catalog : Catalog
-        The store.
-    units : sequence of str
-        Which units.
-    question : Question
-        What is asked of them.
-    told : callable, optional
-        Called with a sentence on each stage.
+    catalog: The store.
+    units: Which units.
+    question: What is asked of them.
+    told: Called with a sentence on each stage.
 
     Raises
     ------
-    GyrofleetError
-        If there is one unit only and it cannot be read, or none of several can.
+    GyrofleetError: If there is one unit only and it cannot be read, or none of several can.
     """
     signal, block_s = question.signal_name, question.block_s
     if block_s is None:
@@ -233,8 +211,7 @@ def units_with(catalog: Catalog, signal: str) -> list[str]:
 
     Raises
     ------
-    NotFound
-        If there is none.
+    NotFound: If there is none.
     """
     sql = "select distinct unit from signals where signal = $signal order by unit"
     units = [str(unit) for (unit,) in catalog.rows(sql, {"signal": signal})]

@@ -32,11 +32,9 @@ def largest_changes(catalog: Catalog, changes: str) -> Iterator[dict[str, Any]]:
 
     Parameters
     ----------
-    catalog : Catalog
-        Of the store.
-    changes : str
-        Statement that gives `unit, signal, run, procedure, repeat, axis, change, u, freedom, n, steps, scale_source,
-        lack` and `axes`, which axes the test has.
+    catalog: Of the store.
+    changes: Statement that gives `unit, signal, run, procedure, repeat, axis, change, u, freedom, n, steps,
+        scale_source, lack` and `axes`, which axes the test has.
     """
     rows = catalog.reader(_CHANGES.format(changes=changes)).read_all().to_pylist()
     yield from largest_magnitudes(rows, ["run", "unit", "signal", "procedure", "repeat", "shown"], of="axis")

@@ -16,14 +16,10 @@ class Direction(NamedTuple):
 
     Parameters
     ----------
-    size : array
-        Magnitudes of the inputs, not 0.
-    error : array
-        Magnitudes of the differences between output (over the scale factor) and input.
-    u, freedom : array
-        Standard uncertainties of the differences and their degrees of freedom.
-    independent : int, optional
-        How many of the differences are independent, where they are of a curve; else all are.
+    size: Magnitudes of the inputs, not 0.
+    error: Magnitudes of the differences between output (over the scale factor) and input.
+    u, freedom: Standard uncertainties of the differences and their degrees of freedom.
+    independent: How many of the differences are independent, where they are of a curve; else all are.
     """
 
     size: FloatArray
@@ -47,8 +43,7 @@ def smallest_within_half(directions: Mapping[str, Direction]) -> dict[str, Any]:
 
     Parameters
     ----------
-    directions : mapping
-        By what they are called in a reason.
+    directions: By what they are called in a reason.
 
     Returns
     -------

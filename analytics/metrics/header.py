@@ -37,26 +37,16 @@ class MetricHeader(NamedTuple):
 
     Parameters
     ----------
-    id : str
-        The field's standard term.
-    en, zh : str
-        Its name.
-    unit : str
-        Unit of measure of its values.
-    better : str
-        ``lower``, ``higher`` or ``neither``.
-    grain : str
-        What one value is of, such as ``unit, signal, run``.
-    parameters : tuple of str
-        Names in the values' parameters, by which limits tell values apart; may be written in several lines.
-    sources : tuple of Source
-        Clauses.
-    needs : str
-        What must have been measured.
-    limits : Limits
-        Where its limits come from.
-    equation : str
-        In words of the clause.
+    id: The field's standard term.
+    en, zh: Its name.
+    unit: Unit of measure of its values.
+    better: ``lower``, ``higher`` or ``neither``.
+    grain: What one value is of, such as ``unit, signal, run``.
+    parameters: Names in the values' parameters, by which limits tell values apart; may be written in several lines.
+    sources: Clauses.
+    needs: What must have been measured.
+    limits: Where its limits come from.
+    equation: In words of the clause.
     """
 
     id: str
@@ -87,8 +77,7 @@ def parse_header(text: str, where: str) -> MetricHeader:
 
     Raises
     ------
-    MetricError
-        If a line is missing or says what cannot be.
+    MetricError: If a line is missing or says what cannot be.
 
     Examples
     --------

@@ -26,15 +26,11 @@ def largest_magnitudes(
 
     Parameters
     ----------
-    rows : iterable of mapping
-        Differences in the order of their groups: `difference`, `u`, `freedom`, and what a metric's row says, with
+    rows: Differences in the order of their groups: `difference`, `u`, `freedom`, and what a metric's row says, with
         `parameters`. A group whose rows have a `reason` has no value.
-    keys : sequence of str
-        Columns that tell the groups apart.
-    of : str
-        Column that names a difference in its group; told in the parameters.
-    signed : bool
-        Whether a group of one difference keeps its sign.
+    keys: Columns that tell the groups apart.
+    of: Column that names a difference in its group; told in the parameters.
+    signed: Whether a group of one difference keeps its sign.
 
     Examples
     --------

@@ -12,8 +12,7 @@ def check_metrics(names: Iterable[str], where: str = "") -> None:
 
     Raises
     ------
-    BadInput
-        The message names metrics that look alike.
+    BadInput: The message names metrics that look alike.
 
     Examples
     --------

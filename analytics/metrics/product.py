@@ -13,20 +13,13 @@ class Product(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     Parameters
     ----------
-    scale_factor : float, optional
-        Nominal, in `scale_factor_unit` per deg/s.
-    scale_factor_unit : str
-        Unit of measure of the output.
-    max_rate_deg_per_s : float, optional
-        Largest input rate.
-    nonlinearity_ppm : float, optional
-        Limit of the scale factor's nonlinearity, up to which the range reaches.
-    startup_band_deg_per_h : float, optional
-        Error band within which the output must stay for the unit to have started.
-    expected_threshold_deg_per_h : float, optional
-        What the resolution test's rates are chosen by.
-    average_s : float, optional
-        Averaging time of the product's bias stability, besides 1, 10 and 100 s; at least 1 ms.
+    scale_factor: Nominal, in `scale_factor_unit` per deg/s.
+    scale_factor_unit: Unit of measure of the output.
+    max_rate_deg_per_s: Largest input rate.
+    nonlinearity_ppm: Limit of the scale factor's nonlinearity, up to which the range reaches.
+    startup_band_deg_per_h: Error band within which the output must stay for the unit to have started.
+    expected_threshold_deg_per_h: What the resolution test's rates are chosen by.
+    average_s: Averaging time of the product's bias stability, besides 1, 10 and 100 s; at least 1 ms.
     """
 
     scale_factor: float | None = None

@@ -36,8 +36,7 @@ def metrics() -> Mapping[str, Metric]:
 
     Raises
     ------
-    MetricError
-        If a file is not written as it must be, or two have one id.
+    MetricError: If a file is not written as it must be, or two have one id.
 
     Examples
     --------

@@ -24,16 +24,11 @@ def deviation_of(found: Scatter, kind: str, what: str, noise: Noise = _NO_NOISE,
 
     Parameters
     ----------
-    found : Scatter
-        At least 2 values in groups of days; in groups of runs where the days are not known.
-    kind : str
-        Which.
-    what : str
-        What was measured, in the plural, as ``power-ons``.
-    noise : Noise
-        What the values' own noise adds; it is taken off.
-    is_dated : bool
-        Whether the days are known.
+    found: At least 2 values in groups of days; in groups of runs where the days are not known.
+    kind: Which.
+    what: What was measured, in the plural, as ``power-ons``.
+    noise: What the values' own noise adds; it is taken off.
+    is_dated: Whether the days are known.
 
     Returns
     -------

@@ -70,10 +70,8 @@ def settling_times(catalog: Catalog, procedure: str) -> Iterator[dict[str, Any]]
 
     Parameters
     ----------
-    catalog : Catalog
-        Of the store.
-    procedure : str
-        Regular expression that the procedure's name meets.
+    catalog: Of the store.
+    procedure: Regular expression that the procedure's name meets.
 
     Notes
     -----
@@ -174,16 +172,11 @@ def settling(error: FloatArray, time_s: FloatArray, band: float, u: float, noise
 
     Parameters
     ----------
-    error : array of float
-        Magnitudes.
-    time_s : array of float
-        When, seconds after power-on.
-    band : float
-        In the error's unit.
-    u : float
-        Standard uncertainty of what the error is counted from.
-    noise : float
-        How far noise takes a sample at most.
+    error: Magnitudes.
+    time_s: When, seconds after power-on.
+    band: In the error's unit.
+    u: Standard uncertainty of what the error is counted from.
+    noise: How far noise takes a sample at most.
 
     Examples
     --------

@@ -58,14 +58,10 @@ def threshold_in_turn(t_s: FloatArray, output: FloatArray, turn_deg_per_s: float
 
     Parameters
     ----------
-    t_s : array
-        Times, s; the phase of the turn at time 0 need not be known.
-    output : array
-        Output over the scale factor, deg/h.
-    turn_deg_per_s : float
-        Rate of the turn.
-    level : float
-        Rate of the Earth on a level axis that points north, deg/h.
+    t_s: Times, s; the phase of the turn at time 0 need not be known.
+    output: Output over the scale factor, deg/h.
+    turn_deg_per_s: Rate of the turn.
+    level: Rate of the Earth on a level axis that points north, deg/h.
 
     Notes
     -----

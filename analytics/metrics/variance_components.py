@@ -39,8 +39,7 @@ class MeansNoise(NamedTuple):
 
     Parameters
     ----------
-    square, within, of_means : Variance
-        To the variance of all values, to that inside the groups, to that of the groups' means.
+    square, within, of_means: To the variance of all values, to that inside the groups, to that of the groups' means.
     """
 
     square: Variance
@@ -53,18 +52,13 @@ class Scatter(NamedTuple):
 
     Parameters
     ----------
-    values : int
-        How many values.
-    square : float
-        Variance of all of them, NaN for one.
-    within, within_freedom : float
-        Variance inside the groups, pooled, and its degrees of freedom; NaN and 0 where no group has two.
-    groups : int
-        How many groups.
-    of_means : float
-        Variance of the groups' means, NaN for one.
-    size : float
-        Harmonic mean of the groups' sizes, NaN where there is none.
+    values: How many values.
+    square: Variance of all of them, NaN for one.
+    within, within_freedom: Variance inside the groups, pooled, and its degrees of freedom; NaN and 0 where no group has
+        two.
+    groups: How many groups.
+    of_means: Variance of the groups' means, NaN for one.
+    size: Harmonic mean of the groups' sizes, NaN where there is none.
     """
 
     values: int
@@ -165,12 +159,9 @@ def beyond(observed: Variance, known: Variance, least: Variance | None = None) -
 
     Parameters
     ----------
-    observed : Variance
-        Sum of both parts; its estimate follows chi-square.
-    known : Variance
-        The part that is taken off; NaN takes off nothing.
-    least : Variance, optional
-        The least that this part can be, for the upper limit; the same if left out.
+    observed: Sum of both parts; its estimate follows chi-square.
+    known: The part that is taken off; NaN takes off nothing.
+    least: The least that this part can be, for the upper limit; the same if left out.
 
     Notes
     -----
@@ -206,8 +197,7 @@ def between(found: Scatter) -> Deviation:
 
     Parameters
     ----------
-    found : Scatter
-        Of at least 2 groups, one of them of at least 2 values.
+    found: Of at least 2 groups, one of them of at least 2 values.
 
     Notes
     -----

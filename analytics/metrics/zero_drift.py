@@ -26,12 +26,10 @@ class Sequence(NamedTuple):
 
     Parameters
     ----------
-    output, rate : array of shape (steps,)
-        Mean output of each, and the rate that was put in.
-    u, freedom : array of shape (steps,)
-        Standard uncertainty of the outputs from the noise within the steps, and its degrees of freedom; NaN if unknown.
-    weights : array of shape (steps,)
-        The zero is the sum of the outputs with these weights.
+    output, rate: shape (steps,); mean output of each, and the rate that was put in.
+    u, freedom: shape (steps,); standard uncertainty of the outputs from the noise within the steps, and its degrees of
+        freedom; NaN if unknown.
+    weights: shape (steps,); the zero is the sum of the outputs with these weights.
     """
 
     output: FloatArray

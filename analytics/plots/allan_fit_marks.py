@@ -29,16 +29,11 @@ def draw_fit(axes: Axes, found: NoiseCoefficients, taus_s: tuple[float, ...], la
 
     Parameters
     ----------
-    axes : Axes
-        Logarithmic axes in seconds and deg/h, their limits set and everything else drawn.
-    found : NoiseCoefficients
-        The fitted model.
-    taus_s : tuple of float
-        Averaging times of the curve, rising: the sum of all terms is drawn between the first and the last.
-    language : str
-        Of the terms' names, ``en`` or ``zh``.
-    word : str
-        What the sum of all terms is called.
+    axes: Logarithmic axes in seconds and deg/h, their limits set and everything else drawn.
+    found: The fitted model.
+    taus_s: Averaging times of the curve, rising: the sum of all terms is drawn between the first and the last.
+    language: Of the terms' names, ``en`` or ``zh``.
+    word: What the sum of all terms is called.
     """
     along = np.geomspace(taus_s[0], taus_s[-1], _PLACES)
     lines = axes.plot(along, found.deviation(along), color=INK, linewidth=0.9, zorder=4, label=word)

@@ -46,8 +46,7 @@ def limit_marks(limits: Iterable[Limit], signals: set[str], unit_of_measure: str
 
     Raises
     ------
-    BadInput
-        If a limit cannot be turned into that unit.
+    BadInput: If a limit cannot be turned into that unit.
     """
     marks = []
     for limit in limits:

@@ -22,8 +22,7 @@ def check_suffix(path: Path) -> None:
 
     Raises
     ------
-    BadInput
-        If it is.
+    BadInput: If it is.
     """
     if path.suffix.lower() not in _SUFFIXES:
         raise BadInput(f"plot {path}: plots are written as .png or .svg, choose one of the two")
@@ -34,8 +33,7 @@ def write_figure(figure: Figure, path: Path) -> None:
 
     Raises
     ------
-    BadInput
-        If the file cannot be written.
+    BadInput: If the file cannot be written.
     """
     image = io.BytesIO()
     kind = path.suffix.lower()[1:]

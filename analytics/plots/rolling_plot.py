@@ -24,8 +24,7 @@ def plot_rolling(surface: RollingAllan, path: Path) -> None:
 
     Raises
     ------
-    BadInput
-        If the suffix is another one, no deviation is above 0, or the file cannot be written.
+    BadInput: If the suffix is another one, no deviation is above 0, or the file cannot be written.
     """
     check_suffix(path)
     values = np.array([[np.nan if cell is None or cell <= 0.0 else cell for cell in row] for row in surface.adev])

@@ -36,8 +36,7 @@ def plot_spectrum(spectrum: SignalSpectrum, path: Path) -> None:
 
     Raises
     ------
-    BadInput
-        If the suffix is another one, no density is above 0, or the file cannot be written.
+    BadInput: If the suffix is another one, no density is above 0, or the file cannot be written.
 
     Notes
     -----

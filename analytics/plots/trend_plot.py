@@ -28,8 +28,7 @@ def plot_trend(trend: Trend, path: Path) -> None:
 
     Raises
     ------
-    BadInput
-        If the suffix is another one, or the file cannot be written.
+    BadInput: If the suffix is another one, or the file cannot be written.
     """
     check_suffix(path)
     is_chinese = chinese_font() is not None

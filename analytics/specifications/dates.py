@@ -13,8 +13,7 @@ def begin_ns(value: object, where: str) -> int | None:
 
     Raises
     ------
-    BadInput
-        If it is neither a date nor a moment with a time zone.
+    BadInput: If it is neither a date nor a moment with a time zone.
 
     Examples
     --------
@@ -29,8 +28,7 @@ def end_ns(value: object, where: str) -> int | None:
 
     Raises
     ------
-    BadInput
-        If it is neither a date nor a moment with a time zone.
+    BadInput: If it is neither a date nor a moment with a time zone.
 
     Examples
     --------

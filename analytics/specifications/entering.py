@@ -24,16 +24,11 @@ def add_specification(
 
     Parameters
     ----------
-    store : Store
-        Which store.
-    path : Path
-        The file.
-    by, reason : str
-        Who enters it, and why.
-    is_revision : bool
-        Whether its name has to be there already.
-    rejudges : bool
-        Whether what was recorded before is judged anew by what holds from now on.
+    store: Which store.
+    path: The file.
+    by, reason: Who enters it, and why.
+    is_revision: Whether its name has to be there already.
+    rejudges: Whether what was recorded before is judged anew by what holds from now on.
 
     Returns
     -------
@@ -43,10 +38,8 @@ def add_specification(
 
     Raises
     ------
-    BadInput
-        If it is not right, contradicts one that is there, or has the revision of one with other content.
-    StoreError
-        If the store cannot be written.
+    BadInput: If it is not right, contradicts one that is there, or has the revision of one with other content.
+    StoreError: If the store cannot be written.
     """
     try:
         content = path.read_bytes()
@@ -90,12 +83,9 @@ def withdraw_specification(
 
     Raises
     ------
-    NotFound
-        If no revision in force is called that.
-    BadInput
-        If those that hold again without it contradict each other.
-    StoreError
-        If the store cannot be written.
+    NotFound: If no revision in force is called that.
+    BadInput: If those that hold again without it contradict each other.
+    StoreError: If the store cannot be written.
     """
     with only_one(store.folder / FOLDER / _LOCK, _COMMAND):
         chain = _whole_chain(store)
@@ -128,10 +118,8 @@ def settle_chain(store: Store, *, by: str, reason: str) -> list[str]:
 
     Raises
     ------
-    BadInput
-        If it is whole.
-    StoreError
-        If the store cannot be written.
+    BadInput: If it is whole.
+    StoreError: If the store cannot be written.
     """
     with only_one(store.folder / FOLDER / _LOCK, _COMMAND):
         chain = read_chain(store)
@@ -157,8 +145,7 @@ def stored_specifications(store: Store) -> list[Specification]:
 
     Raises
     ------
-    StoreError
-        If the lake or the log is damaged.
+    StoreError: If the lake or the log is damaged.
     """
     return in_force(read_chain(store).links)
 
@@ -168,8 +155,7 @@ def specification_named(store: Store, label: str) -> tuple[Period, bytes]:
 
     Raises
     ------
-    NotFound
-        If there is none.
+    NotFound: If there is none.
     """
     links = read_chain(store).links
     every = {link.label: specification_of(link.document) for link in links if link.document.content}

@@ -36,12 +36,9 @@ class Edition(NamedTuple):
 
     Parameters
     ----------
-    period : Period
-        The specification, and when it holds.
-    revisions : int
-        How many revisions of its name were known.
-    known_from_ns, known_until_ns : int
-        Between which moments of the recorder's clock this was known.
+    period: The specification, and when it holds.
+    revisions: How many revisions of its name were known.
+    known_from_ns, known_until_ns: Between which moments of the recorder's clock this was known.
     """
 
     period: Period
@@ -55,8 +52,7 @@ def specification_of(document: SpecificationEntered) -> Specification:
 
     Raises
     ------
-    BadInput
-        If this gyrofleet cannot read it.
+    BadInput: If this gyrofleet cannot read it.
     """
     return _parsed(document.name, document.revision, document.content)
 
@@ -102,8 +98,7 @@ def periods_of(specifications: Sequence[Specification]) -> list[Period]:
 
     Raises
     ------
-    BadInput
-        If two revisions of one name hold at one time, or two names limit the same at one time.
+    BadInput: If two revisions of one name hold at one time, or two names limit the same at one time.
     """
     for each, after in pairwise(sorted(specifications, key=_place)):
         if each.name == after.name:

@@ -31,16 +31,11 @@ class SpecificationLimit(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
     Parameters
     ----------
-    metric : str
-        What is limited.
-    unit_of_measure : str
-        Of the limits.
-    lower, upper : float, optional
-        Least and greatest value that is good.
-    parameters : dict
-        Which of the metric's values, such as ``{average_s = 100}``; those that are not named are all meant.
-    product, signal, standard : str, optional
-        Of which product, signal and standard; all where left out.
+    metric: What is limited.
+    unit_of_measure: Of the limits.
+    lower, upper: Least and greatest value that is good.
+    parameters: Which of the metric's values, such as ``{average_s = 100}``; those that are not named are all meant.
+    product, signal, standard: Of which product, signal and standard; all where left out.
     """
 
     metric: str
@@ -80,14 +75,10 @@ class Specification(NamedTuple):
 
     Parameters
     ----------
-    name, revision : str
-        Together they name it; the revisions of one name follow each other.
-    from_ns, until_ns : int, optional
-        When it holds; without an end, until the next revision begins.
-    products : mapping of str to Product
-        Numbers of products.
-    limits : tuple of SpecificationLimit
-        In the file's order.
+    name, revision: Together they name it; the revisions of one name follow each other.
+    from_ns, until_ns: When it holds; without an end, until the next revision begins.
+    products: Numbers of products.
+    limits: In the file's order.
     """
 
     name: str
@@ -118,18 +109,14 @@ def parse_specification(content: bytes, source: str, *, is_checked: bool = False
 
     Parameters
     ----------
-    content : bytes
-        The TOML.
-    source : str
-        The file it comes from: for messages, and for its name where the file gives none.
-    is_checked : bool
-        Whether it was checked when it was entered: then metrics that this gyrofleet does not have are no error.
+    content: The TOML.
+    source: The file it comes from: for messages, and for its name where the file gives none.
+    is_checked: Whether it was checked when it was entered: then metrics that this gyrofleet does not have are no error.
 
     Raises
     ------
-    BadInput
-        If anything in it is not right: an unknown metric or standard, a unit of measure that does not fit, limits that
-        repeat each other; the message names the file, the line and the key.
+    BadInput: If anything in it is not right: an unknown metric or standard, a unit of measure that does not fit, limits
+        that repeat each other; the message names the file, the line and the key.
 
     Examples
     --------

@@ -16,14 +16,10 @@ class Verdicts(NamedTuple):
 
     Parameters
     ----------
-    units : list
-        ``unit_verdicts``: one row for each unit, its worst verdict.
-    verdicts : list
-        Each value against its limit.
-    pareto : list
-        ``failure_pareto``: what units fail by; of the whole store.
-    warnings : list
-        ``unit_warnings``: units that probably go by two names.
+    units: ``unit_verdicts``: one row for each unit, its worst verdict.
+    verdicts: Each value against its limit.
+    pareto: ``failure_pareto``: what units fail by; of the whole store.
+    warnings: ``unit_warnings``: units that probably go by two names.
     """
 
     units: list[Row]
@@ -42,10 +38,8 @@ def verdicts_of(catalog: Catalog, units: Sequence[str] = (), *, with_values: boo
 
     Raises
     ------
-    NotFound
-        If the store does not have one of them.
-    BadInput
-        If a specification in the store is not right.
+    NotFound: If the store does not have one of them.
+    BadInput: If a specification in the store is not right.
     """
     known = rows_of(catalog, "select * from unit_verdicts")
     names = [row["unit"] for row in known]

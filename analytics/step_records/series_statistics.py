@@ -38,22 +38,15 @@ class SeriesStatistics(NamedTuple):
 
     Parameters
     ----------
-    n : int
-        Samples.
-    mean, sd : float
-        Mean and standard deviation (ddof = 1) of the samples; `sd` is NaN where there is one sample.
-    sd_freedom : float
-        Degrees of freedom of `sd`.
-    standard_uncertainty : float
-        Of the mean; NaN where it cannot be known.
-    freedom : float
-        Degrees of freedom of that uncertainty.
-    n_effective : float
-        Independent samples that would give the same uncertainty: sd**2 over its square.
-    white, flicker, walk : float
-        Parts of the Allan variance, AVAR(tau) = white/tau + flicker + walk*tau, tau in seconds; NaN where unknown.
-    averages : tuple of Average
-        Of `AVERAGES_S`.
+    n: Samples.
+    mean, sd: Mean and standard deviation (ddof = 1) of the samples; `sd` is NaN where there is one sample.
+    sd_freedom: Degrees of freedom of `sd`.
+    standard_uncertainty: Of the mean; NaN where it cannot be known.
+    freedom: Degrees of freedom of that uncertainty.
+    n_effective: Independent samples that would give the same uncertainty: sd**2 over its square.
+    white, flicker, walk: Parts of the Allan variance, AVAR(tau) = white/tau + flicker + walk*tau, tau in seconds; NaN
+        where unknown.
+    averages: Of `AVERAGES_S`.
     """
 
     n: int
@@ -84,18 +77,14 @@ def series_statistics(
 
     Parameters
     ----------
-    start_ns : array of int, shape (blocks,)
-        Where each block begins, increasing.
-    counts, means, squares : arrays of shape (blocks,)
-        Samples in each block, their mean, and the sum of squares about it; a block may be one sample.
-    base_ns : int
-        Length of a block, ns.
-    samples_per_block : float
-        Samples in a full block.
-    window_ns : pair of int
-        Within which a block may begin, both ends included; averages are taken that lie in the stretch as a whole.
-    step : float
-        Of the quantisation in the samples' unit, 0 if none.
+    start_ns: shape (blocks,); where each block begins, increasing.
+    counts, means, squares: shape (blocks,); samples in each block, their mean, and the sum of squares about it; a block
+        may be one sample.
+    base_ns: Length of a block, ns.
+    samples_per_block: Samples in a full block.
+    window_ns: Within which a block may begin, both ends included; averages are taken that lie in the stretch as a
+        whole.
+    step: Of the quantisation in the samples' unit, 0 if none.
 
     Notes
     -----
@@ -210,10 +199,8 @@ def scatter_of_averages(number: IntArray, values: FloatArray) -> Average:
 
     Parameters
     ----------
-    number : array of int, shape (n,)
-        Place of each average on its grid, increasing.
-    values : array, shape (n,)
-        The averages.
+    number: shape (n,); place of each average on its grid, increasing.
+    values: shape (n,); the averages.
 
     Examples
     --------

@@ -26,10 +26,8 @@ def step_means(catalog: Catalog, told: Told | None = None) -> pa.Table:
 
     Parameters
     ----------
-    catalog : Catalog
-        Of the store.
-    told : callable, optional
-        Hears how many of how many runs have been reduced.
+    catalog: Of the store.
+    told: Hears how many of how many runs have been reduced.
 
     Returns
     -------

@@ -23,16 +23,11 @@ class Difference(NamedTuple):
 
     Parameters
     ----------
-    group, level, against : str
-        As ``station``, ``B``, ``A``; `against` is empty where it is the mean of all other levels.
-    effect : Effect
-        level - against, in the unit of the values.
-    adjusted : float
-        Probability of so large a difference by chance, adjusted for all differences looked at.
-    confounded : tuple of str
-        Groups that cannot be told apart from this one.
-    units : int
-        Units that were measured there.
+    group, level, against: As ``station``, ``B``, ``A``; `against` is empty where it is the mean of all other levels.
+    effect: level - against, in the unit of the values.
+    adjusted: Probability of so large a difference by chance, adjusted for all differences looked at.
+    confounded: Groups that cannot be told apart from this one.
+    units: Units that were measured there.
     """
 
     group: str
@@ -59,12 +54,9 @@ class Comparison(NamedTuple):
 
     Parameters
     ----------
-    differences : tuple of Difference
-        Of all groups with more than one level.
-    pairs : tuple of Pairs
-        Of levels with units in common.
-    left_out : tuple of Words
-        Groups that were not compared, and why.
+    differences: Of all groups with more than one level.
+    pairs: Of levels with units in common.
+    left_out: Groups that were not compared, and why.
     """
 
     differences: tuple[Difference, ...]
@@ -85,10 +77,8 @@ def compare_groups(series: Series, groups: tuple[str, ...] = GROUPS) -> Comparis
 
     Parameters
     ----------
-    series : Series
-        All values, repeated ones too: they tell the scatter of units from that of measurements.
-    groups : tuple of str
-        Which groups; those with one level only are passed over.
+    series: All values, repeated ones too: they tell the scatter of units from that of measurements.
+    groups: Which groups; those with one level only are passed over.
 
     Notes
     -----

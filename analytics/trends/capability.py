@@ -28,22 +28,16 @@ class Capability(NamedTuple):
 
     Parameters
     ----------
-    lower, upper : float or None
-        Limits of the specification, in the unit of the values.
-    mean, sigma : float
-        Of the values; `sigma` is the standard deviation of all of them (n - 1), which in a process in control is also
-        that from point to point.
-    n : int
-        Values.
-    cp : Index or None
-        (upper - lower)/(6*sigma); None where there is one limit only.
-    cpk : Index
-        Distance of the mean from the nearer limit over 3*sigma.
-    measurement_share : float or None
-        Part of the variance that the uncertainty of the measurements is; the process itself is better by that.
-    normality_chance : float
-        Probability of values at least so far from normal where they are normal (Shapiro and Wilk). Below 0.01 the
-        indices do not say how many units lie outside.
+    lower, upper: Limits of the specification, in the unit of the values.
+    mean, sigma: Of the values; `sigma` is the standard deviation of all of them (n - 1), which in a process in control
+        is also that from point to point.
+    n: Values.
+    cp: (upper - lower)/(6*sigma); None where there is one limit only.
+    cpk: Distance of the mean from the nearer limit over 3*sigma.
+    measurement_share: Part of the variance that the uncertainty of the measurements is; the process itself is better by
+        that.
+    normality_chance: Probability of values at least so far from normal where they are normal (Shapiro and Wilk). Below
+        0.01 the indices do not say how many units lie outside.
     """
 
     lower: float | None
@@ -74,14 +68,10 @@ def capability(
 
     Parameters
     ----------
-    values : array of shape (points,)
-        One of each unit.
-    lower, upper : float, optional
-        Limits of the specification.
-    out_of_control : Words, optional
-        What shows that the process is not in control; then it has no capability.
-    uncertainty : array of shape (points,), optional
-        Standard uncertainties of the values; NaN where unknown.
+    values: shape (points,); one of each unit.
+    lower, upper: Limits of the specification.
+    out_of_control: What shows that the process is not in control; then it has no capability.
+    uncertainty: shape (points,); standard uncertainties of the values; NaN where unknown.
 
     Notes
     -----

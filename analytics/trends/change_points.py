@@ -27,12 +27,9 @@ class ChangePoint(NamedTuple):
 
     Parameters
     ----------
-    at : int
-        First point of the new level.
-    first, last : int
-        Between which points it lies with 95 % confidence, both included.
-    size, lo, hi : float
-        By how much the level changes, with 95 % limits, in the unit of the values.
+    at: First point of the new level.
+    first, last: Between which points it lies with 95 % confidence, both included.
+    size, lo, hi: By how much the level changes, with 95 % limits, in the unit of the values.
     """
 
     at: int
@@ -48,16 +45,11 @@ class Changes(NamedTuple):
 
     Parameters
     ----------
-    points : tuple of ChangePoint
-        In order; empty where the level stays.
-    levels : tuple of float
-        Of the stretches between them.
-    sigma : float
-        Standard deviation about the levels.
-    false_alarm : float
-        Probability with which white noise shows any change.
-    is_drift : bool
-        Whether a straight line describes the series as well: then there are no points.
+    points: In order; empty where the level stays.
+    levels: Of the stretches between them.
+    sigma: Standard deviation about the levels.
+    false_alarm: Probability with which white noise shows any change.
+    is_drift: Whether a straight line describes the series as well: then there are no points.
     """
 
     points: tuple[ChangePoint, ...]
@@ -72,10 +64,8 @@ def change_points(values: FloatArray, *, false_alarm: float = 0.01) -> Changes |
 
     Parameters
     ----------
-    values : array of shape (points,)
-        In order of time.
-    false_alarm : float
-        Probability with which white noise may show any change.
+    values: shape (points,); in order of time.
+    false_alarm: Probability with which white noise may show any change.
 
     Notes
     -----

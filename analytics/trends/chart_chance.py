@@ -24,14 +24,10 @@ class ChartChance(NamedTuple):
 
     Parameters
     ----------
-    wild_point : float
-        Of the most distant point; a bound (Bonferroni), 1 where there are too few points.
-    signals : float
-        Of the number of signals of the rule that stands out most, all eight taken into account.
-    rule : int or None
-        Which rule that is.
-    expected : tuple of float
-        Signals of each rule that white noise gives on such a chart, on average.
+    wild_point: Of the most distant point; a bound (Bonferroni), 1 where there are too few points.
+    signals: Of the number of signals of the rule that stands out most, all eight taken into account.
+    rule: Which rule that is.
+    expected: Signals of each rule that white noise gives on such a chart, on average.
     """
 
     wild_point: float
@@ -53,10 +49,8 @@ def chart_chance(values: FloatArray, counts: IntArray, *, baseline: int, spread:
 
     Parameters
     ----------
-    values : array of shape (points,)
-        In order of time.
-    counts : array of int, shape (8,)
-        Signals of each rule, with limits from the first `baseline` points by `spread`.
+    values: shape (points,); in order of time.
+    counts: shape (8,); signals of each rule, with limits from the first `baseline` points by `spread`.
 
     Notes
     -----

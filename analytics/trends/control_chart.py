@@ -36,16 +36,11 @@ class IndividualsChart(NamedTuple):
 
     Parameters
     ----------
-    centre, sigma : float
-        Level and standard deviation of the process in control, in the unit of the values.
-    lower, upper : float
-        centre -+ 3 sigma.
-    moving_range, moving_range_upper : float
-        Expected moving range, d2*sigma, and its limit (d2 + 3*d3)*sigma.
-    baseline : int
-        Points that they were computed from.
-    spread : Spread
-        By which rule.
+    centre, sigma: Level and standard deviation of the process in control, in the unit of the values.
+    lower, upper: centre -+ 3 sigma.
+    moving_range, moving_range_upper: Expected moving range, d2*sigma, and its limit (d2 + 3*d3)*sigma.
+    baseline: Points that they were computed from.
+    spread: By which rule.
     """
 
     centre: float
@@ -87,12 +82,9 @@ def individuals_chart(
 
     Parameters
     ----------
-    values : array of shape (points,)
-        In order of time.
-    baseline : int, optional
-        How many points from the first on the limits are computed from (phase I); all if left out.
-    spread : Spread
-        By which rule.
+    values: shape (points,); in order of time.
+    baseline: How many points from the first on the limits are computed from (phase I); all if left out.
+    spread: By which rule.
 
     Notes
     -----

@@ -20,12 +20,9 @@ class Drift(NamedTuple):
 
     Parameters
     ----------
-    slope, lo, hi : float
-        With 95 % limits, in the unit of the values per unit of time.
-    chance : float
-        Probability of a slope at least so large, of either sign, where there is none.
-    correlation : float
-        Of neighbouring points about the line, the likeliest.
+    slope, lo, hi: With 95 % limits, in the unit of the values per unit of time.
+    chance: Probability of a slope at least so large, of either sign, where there is none.
+    correlation: Of neighbouring points about the line, the likeliest.
     """
 
     slope: float
@@ -40,10 +37,8 @@ def drift(time: FloatArray, values: FloatArray) -> Drift | Refused:
 
     Parameters
     ----------
-    time : array of shape (points,)
-        Not decreasing.
-    values : array of shape (points,)
-        In that order.
+    time: shape (points,); not decreasing.
+    values: shape (points,); in that order.
 
     Notes
     -----

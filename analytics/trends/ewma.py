@@ -18,10 +18,8 @@ class EwmaChart(NamedTuple):
 
     Parameters
     ----------
-    averages, lower, upper : arrays of shape (points,)
-        In the unit of the values.
-    weight, width : float
-        Weight of the newest point; limits in standard deviations of the average.
+    averages, lower, upper: shape (points,); in the unit of the values.
+    weight, width: Weight of the newest point; limits in standard deviations of the average.
     """
 
     averages: FloatArray
@@ -63,12 +61,9 @@ def average_run_length(weight: float, width: float, shift: float = 0.0, states: 
 
     Parameters
     ----------
-    weight, width : float
-        Of the chart.
-    shift : float
-        By how many sigma the process has moved.
-    states : int
-        Into how many states the way between the limits is divided.
+    weight, width: Of the chart.
+    shift: By how many sigma the process has moved.
+    states: Into how many states the way between the limits is divided.
 
     Examples
     --------

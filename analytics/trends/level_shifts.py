@@ -33,20 +33,14 @@ class LevelShift(NamedTuple):
 
     Parameters
     ----------
-    station : str
-        Which; empty where all stations change together.
-    at : int
-        First value of the series at the new level there.
-    first, last : int
-        Between which of its values the change lies with 95 % confidence: the last one before and the first one after.
-    size, lo, hi : float
-        By how much the level changes, with 95 % limits, in the unit of the values.
-    chance : float
-        Probability with which independent measurements show such a change anywhere.
-    wander : float
-        Probability with which levels that wander from session to session do.
-    units : int
-        Units that were measured there before and after.
+    station: Which; empty where all stations change together.
+    at: First value of the series at the new level there.
+    first, last: Between which of its values the change lies with 95 % confidence: the last one before and the first one
+        after.
+    size, lo, hi: By how much the level changes, with 95 % limits, in the unit of the values.
+    chance: Probability with which independent measurements show such a change anywhere.
+    wander: Probability with which levels that wander from session to session do.
+    units: Units that were measured there before and after.
     """
 
     station: str
@@ -71,12 +65,9 @@ class Unsteady(NamedTuple):
 
     Parameters
     ----------
-    deviation : float
-        Standard deviation of the sessions' levels, in the unit of the values.
-    chance : float
-        Probability with which noise alone shows as much.
-    largest : LevelShift or None
-        The largest change of level, which cannot be told from that scatter.
+    deviation: Standard deviation of the sessions' levels, in the unit of the values.
+    chance: Probability with which noise alone shows as much.
+    largest: The largest change of level, which cannot be told from that scatter.
     """
 
     deviation: float
@@ -89,13 +80,10 @@ class LevelShifts(NamedTuple):
 
     Parameters
     ----------
-    shifts : tuple of LevelShift
-        In order of time.
-    unsteady : Unsteady or None
-        None where sessions differ no more than by chance.
-    points : array of shape (n,)
-        Of each value: the level of its station then, and how far the value is from what its unit and station let
-        expect, scaled to the noise of one measurement.
+    shifts: In order of time.
+    unsteady: None where sessions differ no more than by chance.
+    points: shape (n,); of each value: the level of its station then, and how far the value is from what its unit and
+        station let expect, scaled to the noise of one measurement.
     """
 
     shifts: tuple[LevelShift, ...]
@@ -108,10 +96,8 @@ def level_shifts(series: Series, *, false_alarm: float = 0.01) -> LevelShifts | 
 
     Parameters
     ----------
-    series : Series
-        All values; some units measured twice at least, since they tell units from stations.
-    false_alarm : float
-        Probability with which noise alone may show a change, over all stations.
+    series: All values; some units measured twice at least, since they tell units from stations.
+    false_alarm: Probability with which noise alone may show a change, over all stations.
 
     Notes
     -----

@@ -26,12 +26,9 @@ class Effect(NamedTuple):
 
     Parameters
     ----------
-    value, lo, hi, standard_uncertainty : float
-        In the unit of the values.
-    freedom : float
-        Degrees of freedom of the uncertainty.
-    chance : float
-        Probability of a value at least so far from 0 where it is 0.
+    value, lo, hi, standard_uncertainty: In the unit of the values.
+    freedom: Degrees of freedom of the uncertainty.
+    chance: Probability of a value at least so far from 0 where it is 0.
     """
 
     value: float
@@ -56,14 +53,10 @@ class MixedModel:
 
     Parameters
     ----------
-    y : array of shape (n,)
-        Values.
-    fixed : array of shape (n, p)
-        Columns of full rank.
-    unit : array of int, shape (n,)
-        Which unit each value is of, from 0.
-    random : array of shape (n, q), optional
-        Indicators of the levels of a second random effect.
+    y: shape (n,); values.
+    fixed: shape (n, p); columns of full rank.
+    unit: shape (n,); which unit each value is of, from 0.
+    random: shape (n, q); indicators of the levels of a second random effect.
 
     Examples
     --------
@@ -105,8 +98,7 @@ class MixedModel:
 
         Parameters
         ----------
-        contrasts : array of shape (combinations, p)
-            Their coefficients.
+        contrasts: shape (combinations, p); their coefficients.
         """
         at = self._optimum
         beta, covariance = self._solved(at)

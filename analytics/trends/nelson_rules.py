@@ -28,8 +28,7 @@ def rule_flags(z: FloatArray) -> BoolArray:
 
     Parameters
     ----------
-    z : array of shape (..., points)
-        (value - centre)/sigma, in order of time; several series at once.
+    z: shape (..., points); (value - centre)/sigma, in order of time; several series at once.
 
     Returns
     -------

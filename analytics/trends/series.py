@@ -86,26 +86,16 @@ class Series:
 
     Parameters
     ----------
-    metric, unit_of_measure : str
-        What they are of.
-    value, uncertainty : arrays of shape (n,)
-        In that unit; the standard uncertainty is NaN where unknown.
-    t_ns : array of int, shape (n,)
-        When each was measured; where the date of a run is unknown, when it was recorded.
-    unit : list of str
-        Which unit; with the signal where units have several.
-    run : list of str
-        In which run.
-    groups : dict of list of str
-        Of each value, for `GROUPS`, `product` and `signal`.
-    variant : Variant
-        Which kind of values.
-    others : tuple of Variant
-        The other kinds that there are.
-    without_value : int
-        Rows of this kind that have a reason in place of a value.
-    dated : bool
-        Whether the dates of all runs are known.
+    metric, unit_of_measure: What they are of.
+    value, uncertainty: shape (n,); in that unit; the standard uncertainty is NaN where unknown.
+    t_ns: shape (n,); when each was measured; where the date of a run is unknown, when it was recorded.
+    unit: Which unit; with the signal where units have several.
+    run: In which run.
+    groups: Of each value, for `GROUPS`, `product` and `signal`.
+    variant: Which kind of values.
+    others: The other kinds that there are.
+    without_value: Rows of this kind that have a reason in place of a value.
+    dated: Whether the dates of all runs are known.
     """
 
     metric: str
@@ -182,10 +172,8 @@ def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> Ser
 
     Raises
     ------
-    BadInput
-        If there is no such characteristic; the message names those that look alike.
-    NotFound
-        If there is no value of it.
+    BadInput: If there is no such characteristic; the message names those that look alike.
+    NotFound: If there is no value of it.
     """
     check_metrics([metric])
     rows = [

@@ -27,16 +27,11 @@ class Layout(NamedTuple):
 
     Parameters
     ----------
-    session, unit : array of int, shape (n,)
-        Of each value, from 0.
-    station : array of int, shape (sessions,)
-        Of each session, rising.
-    time : array of shape (sessions,)
-        Mean moment of each, rising within a station.
-    names : list of str
-        Of the stations.
-    values : list of array of int
-        Numbers of the values of each session.
+    session, unit: shape (n,); of each value, from 0.
+    station: shape (sessions,); of each session, rising.
+    time: shape (sessions,); mean moment of each, rising within a station.
+    names: Of the stations.
+    values: Numbers of the values of each session.
     """
 
     session: IntArray

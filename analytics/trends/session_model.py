@@ -24,10 +24,8 @@ class Noise(NamedTuple):
 
     Parameters
     ----------
-    ratio : float
-        Variance of a session's effect over that of the noise of a session's mean; 0: there is none.
-    correlation : float
-        Of neighbouring sessions of a station.
+    ratio: Variance of a session's effect over that of the noise of a session's mean; 0: there is none.
+    correlation: Of neighbouring sessions of a station.
     """
 
     ratio: float
@@ -44,10 +42,8 @@ class Sums(NamedTuple):
 
     Parameters
     ----------
-    products : array of shape (sessions, series)
-        Sums over sessions of the values, whitened of their units.
-    squares : array of shape (series,)
-        Sums of squares, likewise.
+    products: shape (sessions, series); sums over sessions of the values, whitened of their units.
+    squares: shape (series,); sums of squares, likewise.
     """
 
     products: FloatArray
@@ -70,14 +66,10 @@ class SessionModel:
 
     Parameters
     ----------
-    session : array of int, shape (n,)
-        Which session each value is of, from 0.
-    unit : array of int, shape (n,)
-        Which unit, from 0.
-    station : array of int, shape (sessions,)
-        Which station each session is of, rising.
-    unit_ratio : float
-        Variance from unit to unit over that of the noise.
+    session: shape (n,); which session each value is of, from 0.
+    unit: shape (n,); which unit, from 0.
+    station: shape (sessions,); which station each session is of, rising.
+    unit_ratio: Variance from unit to unit over that of the noise.
     """
 
     session: IntArray

@@ -42,41 +42,24 @@ class Chart(NamedTuple):
 
     Parameters
     ----------
-    name : str
-        Unit, or level of the group; empty where all units stand on one chart.
-    series : Series
-        The values, in order of time.
-    charted : array of shape (points,)
-        Where its points stand: the values; of a station or fixture that measured units more than once, the level there
-        and how far each value is from what its unit lets expect (`LevelShifts.points`).
-    is_adjusted : bool
-        Whether these differ.
-    limits : IndividualsChart or Refused
-        Centre and control limits; none below zero of what cannot be negative.
-    z : array of shape (points,)
-        Distances from the centre in sigma; empty where there are no limits.
-    signals : dict of list of int
-        Points that take part in each of Nelson's rules that is met, by its number.
-    counts : tuple of int
-        How often each of the eight is met.
-    averages : EwmaChart or None
-        Moving averages.
-    chance : ChartChance or None
-        What noise would show; None where there are so many charts that no number of signals would say anything.
-    wild_point : int or None
-        The most distant point, where it is no chance.
-    too_many : int or None
-        The rule that is met more often than by chance.
-    changes : Changes or Refused
-        Changes of level; of a chart that is adjusted, those of `shifts`.
-    drift : Drift or Refused
-        Per day; per point where dates are not known.
-    drifts : bool
-        Whether the drift is no chance.
-    shifts : tuple of LevelShift
-        Changes of level of the stations that the values are of, from all their measurements.
-    is_unsteady : bool
-        Whether these wander from session to session.
+    name: Unit, or level of the group; empty where all units stand on one chart.
+    series: The values, in order of time.
+    charted: shape (points,); where its points stand: the values; of a station or fixture that measured units more than
+        once, the level there and how far each value is from what its unit lets expect (`LevelShifts.points`).
+    is_adjusted: Whether these differ.
+    limits: Centre and control limits; none below zero of what cannot be negative.
+    z: shape (points,); distances from the centre in sigma; empty where there are no limits.
+    signals: Points that take part in each of Nelson's rules that is met, by its number.
+    counts: How often each of the eight is met.
+    averages: Moving averages.
+    chance: What noise would show; None where there are so many charts that no number of signals would say anything.
+    wild_point: The most distant point, where it is no chance.
+    too_many: The rule that is met more often than by chance.
+    changes: Changes of level; of a chart that is adjusted, those of `shifts`.
+    drift: Per day; per point where dates are not known.
+    drifts: Whether the drift is no chance.
+    shifts: Changes of level of the stations that the values are of, from all their measurements.
+    is_unsteady: Whether these wander from session to session.
     """
 
     name: str
@@ -125,20 +108,13 @@ class Trend:
 
     Parameters
     ----------
-    series : Series
-        All values.
-    by : str or None
-        What each chart is of: ``unit``, ``lot``, ``station``, ``fixture``; None where all units stand on one.
-    charts : tuple of Chart
-        In order of their names.
-    shifts : LevelShifts or Refused
-        Changes of level of single stations, from all values.
-    comparison : Comparison or Refused
-        Between stations, fixtures and lots.
-    specification : Limits
-        What the values are compared with.
-    capabilities : tuple of Capability or Refused
-        Of each chart.
+    series: All values.
+    by: What each chart is of: ``unit``, ``lot``, ``station``, ``fixture``; None where all units stand on one.
+    charts: In order of their names.
+    shifts: Changes of level of single stations, from all values.
+    comparison: Between stations, fixtures and lots.
+    specification: What the values are compared with.
+    capabilities: Of each chart.
     """
 
     series: Series
@@ -167,19 +143,14 @@ def trend_of(
 
     Parameters
     ----------
-    series : Series
-        All values in order of time.
-    by : str, optional
-        One chart for each unit, lot, station or fixture. A chart of a unit has all its values. A chart of a station or
+    series: All values in order of time.
+    by: One chart for each unit, lot, station or fixture. A chart of a unit has all its values. A chart of a station or
         fixture has all values measured there; where units were measured more than once, each is charted by how far it
         is from what its unit lets expect. Other charts have the first value of each unit, since values of one unit
         resemble each other more than those of different units.
-    baseline : int, optional
-        From how many first points the limits are computed; from all if left out.
-    spread : Spread
-        By which rule.
-    specification : Limits
-        For the capability.
+    baseline: From how many first points the limits are computed; from all if left out.
+    spread: By which rule.
+    specification: For the capability.
     """
     if by is None and len(set(series.unit)) == 1:
         by = "unit"

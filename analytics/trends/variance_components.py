@@ -14,10 +14,8 @@ def components(series: Series, groups: tuple[str, ...]) -> dict[str, Deviation]:
 
     Parameters
     ----------
-    series : Series
-        All values, repeated ones too.
-    groups : tuple of str
-        Groups with two levels or more are a random effect each, one at a time.
+    series: All values, repeated ones too.
+    groups: Groups with two levels or more are a random effect each, one at a time.
 
     Returns
     -------

@@ -19,15 +19,13 @@ class FrameCounter:
 
     Parameters
     ----------
-    modulus : int
-        Values that it takes.
-    interval_ns : int, optional
-        Nominal interval of the frames, nanoseconds.
+    modulus: Values that it takes.
+    interval_ns: Nominal interval of the frames, nanoseconds.
 
     Attributes
     ----------
-    lost, repeated, restarts : int
-        Frames that never came; that came again, or too late; silences after which the counter had begun anew.
+    lost, repeated, restarts: Frames that never came; that came again, or too late; silences after which the counter had
+        begun anew.
 
     Examples
     --------

@@ -48,8 +48,7 @@ def load_messages(paths: Sequence[Path]) -> "list[Message]":
 
     Raises
     ------
-    BadInput
-        If one cannot be read.
+    BadInput: If one cannot be read.
     """
     import cantools
 

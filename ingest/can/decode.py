@@ -31,10 +31,8 @@ class FrameBytes:
 
     Parameters
     ----------
-    data : ndarray of uint8, shape (n, width)
-        Bytes beyond a frame's length are 0; the width is at least 8.
-    length : ndarray of uint8, shape (n,)
-        Bytes that each frame has.
+    data: shape (n, width); bytes beyond a frame's length are 0; the width is at least 8.
+    length: shape (n,); bytes that each frame has.
     """
 
     def __init__(self, data: npt.NDArray[np.uint8], length: npt.NDArray[np.uint8]) -> None:
@@ -67,15 +65,11 @@ class BitField:
 
     Parameters
     ----------
-    order : str
-        ``<`` (Intel) or ``>`` (Motorola).
-    first_bit : int
-        Intel: its least significant bit, counted from bit 0 of byte 0. Motorola: its most significant bit, counted
-        from bit 7 of byte 0 downwards and on.
-    bits : int
-        How many, 1 to 64.
-    is_signed, is_float : bool
-        Two's complement; IEEE 754 of 16, 32 or 64 bits.
+    order: ``<`` (Intel) or ``>`` (Motorola).
+    first_bit: Intel: its least significant bit, counted from bit 0 of byte 0. Motorola: its most significant bit,
+        counted from bit 7 of byte 0 downwards and on.
+    bits: How many, 1 to 64.
+    is_signed, is_float: Two's complement; IEEE 754 of 16, 32 or 64 bits.
 
     Examples
     --------
@@ -151,16 +145,11 @@ class SignalLayout:
 
     Parameters
     ----------
-    name : str
-        As the database calls it.
-    field : BitField
-        Its bits.
-    scale, offset : float
-        value = raw * scale + offset.
-    switch : Switch, optional
-        The multiplexer it hangs on.
-    unit_of_measure : str
-        As the database writes it.
+    name: As the database calls it.
+    field: Its bits.
+    scale, offset: value = raw * scale + offset.
+    switch: The multiplexer it hangs on.
+    unit_of_measure: As the database writes it.
     """
 
     name: str
@@ -177,12 +166,9 @@ class Decoded:
 
     Parameters
     ----------
-    rows : ndarray of bool, shape (n,), optional
-        Which frames those are; None for all.
-    raw : ndarray of int64, uint64 or float64
-        Its values there, without scale.
-    short : int
-        Frames that should carry it and are too short.
+    rows: shape (n,); which frames those are; None for all.
+    raw: Its values there, without scale.
+    short: Frames that should carry it and are too short.
     """
 
     rows: BoolArray | None
@@ -207,15 +193,12 @@ class MessageLayout:
 
     Parameters
     ----------
-    name : str
-        As the database calls it.
-    signals : mapping of str to SignalLayout
-        Its signals by name.
+    name: As the database calls it.
+    signals: Its signals by name.
 
     Attributes
     ----------
-    unusable : dict of str to str
-        Signals of the database that cannot be decoded, and why.
+    unusable: Signals of the database that cannot be decoded, and why.
 
     Examples
     --------

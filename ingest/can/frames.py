@@ -28,16 +28,11 @@ class FrameBlock:
 
     Attributes
     ----------
-    t_ns : ndarray of int64, shape (n,)
-        When each was received, nanoseconds.
-    channel : ndarray of int16, shape (n,)
-        On which channel of the interface or log.
-    arbitration_id : ndarray of uint32, shape (n,)
-        Bit 31 is set where it is of 29 bits.
-    length : ndarray of uint8, shape (n,)
-        Bytes of data.
-    data : ndarray of uint8, shape (n, 8) or (n, 64)
-        Bytes beyond a frame's length are 0.
+    t_ns: shape (n,); when each was received, nanoseconds.
+    channel: shape (n,); on which channel of the interface or log.
+    arbitration_id: shape (n,); bit 31 is set where it is of 29 bits.
+    length: shape (n,); bytes of data.
+    data: shape (n, 8) or (n, 64); bytes beyond a frame's length are 0.
     """
 
     t_ns: IntArray

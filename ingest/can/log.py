@@ -40,20 +40,16 @@ class CanLog:
 
     Parameters
     ----------
-    path : Path
-        The file: .blf, .asc, .trc, .log (candump) or .mf4.
+    path: The file: .blf, .asc, .trc, .log (candump) or .mf4.
 
     Attributes
     ----------
-    damage : str
-        What is wrong with the file, once it is read; empty where nothing is.
-    counts : FrameCounts
-        Frames of the file, once it is read.
+    damage: What is wrong with the file, once it is read; empty where nothing is.
+    counts: Frames of the file, once it is read.
 
     Raises
     ------
-    BadInput
-        If it cannot be opened, or is no such log.
+    BadInput: If it cannot be opened, or is no such log.
 
     Examples
     --------

@@ -37,23 +37,17 @@ class CanLogFile:
 
     Parameters
     ----------
-    path : Path
-        The log: .blf, .asc, .trc, .log or .mf4.
-    plan : CanPlan
-        What to decode, and whose it is.
-    run : str, optional
-        Run that the samples belong to; by default the file's name.
-    start_ns : int, optional
-        Moment of the log's zero, nanoseconds UTC, where its times count from its begin.
-    words : StepWords, optional
-        Words of the step that each unit is in from its first sample to its last.
-    intervals : dict, optional
-        Nominal interval in nanoseconds by unit, run and signal, as logs before this one have it; this one adds its own.
+    path: The log: .blf, .asc, .trc, .log or .mf4.
+    plan: What to decode, and whose it is.
+    run: Run that the samples belong to; by default the file's name.
+    start_ns: Moment of the log's zero, nanoseconds UTC, where its times count from its begin.
+    words: Words of the step that each unit is in from its first sample to its last.
+    intervals: Nominal interval in nanoseconds by unit, run and signal, as logs before this one have it; this one adds
+        its own.
 
     Raises
     ------
-    BadInput
-        If the log cannot be opened, or its name is no name of a run.
+    BadInput: If the log cannot be opened, or its name is no name of a run.
     """
 
     def __init__(
@@ -81,13 +75,11 @@ class CanLogFile:
 
         Parameters
         ----------
-        progress : callable, optional
-            Called with the fraction of the file that is read, 0 to 1.
+        progress: Called with the fraction of the file that is read, 0 to 1.
 
         Raises
         ------
-        BadInput
-            If not one sample comes out of it.
+        BadInput: If not one sample comes out of it.
         """
         samples = CanSamples(self._plan)
         clock = RunClock(self._start_ns)
@@ -141,17 +133,13 @@ class CanLogFile:
 
         Parameters
         ----------
-        epoch_of : callable
-            From unit and run to the epoch of their samples.
-        keep : callable, optional
-            From unit, run, signal and times (ndarray of int64, nanoseconds) to a mask of those to deliver.
-        progress : callable, optional
-            Called with the fraction of the file that is read, 0 to 1.
+        epoch_of: From unit and run to the epoch of their samples.
+        keep: From unit, run, signal and times (ndarray of int64, nanoseconds) to a mask of those to deliver.
+        progress: Called with the fraction of the file that is read, 0 to 1.
 
         Raises
         ------
-        BadInput
-            As `check`, which runs first where it has not; and if the file has changed since.
+        BadInput: As `check`, which runs first where it has not; and if the file has changed since.
         """
         summary = self._summary if self._summary is not None else self.check()
         found = {(each.unit, each.signal): each for each in summary.signals}

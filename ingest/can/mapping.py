@@ -60,24 +60,15 @@ class MessageEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     Parameters
     ----------
-    message : str
-        Name in the database.
-    unit : str, optional
-        The unit that sends it, under the database's own id.
-    ids : dict, optional
-        Unit to arbitration id, where many units send it.
-    channels : dict, optional
-        Unit to channel, where one unit is on each.
-    multiplexer, units : str and dict, optional
-        A signal, and unit to its raw value, where it says whose frame it is.
-    channel : int, optional
-        The channel that counts; by default any.
-    signals : dict, optional
-        Name in the database to name here; by default all, in lower case.
-    counter, checksum : optional
-        How lost and damaged frames are found.
-    interval_s : float, optional
-        Sample interval, seconds. With a counter, sample n is at exactly n intervals after the first.
+    message: Name in the database.
+    unit: The unit that sends it, under the database's own id.
+    ids: Unit to arbitration id, where many units send it.
+    channels: Unit to channel, where one unit is on each.
+    multiplexer, units: A signal, and unit to its raw value, where it says whose frame it is.
+    channel: The channel that counts; by default any.
+    signals: Name in the database to name here; by default all, in lower case.
+    counter, checksum: How lost and damaged frames are found.
+    interval_s: Sample interval, seconds. With a counter, sample n is at exactly n intervals after the first.
     """
 
     message: str
@@ -165,10 +156,8 @@ class CanPlan:
 
     Parameters
     ----------
-    routes : tuple of Route
-        Whose frame is whose.
-    remarks : tuple of str
-        What was found odd in database or mapping, for people.
+    routes: Whose frame is whose.
+    remarks: What was found odd in database or mapping, for people.
     """
 
     routes: tuple[Route, ...]
@@ -190,8 +179,7 @@ def automatic_plan(dbc_paths: Sequence[Path], unit: str) -> CanPlan:
 
     Raises
     ------
-    BadInput
-        If a database cannot be read, or holds no message.
+    BadInput: If a database cannot be read, or holds no message.
     """
     check_name("unit", unit)
     messages = load_messages(dbc_paths)
@@ -206,17 +194,13 @@ def load_mapping(path: Path, dbc_paths: Sequence[Path], unit: str | None = None)
 
     Parameters
     ----------
-    path : Path
-        The mapping.
-    dbc_paths : sequence of Path
-        The databases.
-    unit : str, optional
-        Whose the messages are of which the mapping does not say it.
+    path: The mapping.
+    dbc_paths: The databases.
+    unit: Whose the messages are of which the mapping does not say it.
 
     Raises
     ------
-    BadInput
-        If a file cannot be read, or the mapping names what the databases do not have; the message says where.
+    BadInput: If a file cannot be read, or the mapping names what the databases do not have; the message says where.
     """
     try:
         mapping = decode_toml(path.read_bytes(), MappingFile)

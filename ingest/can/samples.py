@@ -24,28 +24,19 @@ class MessageCount:
 
     Parameters
     ----------
-    message, unit : str
-        Which, as the database and the mapping say.
-    arbitration_id : int
-        Bit 31 is set where it is of 29 bits.
-    frames : int
-        Frames that came.
-    decoded : int
-        Frames whose signals were used.
-    lost, repeated, restarts : int
-        By its counter: frames that never came, that came again, and silences after which it had begun anew.
-    checksum_failures : int
-        Frames that were left out as their checksum is wrong.
-    short : int
-        Frames that lack bytes of a signal; that signal was left out.
-    not_finite : int
-        Values that are no finite number, left out.
-    other_channel : int
-        Frames on another channel than the first one, where the mapping names none; left out.
-    late, retimed : int
-        Frames left out as their time lies before that of one before them; frames a little late, set after it.
-    off_grid_s : float
-        Furthest that a frame was received from its place on the grid, seconds (counter with interval only).
+    message, unit: Which, as the database and the mapping say.
+    arbitration_id: Bit 31 is set where it is of 29 bits.
+    frames: Frames that came.
+    decoded: Frames whose signals were used.
+    lost, repeated, restarts: By its counter: frames that never came, that came again, and silences after which it had
+        begun anew.
+    checksum_failures: Frames that were left out as their checksum is wrong.
+    short: Frames that lack bytes of a signal; that signal was left out.
+    not_finite: Values that are no finite number, left out.
+    other_channel: Frames on another channel than the first one, where the mapping names none; left out.
+    late, retimed: Frames left out as their time lies before that of one before them; frames a little late, set after
+        it.
+    off_grid_s: Furthest that a frame was received from its place on the grid, seconds (counter with interval only).
     """
 
     message: str
@@ -76,14 +67,10 @@ class CanCounts:
 
     Parameters
     ----------
-    frames : int
-        Frames that came.
-    messages : tuple of MessageCount
-        By message and unit; those that never came are not in it.
-    unknown : dict
-        Frames by arbitration id that no message of the plan has.
-    unrouted : dict
-        Frames by arbitration id whose channel or multiplexer is no unit's.
+    frames: Frames that came.
+    messages: By message and unit; those that never came are not in it.
+    unknown: Frames by arbitration id that no message of the plan has.
+    unrouted: Frames by arbitration id whose channel or multiplexer is no unit's.
     """
 
     frames: int
@@ -256,8 +243,7 @@ class CanSamples:
 
     Parameters
     ----------
-    plan : CanPlan
-        From `load_mapping` or `automatic_plan`.
+    plan: From `load_mapping` or `automatic_plan`.
     """
 
     def __init__(self, plan: CanPlan) -> None:

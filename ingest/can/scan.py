@@ -28,18 +28,12 @@ class SignalScan:
 
     Parameters
     ----------
-    name : str
-        As the database calls it.
-    unit_of_measure : str
-        As gyrofleet writes it.
-    is_known : bool
-        Whether that is a unit of measure that is known.
-    least, most : float, optional
-        Range of its values; None where it never came.
-    varies : bool
-        Whether it took more than one value.
-    looks_like_counter : bool
-        Whether it goes up by one from frame to frame.
+    name: As the database calls it.
+    unit_of_measure: As gyrofleet writes it.
+    is_known: Whether that is a unit of measure that is known.
+    least, most: Range of its values; None where it never came.
+    varies: Whether it took more than one value.
+    looks_like_counter: Whether it goes up by one from frame to frame.
     """
 
     name: str
@@ -57,24 +51,15 @@ class IdScan:
 
     Parameters
     ----------
-    arbitration_id : int
-        Without bit 31.
-    is_extended : bool
-        Whether it is of 29 bits.
-    channel : int
-        Channel of the log.
-    frames : int
-        How many came.
-    rate_hz : float, optional
-        Frames a second, by the median interval; None for a lone frame.
-    longest_s : float, optional
-        Longest interval, seconds.
-    lengths : tuple of int
-        Lengths that they had, bytes.
-    message : str, optional
-        Name in the database; None where it is not there.
-    signals : tuple of SignalScan
-        Its signals.
+    arbitration_id: Without bit 31.
+    is_extended: Whether it is of 29 bits.
+    channel: Channel of the log.
+    frames: How many came.
+    rate_hz: Frames a second, by the median interval; None for a lone frame.
+    longest_s: Longest interval, seconds.
+    lengths: Lengths that they had, bytes.
+    message: Name in the database; None where it is not there.
+    signals: Its signals.
     """
 
     arbitration_id: int
@@ -153,17 +138,13 @@ def scan_log(path: Path, databases: Sequence[Path], progress: Callable[[float], 
 
     Parameters
     ----------
-    path : Path
-        The log: .blf, .asc, .trc, .log or .mf4.
-    databases : sequence of Path
-        What its messages are looked up in.
-    progress : callable, optional
-        Called with the fraction of the file that is read, 0 to 1.
+    path: The log: .blf, .asc, .trc, .log or .mf4.
+    databases: What its messages are looked up in.
+    progress: Called with the fraction of the file that is read, 0 to 1.
 
     Raises
     ------
-    BadInput
-        If a file cannot be read.
+    BadInput: If a file cannot be read.
     """
     messages = {
         arbitration_id(each.frame_id, is_extended=bool(each.is_extended_frame)): each

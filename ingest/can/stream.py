@@ -76,12 +76,9 @@ class CanDecoder:
 
     Parameters
     ----------
-    plan : CanPlan
-        From `load_mapping` or `automatic_plan`.
-    run : str
-        Run that the samples belong to.
-    epoch_of : callable
-        From a unit to the epoch of its samples.
+    plan: From `load_mapping` or `automatic_plan`.
+    run: Run that the samples belong to.
+    epoch_of: From a unit to the epoch of its samples.
 
     Examples
     --------

@@ -83,8 +83,7 @@ def _unknown_unit(folder: Path, unit: str) -> str | None:
 
     Raises
     ------
-    BadInput
-        If the unit is in the store under this name in other letters.
+    BadInput: If the unit is in the store under this name in other letters.
     """
     from storage.sql.catalog import Catalog
     from storage.store import Store

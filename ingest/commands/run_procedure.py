@@ -70,8 +70,7 @@ def run_procedure(
 
     Raises
     ------
-    GyrofleetError
-        If a file cannot be used, the station cannot do what the procedure asks, or recording fails.
+    GyrofleetError: If a file cannot be used, the station cannot do what the procedure asks, or recording fails.
     """
     procedure = load_procedure(asked.procedure)
     steps = procedure.steps(asked.parameters)

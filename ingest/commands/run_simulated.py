@@ -47,27 +47,18 @@ def run_simulated(
 
     Parameters
     ----------
-    run : str
-        Its id.
-    given : mapping
-        What the command line says of it, by the names of `RunParameters`.
-    folder : Path
-        The store.
-    connect : str, optional
-        Where the recorder listens; by default, where the one listens that writes the store.
-    spool_folder : Path, optional
-        Folder of its spool; by default one of its name among those of the store.
-    spool_bytes : int
-        How much may wait in it.
-    is_ended : bool
-        Whether it is ended where it is.
-    as_json : bool
-        Whether it is told as JSON.
+    run: Its id.
+    given: What the command line says of it, by the names of `RunParameters`.
+    folder: The store.
+    connect: Where the recorder listens; by default, where the one listens that writes the store.
+    spool_folder: Folder of its spool; by default one of its name among those of the store.
+    spool_bytes: How much may wait in it.
+    is_ended: Whether it is ended where it is.
+    as_json: Whether it is told as JSON.
 
     Raises
     ------
-    GyrofleetError
-        If it was started otherwise, no recorder is reached, or recording fails.
+    GyrofleetError: If it was started otherwise, no recorder is reached, or recording fails.
     """
     check_name("run", run)
     parameters = msgspec.convert({**given, "station": given["station"] or "simulated"}, RunParameters)

@@ -21,22 +21,14 @@ class Entry(NamedTuple):
 
     Parameters
     ----------
-    unit : str
-        Which unit.
-    item : str
-        What was checked: ``visual``, ``electrical``, or another word.
-    by : str
-        Who did.
-    verdict : Verdict, optional
-        PASS or FAIL; may be left out where a value stands against a limit.
-    value, lower, upper : float, optional
-        What was measured, and within which limits it is good, in `unit_of_measure`.
-    unit_of_measure : str
-        Empty where there is no value.
-    note : str
-        Free words.
-    run : str
-        The run that it belongs to; empty for none.
+    unit: Which unit.
+    item: What was checked: ``visual``, ``electrical``, or another word.
+    by: Who did.
+    verdict: PASS or FAIL; may be left out where a value stands against a limit.
+    value, lower, upper: What was measured, and within which limits it is good, in `unit_of_measure`.
+    unit_of_measure: Empty where there is no value.
+    note: Free words.
+    run: The run that it belongs to; empty for none.
     """
 
     unit: str
@@ -56,14 +48,10 @@ def enter(folder: Path, documents: Sequence[AnyDocument], *, role: str, place: P
 
     Parameters
     ----------
-    folder : Path
-        The store.
-    documents : sequence of Document
-        What there is to say.
-    role : str
-        Which command this is, for the message that another writer gets.
-    place : Place
-        Where the documents are from.
+    folder: The store.
+    documents: What there is to say.
+    role: Which command this is, for the message that another writer gets.
+    place: Where the documents are from.
 
     Returns
     -------
@@ -73,10 +61,8 @@ def enter(folder: Path, documents: Sequence[AnyDocument], *, role: str, place: P
 
     Raises
     ------
-    StoreError
-        If a process writes the store that takes no messages, or it cannot be written.
-    DeliveryError
-        If the recorder that writes it does not acknowledge them.
+    StoreError: If a process writes the store that takes no messages, or it cannot be written.
+    DeliveryError: If the recorder that writes it does not acknowledge them.
     """
     store = Store.create(folder)
     is_recorded = writer_endpoint(folder) is not None
@@ -89,8 +75,7 @@ def check_entered(entry: Entry, t_ns: int) -> CheckEntered:
 
     Raises
     ------
-    BadInput
-        If it is incomplete or contradicts itself; the message names the option.
+    BadInput: If it is incomplete or contradicts itself; the message names the option.
 
     Examples
     --------

@@ -86,10 +86,8 @@ class SendingGroup:
 
     Attributes
     ----------
-    runs : dict of str to tuple
-        The first file of each run, and whether its date is known.
-    begun, uids, stated : set of str
-        Runs and steps whose documents are sent, and runs whose station was stated anew.
+    runs: The first file of each run, and whether its date is known.
+    begun, uids, stated: Runs and steps whose documents are sent, and runs whose station was stated anew.
     """
 
     runs: dict[str, tuple[Path, bool]] = field(default_factory=dict)
@@ -103,18 +101,12 @@ class FileSending:
 
     Parameters
     ----------
-    path : Path
-        The file.
-    file, summary : SampleFile, TableSummary
-        What reads it, and what its first pass found.
-    place : Place
-        Site and station that the samples are said to come from.
-    entries : sequence of UnitEntry
-        Product, lot, fixture and so on of units.
-    about : mapping of str
-        What is stated of the station.
-    restates : bool
-        Whether that takes the place of what the store has.
+    path: The file.
+    file, summary: What reads it, and what its first pass found.
+    place: Site and station that the samples are said to come from.
+    entries: Product, lot, fixture and so on of units.
+    about: What is stated of the station.
+    restates: Whether that takes the place of what the store has.
     """
 
     def __init__(
@@ -154,8 +146,7 @@ class FileSending:
 
         Raises
         ------
-        BadInput
-            If one of them has the same run with a date and this one without, or the other way round.
+        BadInput: If one of them has the same run with a date and this one without, or the other way round.
         """
         self._group = group
         for run in sorted({signal.run for signal in self._summary.signals}):
@@ -375,8 +366,7 @@ def counted(knowledge: Knowledge, sendings: Sequence[FileSending], where: str) -
 
     Raises
     ------
-    StoreError
-        If what was sent is not there; `where` is the log that has it.
+    StoreError: If what was sent is not there; `where` is the log that has it.
     """
     in_lake = _held(knowledge, sorted({run for each in sendings for run in each.runs}))
     missing = next(filter(None, (each.missing(in_lake, where) for each in sendings)), None)

@@ -48,26 +48,16 @@ def import_files(
 
     Parameters
     ----------
-    checked : sequence of CheckedFile
-        The files and what their first pass found.
-    folder : Path
-        The store, for the embedded path; with `connect` it is that of the recorder there, whichever that is.
-    place : Place
-        Site and station that the samples are said to come from.
-    connect : str, optional
-        Endpoint of a recorder in another process.
-    listen : sequence of str
-        Endpoints on which others may listen in (embedded path).
-    units : sequence of UnitEntry
-        Product, lot, fixture and so on of units; of each that the files have samples of.
-    about : mapping of str to str
-        What the runs remember of the station, such as its latitude; also said of runs that the store has already.
-    restates : bool
-        Whether that takes the place of what the store has.
-    estimated : EstimatedSignals
-        Which signals are estimated on their way (embedded path).
-    progress : callable, optional
-        Called with the file and the fraction of it that is sent.
+    checked: The files and what their first pass found.
+    folder: The store, for the embedded path; with `connect` it is that of the recorder there, whichever that is.
+    place: Site and station that the samples are said to come from.
+    connect: Endpoint of a recorder in another process.
+    listen: Endpoints on which others may listen in (embedded path).
+    units: Product, lot, fixture and so on of units; of each that the files have samples of.
+    about: What the runs remember of the station, such as its latitude; also said of runs that the store has already.
+    restates: Whether that takes the place of what the store has.
+    estimated: Which signals are estimated on their way (embedded path).
+    progress: Called with the file and the fraction of it that is sent.
 
     Yields
     ------
@@ -76,12 +66,9 @@ def import_files(
 
     Raises
     ------
-    BadInput
-        If a file contradicts what the store has; nothing of its group is imported then.
-    StoreError
-        If the lake does not hold what was sent.
-    DeliveryError
-        If no recorder acknowledges it.
+    BadInput: If a file contradicts what the store has; nothing of its group is imported then.
+    StoreError: If the lake does not hold what was sent.
+    DeliveryError: If no recorder acknowledges it.
     """
     make = partial(FileSending, place=place, entries=units, about=about, restates=restates)
     for group in _groups(checked, make):

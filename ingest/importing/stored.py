@@ -22,12 +22,9 @@ class StoredSamples:
 
     Parameters
     ----------
-    knowledge : Knowledge
-        What the store has.
-    path : Path
-        The file, for messages.
-    summary : TableSummary
-        What the first pass found in it.
+    knowledge: What the store has.
+    path: The file, for messages.
+    summary: What the first pass found in it.
     """
 
     def __init__(self, knowledge: Knowledge, path: Path, summary: TableSummary) -> None:
@@ -49,8 +46,7 @@ class StoredSamples:
 
         Raises
         ------
-        BadInput
-            If a signal comes in another unit of measure than it is stored in, a run's clock is another one, or a
+        BadInput: If a signal comes in another unit of measure than it is stored in, a run's clock is another one, or a
             sample lies where the store has a different one.
         """
         for name, summary in self._signals.items():
@@ -144,8 +140,7 @@ def check_steps(steps: Iterable[KnownStep], path: Path, summary: TableSummary) -
 
     Raises
     ------
-    BadInput
-        If the store has another step there.
+    BadInput: If the store has another step there.
     """
     if summary.words is None:
         return

@@ -32,12 +32,9 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     Parameters
     ----------
-    sample_interval_s : float
-        How often it is read, seconds at the station.
-    calibration_due : str, optional
-        Day on which its calibration ends, as 2027-03-31.
-    serial : str
-        Its serial number.
+    sample_interval_s: How often it is read, seconds at the station.
+    calibration_due: Day on which its calibration ends, as 2027-03-31.
+    serial: Its serial number.
     """
 
     sample_interval_s: float = 1.0
@@ -53,27 +50,18 @@ class Instrument(ABC):
 
     Parameters
     ----------
-    name : str
-        What the station calls it; its samples are those of a unit of this name.
-    options : Options
-        Its table in `station.toml`.
-    clock : StationClock
-        The station's clock.
+    name: What the station calls it; its samples are those of a unit of this name.
+    options: Its table in `station.toml`.
+    clock: The station's clock.
 
     Attributes
     ----------
-    kind : str
-        Name by which a station file asks for it.
-    names : mapping
-        What it is called, ``en`` and ``zh``.
-    options_type : type
-        The `Options` that it takes.
-    settings : mapping
-        What it can be set to, and in which unit of measure: ``{"rate": "deg/s"}``.
-    signals : mapping
-        What it measures, and in which unit of measure.
-    lock : threading.RLock
-        Held by whoever calls a method, where several threads do.
+    kind: Name by which a station file asks for it.
+    names: What it is called, ``en`` and ``zh``.
+    options_type: The `Options` that it takes.
+    settings: What it can be set to, and in which unit of measure: ``{"rate": "deg/s"}``.
+    signals: What it measures, and in which unit of measure.
+    lock: Held by whoever calls a method, where several threads do.
     """
 
     kind: ClassVar[str]
@@ -94,8 +82,7 @@ class Instrument(ABC):
 
         Raises
         ------
-        InstrumentError
-            If it cannot be reached or is another one.
+        InstrumentError: If it cannot be reached or is another one.
         """
 
     @abstractmethod
@@ -107,8 +94,7 @@ class Instrument(ABC):
 
         Raises
         ------
-        InstrumentError
-            If it cannot be reached, refuses, or the value is beyond its range.
+        InstrumentError: If it cannot be reached, refuses, or the value is beyond its range.
         """
         raise BadInput(f"the {self.names['en']} {self.name} cannot be set to a {what} of {value:g}")
 
@@ -117,8 +103,7 @@ class Instrument(ABC):
 
         Raises
         ------
-        InstrumentError
-            If it cannot be reached.
+        InstrumentError: If it cannot be reached.
         """
         return True
 
@@ -127,8 +112,7 @@ class Instrument(ABC):
 
         Raises
         ------
-        InstrumentError
-            If it cannot be reached, or what it answers is no measurement.
+        InstrumentError: If it cannot be reached, or what it answers is no measurement.
         """
         return []
 
@@ -137,8 +121,7 @@ class Instrument(ABC):
 
         Raises
         ------
-        InstrumentError
-            If it cannot be reached.
+        InstrumentError: If it cannot be reached.
         """
 
     def __enter__(self) -> Self:

@@ -16,12 +16,9 @@ class PowerSupplyOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_
 
     Parameters
     ----------
-    max_voltage_v, max_current_a : float
-        Beyond these nothing is set; they are those of the gyros rather than of the supply.
-    band_v : float
-        A voltage is reached when it is measured within this of what was set, volts.
-    stable_s : float
-        And for this long, seconds.
+    max_voltage_v, max_current_a: Beyond these nothing is set; they are those of the gyros rather than of the supply.
+    band_v: A voltage is reached when it is measured within this of what was set, volts.
+    stable_s: And for this long, seconds.
     """
 
     max_voltage_v: float

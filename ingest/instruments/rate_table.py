@@ -16,17 +16,12 @@ class RateTableOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_fi
 
     Parameters
     ----------
-    max_rate_deg_per_s : float
-        In either direction nothing faster is set.
-    lowest_angle_deg, highest_angle_deg : float
-        Beyond these no position is set.
-    rate_band_deg_per_s, rate_band_fraction : float
-        A rate is reached when what is measured stays within the larger of the two of it; the second is a share of the
-        rate.
-    angle_band_deg : float
-        A position is reached when what is measured stays within this of it.
-    stable_s : float
-        For this long, seconds at the station.
+    max_rate_deg_per_s: In either direction nothing faster is set.
+    lowest_angle_deg, highest_angle_deg: Beyond these no position is set.
+    rate_band_deg_per_s, rate_band_fraction: A rate is reached when what is measured stays within the larger of the two
+        of it; the second is a share of the rate.
+    angle_band_deg: A position is reached when what is measured stays within this of it.
+    stable_s: For this long, seconds at the station.
     """
 
     max_rate_deg_per_s: float

@@ -28,30 +28,21 @@ class ScpiOptions(Options, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     Parameters
     ----------
-    resource : str
-        VISA resource: ``TCPIP::192.168.1.20::5025::SOCKET``, ``TCPIP::192.168.1.20::INSTR``,
+    resource: VISA resource: ``TCPIP::192.168.1.20::5025::SOCKET``, ``TCPIP::192.168.1.20::INSTR``,
         ``ASRL/dev/ttyUSB0::INSTR``.
-    backend : str
-        VISA library: ``@py`` is pyvisa-py, ``bench.yaml@sim`` a simulation; by default a vendor's library where one is
-        installed, else pyvisa-py.
-    timeout_s : float
-        How long it may take to connect, and to answer, seconds of the computer.
-    identity : str
-        Regular expression that is to be found in its answer to ``*IDN?``; empty for any answer. ``none`` is for an
-        instrument that does not know ``*IDN?``.
-    check_errors : bool
-        Whether ``SYST:ERR?`` is asked after each command.
-    acknowledgement : str
-        Regular expression of the line with which it answers each command; empty where commands are not answered.
-    read_termination, write_termination : str
-        What ends an answer and a command.
-    baud_rate : int, optional
-        Of a serial line.
-    commands : mapping
-        Commands that are worded otherwise than this program does by default, by name.
-    answers : mapping
-        Regular expressions, by the name of the query, whose first group is the number in its answer; by default the
-        answer is a number and nothing else.
+    backend: VISA library: ``@py`` is pyvisa-py, ``bench.yaml@sim`` a simulation; by default a vendor's library where
+        one is installed, else pyvisa-py.
+    timeout_s: How long it may take to connect, and to answer, seconds of the computer.
+    identity: Regular expression that is to be found in its answer to ``*IDN?``; empty for any answer. ``none`` is for
+        an instrument that does not know ``*IDN?``.
+    check_errors: Whether ``SYST:ERR?`` is asked after each command.
+    acknowledgement: Regular expression of the line with which it answers each command; empty where commands are not
+        answered.
+    read_termination, write_termination: What ends an answer and a command.
+    baud_rate: Of a serial line.
+    commands: Commands that are worded otherwise than this program does by default, by name.
+    answers: Regular expressions, by the name of the query, whose first group is the number in its answer; by default
+        the answer is a number and nothing else.
     """
 
     resource: str
@@ -72,12 +63,9 @@ class Answer(NamedTuple):
 
     Attributes
     ----------
-    text : str
-        The answer without its termination.
-    t_ns : int
-        Middle between the request and its answer, on the station's clock.
-    round_trip_ns : int
-        Between the request and its answer, on the station's clock: `t_ns` is certain to half of it.
+    text: The answer without its termination.
+    t_ns: Middle between the request and its answer, on the station's clock.
+    round_trip_ns: Between the request and its answer, on the station's clock: `t_ns` is certain to half of it.
     """
 
     text: str
@@ -94,20 +82,15 @@ class ScpiConnection:
 
     Parameters
     ----------
-    who : str
-        What messages call the instrument: ``temperature chamber C1``.
-    options : ScpiOptions
-        How it is reached.
-    clock : StationClock
-        The station's clock.
-    prepare : callable, optional
-        Called after each connection, also one that was rebuilt: an instrument that was off has forgotten how it is
+    who: What messages call the instrument: ``temperature chamber C1``.
+    options: How it is reached.
+    clock: The station's clock.
+    prepare: Called after each connection, also one that was rebuilt: an instrument that was off has forgotten how it is
         to measure.
 
     Raises
     ------
-    BadInput
-        If a regular expression of the options is none, or the time-out is not positive.
+    BadInput: If a regular expression of the options is none, or the time-out is not positive.
     """
 
     def __init__(
@@ -138,8 +121,7 @@ class ScpiConnection:
 
         Raises
         ------
-        InstrumentError
-            If it cannot be reached or is another one.
+        InstrumentError: If it cannot be reached or is another one.
         """
         with self._lock:
             self._is_wanted = True
@@ -158,8 +140,7 @@ class ScpiConnection:
 
         Raises
         ------
-        InstrumentError
-            If it does not answer, twice.
+        InstrumentError: If it does not answer, twice.
         """
         return self._twice(lambda: self._exchange(query), query)
 
@@ -168,8 +149,7 @@ class ScpiConnection:
 
         Raises
         ------
-        InstrumentError
-            If it does not answer, or with what is no number, or says that it cannot measure.
+        InstrumentError: If it does not answer, or with what is no number, or says that it cannot measure.
         """
         answer = self.ask(query)
         found = re.fullmatch(pattern, answer.text)
@@ -194,8 +174,7 @@ class ScpiConnection:
 
         Raises
         ------
-        InstrumentError
-            If it cannot be reached, or refuses.
+        InstrumentError: If it cannot be reached, or refuses.
         """
         self._twice(lambda: self._give(command), command)
 
@@ -361,8 +340,7 @@ def checked_pattern(what: str, pattern: str) -> str:
 
     Raises
     ------
-    BadInput
-        If it is none.
+    BadInput: If it is none.
     """
     try:
         re.compile(pattern)

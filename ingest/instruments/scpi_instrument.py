@@ -19,21 +19,18 @@ class ScpiInstrument(Instrument):
 
     Parameters
     ----------
-    name, options, clock
-        As of every `Instrument`; the options are those of the subclass.
+    name, options, clock: As of every `Instrument`; the options are those of the subclass.
 
     Attributes
     ----------
-    commands : mapping
-        Its commands and queries by name, ``{value}`` being what is set; other braces name options. The station file
-        may word each otherwise, or say "" for one that the instrument does not have.
-    set_by, settled_by, measured_by : mapping
-        Name of the command by setting, of the query that says how far a setting is reached, and of the query by signal.
+    commands: Its commands and queries by name, ``{value}`` being what is set; other braces name options. The station
+        file may word each otherwise, or say "" for one that the instrument does not have.
+    set_by, settled_by, measured_by: Name of the command by setting, of the query that says how far a setting is
+        reached, and of the query by signal.
 
     Raises
     ------
-    BadInput
-        If the station file words a command that this instrument does not know, or words it wrongly.
+    BadInput: If the station file words a command that this instrument does not know, or words it wrongly.
     """
 
     commands: ClassVar[Mapping[str, str]] = MappingProxyType({})

@@ -8,17 +8,13 @@ class Settling:
 
     Parameters
     ----------
-    target : float
-        What was asked for.
-    band : float
-        Largest distance from it, in the same unit.
-    stable_s : float
-        How long it is to stay inside the band; at 0, one measurement inside it is enough.
+    target: What was asked for.
+    band: Largest distance from it, in the same unit.
+    stable_s: How long it is to stay inside the band; at 0, one measurement inside it is enough.
 
     Raises
     ------
-    BadInput
-        If band or time is negative.
+    BadInput: If band or time is negative.
 
     Examples
     --------

@@ -17,14 +17,10 @@ class TemperatureChamberOptions(ScpiOptions, frozen=True, kw_only=True, forbid_u
 
     Parameters
     ----------
-    lowest_deg_c, highest_deg_c : float
-        Beyond these nothing is set.
-    band_deg_c : float
-        A temperature is reached when what is measured stays within this of it, degC.
-    stable_s : float
-        For this long, seconds at the station.
-    room_deg_c : float
-        Where it is left alone, degC.
+    lowest_deg_c, highest_deg_c: Beyond these nothing is set.
+    band_deg_c: A temperature is reached when what is measured stays within this of it, degC.
+    stable_s: For this long, seconds at the station.
+    room_deg_c: Where it is left alone, degC.
     """
 
     lowest_deg_c: float = -40.0

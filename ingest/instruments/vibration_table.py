@@ -19,16 +19,12 @@ class VibrationTableOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unkno
 
     Parameters
     ----------
-    lowest_frequency_hz, highest_frequency_hz : float
-        Beyond these no frequency is set.
-    max_amplitude_deg_per_s : float
-        Beyond this no amplitude of the rate is set.
-    frequency_band_fraction, amplitude_band_fraction : float
-        They are reached when what is measured stays within these shares of them.
-    amplitude_band_deg_per_s : float
-        Least band of the amplitude, deg/s, since a share of 0 is nothing.
-    stable_s : float
-        For this long, seconds at the station.
+    lowest_frequency_hz, highest_frequency_hz: Beyond these no frequency is set.
+    max_amplitude_deg_per_s: Beyond this no amplitude of the rate is set.
+    frequency_band_fraction, amplitude_band_fraction: They are reached when what is measured stays within these shares
+        of them.
+    amplitude_band_deg_per_s: Least band of the amplitude, deg/s, since a share of 0 is nothing.
+    stable_s: For this long, seconds at the station.
     """
 
     max_amplitude_deg_per_s: float

@@ -16,12 +16,9 @@ class VoltmeterOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_fi
 
     Parameters
     ----------
-    range_v : float
-        Measuring range, volts.
-    nplc : float
-        Time over which it averages, cycles of the mains: 1 or more rejects the mains.
-    mains_hz : float
-        Frequency of the mains.
+    range_v: Measuring range, volts.
+    nplc: Time over which it averages, cycles of the mains: 1 or more rejects the mains.
+    mains_hz: Frequency of the mains.
     """
 
     range_v: float = 10.0

@@ -33,18 +33,12 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     Parameters
     ----------
-    default : number, text or list of them
-        Used where nothing else is asked for. A whole number without a unit stays a whole number.
-    unit : str
-        Unit of measure, as in the name's ending; empty for counts and words.
-    en, zh : str
-        What it is.
-    source : str
-        The clause that says how large it is, or that the product's specification does.
-    least, most : float, optional
-        Bounds.
-    choices : tuple of str
-        The words that are possible, where it is a word.
+    default: Used where nothing else is asked for. A whole number without a unit stays a whole number.
+    unit: Unit of measure, as in the name's ending; empty for counts and words.
+    en, zh: What it is.
+    source: The clause that says how large it is, or that the product's specification does.
+    least, most: Bounds.
+    choices: The words that are possible, where it is a word.
     """
 
     default: int | float | str | tuple[int | float | str, ...]
@@ -81,36 +75,25 @@ class Item(
 
     Parameters
     ----------
-    name : str, optional
-        The step's name in the data; of a loop, what its time is summed up under.
-    over : str, optional
-        ``for``: the loop's variable; `values` or `series` say what it goes over.
-    values : list or str, optional
-        Numbers, words, or tables with one value for each of several variables; ``"$parameter"`` for a list parameter.
-    times : number, optional
-        Do the steps so often; `$repeat` counts from 1 and is the step's `repeat`.
-    items : list of Item
-        ``step``: what the loop does. What the loop itself says of rate, temperature, position and so on holds for
+    name: The step's name in the data; of a loop, what its time is summed up under.
+    over: ``for``: the loop's variable; `values` or `series` say what it goes over.
+    values: Numbers, words, or tables with one value for each of several variables; ``"$parameter"`` for a list
+        parameter.
+    times: Do the steps so often; `$repeat` counts from 1 and is the step's `repeat`.
+    items: ``step``: what the loop does. What the loop itself says of rate, temperature, position and so on holds for
         every step in it that does not say otherwise.
-    use : str, optional
-        Do the steps of this procedure, a ready one or a file beside this one, with `overrides` (``set``) as its
+    use: Do the steps of this procedure, a ready one or a file beside this one, with `overrides` (``set``) as its
         parameters.
-    rate_deg_per_s, temperature_deg_c, frequency_hz, amplitude_deg_per_s : number, optional
-        What the table, the chamber and the angular vibration table are set to; what is not said stays as it is.
-    angle_deg : number, optional
-        Angle that the table goes to and stands at; a rate takes its place.
-    position, axis, phase : str, optional
-        Words for the step.
-    settle_s, record_s, warm_up_s, off_s : number, optional
-        Seconds: dropped at the step's start, recorded after that, waited after power-on, and without power.
-    power : str, optional
-        ``off``, ``on``, or ``cycle`` (off for `off_s`, then on); ``none`` changes nothing.
-    prompt : Names, optional
-        What an operator does and confirms before the step.
-    room : bool, optional
-        The step at room temperature.
-    wait_settled : list of str, optional
-        Settings that must have settled before the step; by default those that change.
+    rate_deg_per_s, temperature_deg_c, frequency_hz, amplitude_deg_per_s: What the table, the chamber and the angular
+        vibration table are set to; what is not said stays as it is.
+    angle_deg: Angle that the table goes to and stands at; a rate takes its place.
+    position, axis, phase: Words for the step.
+    settle_s, record_s, warm_up_s, off_s: Seconds: dropped at the step's start, recorded after that, waited after
+        power-on, and without power.
+    power: ``off``, ``on``, or ``cycle`` (off for `off_s`, then on); ``none`` changes nothing.
+    prompt: What an operator does and confirms before the step.
+    room: The step at room temperature.
+    wait_settled: Settings that must have settled before the step; by default those that change.
     """
 
     name: Text | None = None
@@ -167,10 +150,8 @@ def read_procedure(name: str | Path, beside: Path | None = None) -> tuple[Proced
 
     Parameters
     ----------
-    name : str or Path
-        Name of a ready procedure, or path of a file: whatever ends with ``.toml`` or holds a slash.
-    beside : Path, optional
-        Folder that a relative path counts from.
+    name: Name of a ready procedure, or path of a file: whatever ends with ``.toml`` or holds a slash.
+    beside: Folder that a relative path counts from.
 
     Returns
     -------
@@ -183,8 +164,7 @@ def read_procedure(name: str | Path, beside: Path | None = None) -> tuple[Proced
 
     Raises
     ------
-    BadInput
-        If there is none, or it cannot be read.
+    BadInput: If there is none, or it cannot be read.
     """
     text = str(name)
     if not isinstance(name, Path) and not text.endswith(".toml") and "/" not in text:
@@ -213,8 +193,7 @@ def parse_procedure(text: str | bytes, source: str) -> ProcedureFile:
 
     Raises
     ------
-    BadInput
-        If it is none; the message names the file and the key, such as ``$.step[2].settle_s``.
+    BadInput: If it is none; the message names the file and the key, such as ``$.step[2].settle_s``.
 
     Examples
     --------
@@ -248,8 +227,7 @@ def check_value(parameter: Parameter, value: float | str, where: str) -> None:
 
     Raises
     ------
-    BadInput
-        If it is not of the kind of the default, out of bounds, or none of the choices.
+    BadInput: If it is not of the kind of the default, out of bounds, or none of the choices.
     """
     if isinstance(value, str):
         if parameter.choices and value not in parameter.choices:

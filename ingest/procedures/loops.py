@@ -16,8 +16,7 @@ def check_form(item: Item, where: str) -> None:
 
     Raises
     ------
-    BadInput
-        If it is not.
+    BadInput: If it is not.
     """
     loops = item.over is not None or item.times is not None
     if item.over is not None and item.times is not None:
@@ -51,8 +50,7 @@ def rounds(item: Item, variables: Variables, where: str) -> Iterator[dict[str, S
 
     Raises
     ------
-    BadInput
-        If the list cannot be made.
+    BadInput: If the list cannot be made.
     """
     if item.times is not None:
         times = number_of(item.times, variables, f"{where}.times")

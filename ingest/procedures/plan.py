@@ -54,26 +54,17 @@ class PlannedStep(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    number : int
-        Place in the procedure, from 1.
-    words : StepWords
-        What is said of it in the data.
-    settings : dict
-        What instruments are set to by the name of the setting, in the units of `SETTINGS`; the rest stays as it is.
-    settle_s, record_s : float
-        Seconds dropped at its start, and recorded after that.
-    wait_settled : tuple of str
-        Settings that must have settled.
-    power : str or None
-        ``off``, ``on``, ``cycle``.
-    off_s, warm_up_s : float
-        Seconds without power; seconds with power before the step.
-    prompt : Names or None
-        What an operator is asked, in two languages.
-    part : str
-        The part of the procedure that it belongs to.
-    key : str
-        Where in the file it stands.
+    number: Place in the procedure, from 1.
+    words: What is said of it in the data.
+    settings: What instruments are set to by the name of the setting, in the units of `SETTINGS`; the rest stays as it
+        is.
+    settle_s, record_s: Seconds dropped at its start, and recorded after that.
+    wait_settled: Settings that must have settled.
+    power: ``off``, ``on``, ``cycle``.
+    off_s, warm_up_s: Seconds without power; seconds with power before the step.
+    prompt: What an operator is asked, in two languages.
+    part: The part of the procedure that it belongs to.
+    key: Where in the file it stands.
     """
 
     number: int
@@ -108,8 +99,7 @@ class Planner:
 
     Parameters
     ----------
-    procedure : str
-        Its name, for the words of every step.
+    procedure: Its name, for the words of every step.
     """
 
     def __init__(self, procedure: str) -> None:
@@ -123,8 +113,7 @@ class Planner:
 
         Raises
         ------
-        BadInput
-            If a value cannot be found or makes no sense; the message names the file and the key.
+        BadInput: If a value cannot be found or makes no sense; the message names the file and the key.
         """
         for i, item in enumerate(used.items):
             key = f"$.step[{i}]"

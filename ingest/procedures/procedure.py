@@ -50,23 +50,16 @@ class Procedure:
 
     Parameters
     ----------
-    file : ProcedureFile
-        What its file says.
-    used : Used
-        Its steps and those of the procedures that it uses.
-    parameters : mapping
-        Its parameters, and those of the procedures that it uses.
+    file: What its file says.
+    used: Its steps and those of the procedures that it uses.
+    parameters: Its parameters, and those of the procedures that it uses.
 
     Attributes
     ----------
-    name : str
-        For the data and the command line.
-    names : Names
-        For people, ``en`` and ``zh``.
-    source : tuple of str
-        The clauses that it follows.
-    parameters : mapping
-        What a user may choose, by name.
+    name: For the data and the command line.
+    names: For people, ``en`` and ``zh``.
+    source: The clauses that it follows.
+    parameters: What a user may choose, by name.
     """
 
     def __init__(self, file: ProcedureFile, used: Used, parameters: Mapping[str, Parameter]) -> None:
@@ -82,13 +75,11 @@ class Procedure:
 
         Parameters
         ----------
-        given : mapping, optional
-            Values by name; texts, as a command line has them, are read as what the default is.
+        given: Values by name; texts, as a command line has them, are read as what the default is.
 
         Raises
         ------
-        BadInput
-            If there is no such parameter, or its value cannot be read or is out of bounds.
+        BadInput: If there is no such parameter, or its value cannot be read or is out of bounds.
 
         Examples
         --------
@@ -109,13 +100,11 @@ class Procedure:
 
         Parameters
         ----------
-        parameters : mapping, optional
-            Values of parameters, see `chosen`.
+        parameters: Values of parameters, see `chosen`.
 
         Raises
         ------
-        BadInput
-            If a parameter or a step makes no sense; the message names the file and the key.
+        BadInput: If a parameter or a step makes no sense; the message names the file and the key.
 
         Examples
         --------
@@ -183,13 +172,11 @@ def load_procedure(name: str | Path) -> Procedure:
 
     Parameters
     ----------
-    name : str or Path
-        Name of a ready procedure, or path of a file.
+    name: Name of a ready procedure, or path of a file.
 
     Raises
     ------
-    BadInput
-        If there is none, or it makes no sense; the message names the file and the key.
+    BadInput: If there is none, or it makes no sense; the message names the file and the key.
 
     Examples
     --------

@@ -49,21 +49,15 @@ def preferred_series(
 
     Parameters
     ----------
-    kind : str
-        ``R5``, ``R10`` or ``R20``.
-    most : float
-        The largest value; always in the list, preferred number or not.
-    count : int, optional
-        How many values. Exactly one of `count` and `least` is given.
-    least : float, optional
-        The smallest value that is wanted.
-    given : str
-        Where the series stands, for messages.
+    kind: ``R5``, ``R10`` or ``R20``.
+    most: The largest value; always in the list, preferred number or not.
+    count: How many values. Exactly one of `count` and `least` is given.
+    least: The smallest value that is wanted.
+    given: Where the series stands, for messages.
 
     Raises
     ------
-    BadInput
-        If `most` is not positive, or neither or both of `count` and `least` are given.
+    BadInput: If `most` is not positive, or neither or both of `count` and `least` are given.
 
     Notes
     -----
@@ -99,19 +93,14 @@ def temperature_points(least: float, most: float, room: float, apart: float, giv
 
     Parameters
     ----------
-    least, most : float
-        The range of use, deg C.
-    room : float
-        Room temperature, deg C; measured apart and not in the list.
-    apart : float
-        Least distance between two points, deg C.
-    given : str
-        Where the series stands, for messages.
+    least, most: The range of use, deg C.
+    room: Room temperature, deg C; measured apart and not in the list.
+    apart: Least distance between two points, deg C.
+    given: Where the series stands, for messages.
 
     Raises
     ------
-    BadInput
-        If `least` is not below `most`, or `apart` is not positive.
+    BadInput: If `least` is not below `most`, or `apart` is not positive.
 
     Notes
     -----
@@ -179,18 +168,14 @@ def series(kind: Kind, numbers: dict[str, float], given: str = "series") -> list
 
     Parameters
     ----------
-    kind : str
-        ``R5``, ``R10``, ``R20`` (`max` with `count` or `min`), ``log`` or ``linear`` (`min`, `max`, `count`),
+    kind: ``R5``, ``R10``, ``R20`` (`max` with `count` or `min`), ``log`` or ``linear`` (`min`, `max`, `count`),
         ``temperatures`` (`min`, `max`, `room`, and `apart`, 10 deg C by default).
-    numbers : dict
-        Its numbers by name.
-    given : str
-        Where it stands, for messages.
+    numbers: Its numbers by name.
+    given: Where it stands, for messages.
 
     Raises
     ------
-    BadInput
-        If a number is missing, not taken by this kind, or makes no sense.
+    BadInput: If a number is missing, not taken by this kind, or makes no sense.
 
     Examples
     --------

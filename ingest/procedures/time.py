@@ -13,21 +13,15 @@ class StationRates(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     Parameters
     ----------
-    table_acceleration_deg_per_s2 : float
-        Of the rate table.
-    angle_rate_deg_per_s : float
-        How fast a table goes to an angle.
-    chamber_deg_c_per_min : float
-        Mean ramp of the chamber.
-    room_deg_c : float
-        Temperature that it starts from.
-    prompt_s : float
-        How long an operator takes for what a prompt asks.
+    table_acceleration_deg_per_s2: Of the rate table.
+    angle_rate_deg_per_s: How fast a table goes to an angle.
+    chamber_deg_c_per_min: Mean ramp of the chamber.
+    room_deg_c: Temperature that it starts from.
+    prompt_s: How long an operator takes for what a prompt asks.
 
     Raises
     ------
-    BadInput
-        If one of them is not positive (`prompt_s`: negative).
+    BadInput: If one of them is not positive (`prompt_s`: negative).
     """
 
     table_acceleration_deg_per_s2: float = 50.0
@@ -75,10 +69,8 @@ def spent_by_part(steps: Iterable[PlannedStep], rates: StationRates) -> dict[str
 
     Parameters
     ----------
-    steps : iterable of PlannedStep
-        All steps, from the first on: ramps count from one to the next.
-    rates : StationRates
-        Of the station.
+    steps: All steps, from the first on: ramps count from one to the next.
+    rates: Of the station.
 
     Examples
     --------

@@ -24,18 +24,14 @@ def number_of(value: Scalar | bool, variables: Variables, where: str) -> float:
 
     Parameters
     ----------
-    value : float, int or str
-        A number, or sums and products of numbers and `$name`, such as ``"-0.1 * $max_rate_deg_per_s"``; products go
+    value: A number, or sums and products of numbers and `$name`, such as ``"-0.1 * $max_rate_deg_per_s"``; products go
         before sums, there are no brackets and no functions.
-    variables : mapping
-        Parameters and loop variables by name.
-    where : str
-        File and key, for messages.
+    variables: Parameters and loop variables by name.
+    where: File and key, for messages.
 
     Raises
     ------
-    BadInput
-        If it cannot be read, names what is not there, or comes to no finite number.
+    BadInput: If it cannot be read, names what is not there, or comes to no finite number.
 
     Examples
     --------
@@ -90,8 +86,7 @@ def variable(name: str, variables: Variables, where: str) -> Scalar | tuple[Scal
 
     Raises
     ------
-    BadInput
-        If it stands for nothing.
+    BadInput: If it stands for nothing.
     """
     if name not in variables:
         raise BadInput(f"{where}: ${name} is neither a parameter nor a loop's variable; there is {_listed(variables)}")
@@ -103,8 +98,7 @@ def text_of(value: str, variables: Variables, where: str) -> str:
 
     Raises
     ------
-    BadInput
-        If it names what is not there.
+    BadInput: If it names what is not there.
 
     Examples
     --------

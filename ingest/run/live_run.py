@@ -40,21 +40,15 @@ class LiveRun:
 
     Parameters
     ----------
-    run : str
-        Its id.
-    parameters : RunParameters
-        What it is given; if it was started before, with the same.
-    spool : Spool
-        Where it is kept.
-    clock_ns : callable
-        The station's clock.
+    run: Its id.
+    parameters: What it is given; if it was started before, with the same.
+    spool: Where it is kept.
+    clock_ns: The station's clock.
 
     Raises
     ------
-    BadInput
-        If it was started with other parameters.
-    StoreError
-        If its state cannot be read or written.
+    BadInput: If it was started with other parameters.
+    StoreError: If its state cannot be read or written.
     """
 
     def __init__(self, run: str, parameters: RunParameters, spool: Spool, clock_ns: Clock = time.time_ns) -> None:

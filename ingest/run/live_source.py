@@ -60,14 +60,10 @@ class SimulatedStation:
 
     Parameters
     ----------
-    units : sequence of GyroParameters
-        The units, all with the same sample interval.
-    name : str
-        Distinguishes the epochs of this run from all others.
-    seed : int
-        Of the simulation.
-    batch : int
-        Rate samples in a batch.
+    units: The units, all with the same sample interval.
+    name: Distinguishes the epochs of this run from all others.
+    seed: Of the simulation.
+    batch: Rate samples in a batch.
 
     Examples
     --------
@@ -108,14 +104,10 @@ class SimulatedStation:
 
         Parameters
         ----------
-        run : str
-            The run they belong to.
-        power_cycle : PowerCycle
-            Where it begins.
-        end_ns : int
-            Samples before this time.
-        first : mapping of (unit, signal) to int, optional
-            Where to go on: number of the first sample wanted, one at which a batch begins.
+        run: The run they belong to.
+        power_cycle: Where it begins.
+        end_ns: Samples before this time.
+        first: Where to go on: number of the first sample wanted, one at which a batch begins.
         """
         first = first or {}
         # the first power-on is that of the plain seed

@@ -30,29 +30,20 @@ class EmbeddedPipeline:
 
     Parameters
     ----------
-    folder : Path
-        The store; made if it does not exist.
-    role : str
-        Who writes, for the message that another writer gets.
-    estimate_every_s : float
-        Interval between estimates in the signals' time, seconds.
-    listen : sequence of str
-        Endpoints on which others may listen in; none by default.
-    rotate_bytes : int
-        Payload after which a segment of the log is sealed.
-    on_document : callable, optional
-        Called with every estimate and decision, in the worker's thread.
-    on_warning : callable, optional
-        Called with what the recorder warns of, such as a full disk, for which it waits; by default it is printed.
-    spool : Spool, optional
-        Keeps on disk what the source sends; what it holds from before is sent first.
-    estimated : EstimatedSignals
-        Which signals are estimated; by default angular rates, and those that limits of a run are on.
+    folder: The store; made if it does not exist.
+    role: Who writes, for the message that another writer gets.
+    estimate_every_s: Interval between estimates in the signals' time, seconds.
+    listen: Endpoints on which others may listen in; none by default.
+    rotate_bytes: Payload after which a segment of the log is sealed.
+    on_document: Called with every estimate and decision, in the worker's thread.
+    on_warning: Called with what the recorder warns of, such as a full disk, for which it waits; by default it is
+        printed.
+    spool: Keeps on disk what the source sends; what it holds from before is sent first.
+    estimated: Which signals are estimated; by default angular rates, and those that limits of a run are on.
 
     Raises
     ------
-    StoreError
-        If the store cannot be written, or another process writes it.
+    StoreError: If the store cannot be written, or another process writes it.
     """
 
     def __init__(
@@ -105,8 +96,7 @@ class EmbeddedPipeline:
 
         Raises
         ------
-        DeliveryError
-            If nothing is acknowledged for a minute.
+        DeliveryError: If nothing is acknowledged for a minute.
         """
         self.worker.wait_for_room()
         self.publisher.send_batch(key, batch)
@@ -120,8 +110,7 @@ class EmbeddedPipeline:
 
         Raises
         ------
-        GyrofleetError
-            If any part failed.
+        GyrofleetError: If any part failed.
         """
         self.publisher.drain()
         self.worker.close()
@@ -132,8 +121,7 @@ class EmbeddedPipeline:
 
         Raises
         ------
-        GyrofleetError
-            If any part failed.
+        GyrofleetError: If any part failed.
         """
         self.complete_estimates()
         self.publisher.drain()

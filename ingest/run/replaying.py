@@ -38,8 +38,7 @@ class Pace:
 
     Parameters
     ----------
-    speed : float
-        So many times as fast as the source's clock; 0 does not wait.
+    speed: So many times as fast as the source's clock; 0 does not wait.
     """
 
     speed: float
@@ -60,8 +59,7 @@ def interval_s(run: StoredRun) -> float:
 
     Raises
     ------
-    BadInput
-        If that cannot be told.
+    BadInput: If that cannot be told.
     """
     if len(run.every_ns) > 1:
         told = " and ".join(f"{each / 1e9:g} s" for each in sorted(run.every_ns))

@@ -44,10 +44,8 @@ class TroubleWatch:
 
     Parameters
     ----------
-    publisher : DurablePublisher
-        What sends them.
-    tell : callable
-        Takes the sentence.
+    publisher: What sends them.
+    tell: Takes the sentence.
     """
 
     def __init__(self, publisher: DurablePublisher, tell: Callable[[str], None]) -> None:
@@ -94,8 +92,7 @@ def recorder_at(connect: str | None) -> Iterator[Elsewhere | None]:
 
     Raises
     ------
-    BusError
-        If it cannot be reached.
+    BusError: If it cannot be reached.
     """
     if connect is None:
         yield None
@@ -110,19 +107,14 @@ def opened_spool(folder: Path, spool_folder: Path, max_bytes: int, *, is_remote:
 
     Parameters
     ----------
-    folder : Path
-        The store. Where this process records, it is made first: a folder that holds a spool could not become one.
-    spool_folder : Path
-        The spool's own.
-    max_bytes : int
-        How much may wait in it.
-    is_remote : bool
-        Whether another process records.
+    folder: The store. Where this process records, it is made first: a folder that holds a spool could not become one.
+    spool_folder: The spool's own.
+    max_bytes: How much may wait in it.
+    is_remote: Whether another process records.
 
     Raises
     ------
-    GyrofleetError
-        If either cannot be written, or another process has the spool.
+    GyrofleetError: If either cannot be written, or another process has the spool.
     """
     if not is_remote:
         Store.create(folder)
@@ -146,25 +138,17 @@ def path_to(
 
     Parameters
     ----------
-    folder : Path
-        The store, where it is recorded in this process.
-    run : str
-        Id of the run.
-    elsewhere : Elsewhere, optional
-        The recorder in another process, if there is one; it is left to the caller to close.
-    spool : Spool
-        Keeps what the recorder does not have yet.
-    every_s : float, optional
-        Interval between estimates, seconds of the signals' time; by default that which the run was begun with.
-    estimated : EstimatedSignals
-        Which signals are estimated, where it is recorded in this process.
-    units : sequence of str
-        Units of the run, which nobody else may send in it to the same recorder meanwhile.
+    folder: The store, where it is recorded in this process.
+    run: Id of the run.
+    elsewhere: The recorder in another process, if there is one; it is left to the caller to close.
+    spool: Keeps what the recorder does not have yet.
+    every_s: Interval between estimates, seconds of the signals' time; by default that which the run was begun with.
+    estimated: Which signals are estimated, where it is recorded in this process.
+    units: Units of the run, which nobody else may send in it to the same recorder meanwhile.
 
     Raises
     ------
-    GyrofleetError
-        If the store cannot be written, or another source sends the same units in a run of this id.
+    GyrofleetError: If the store cannot be written, or another source sends the same units in a run of this id.
     """
     if elsewhere is not None:
         with ExitStack() as stack:

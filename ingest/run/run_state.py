@@ -39,23 +39,15 @@ class RunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     Parameters
     ----------
-    run : str
-        Its id.
-    parameters : RunParameters
-        What it was started with.
-    began_ns : int
-        The station's clock when it was started.
-    t0_ns : int
-        Time of its first sample.
-    starts : int
-        How often a process took it up.
-    power_cycles : tuple of PowerCycle
-        The power-ons of its units so far.
-    phase : str
-        ``starting`` until its first documents are kept, ``running``, ``ending`` when nothing more is measured, and
+    run: Its id.
+    parameters: What it was started with.
+    began_ns: The station's clock when it was started.
+    t0_ns: Time of its first sample.
+    starts: How often a process took it up.
+    power_cycles: The power-ons of its units so far.
+    phase: ``starting`` until its first documents are kept, ``running``, ``ending`` when nothing more is measured, and
         ``ended`` when a recorder has everything.
-    outcome : str
-        How it ended.
+    outcome: How it ended.
     """
 
     format: int = _FORMAT
@@ -74,8 +66,7 @@ def begin_run(run: str, parameters: RunParameters, now_ns: int) -> RunState:
 
     Raises
     ------
-    BadInput
-        If it says when in a way that cannot be read.
+    BadInput: If it says when in a way that cannot be read.
 
     Examples
     --------
@@ -95,10 +86,8 @@ def read_run(folder: Path, run: str, parameters: RunParameters) -> RunState | No
 
     Raises
     ------
-    BadInput
-        If it was started with other parameters, or the folder is that of another run.
-    StoreError
-        If it cannot be read.
+    BadInput: If it was started with other parameters, or the folder is that of another run.
+    StoreError: If it cannot be read.
     """
     state = read_state(folder / _FILE, RunState)
     if state is None:
@@ -122,7 +111,6 @@ def write_run(folder: Path, state: RunState) -> RunState:
 
     Raises
     ------
-    StoreError
-        If it cannot be written; the one before is then still there.
+    StoreError: If it cannot be written; the one before is then still there.
     """
     return write_state(folder / _FILE, state)

@@ -20,13 +20,10 @@ def checksums(kind: ChecksumKind, data: ByteArray, initial: int | None = None) -
 
     Parameters
     ----------
-    kind : str
-        ``sum8`` and ``xor``: of the bytes. ``crc8``: polynomial 0x07, from 0. ``crc16-ccitt``: 0x1021, from 0xFFFF
+    kind: ``sum8`` and ``xor``: of the bytes. ``crc8``: polynomial 0x07, from 0. ``crc16-ccitt``: 0x1021, from 0xFFFF
         ("CCITT-FALSE"). ``crc16-modbus``: 0x8005 reflected, from 0xFFFF.
-    data : ndarray of uint8, shape (n, m)
-        The bytes of n frames.
-    initial : int, optional
-        Where it starts, if elsewhere.
+    data: shape (n, m); the bytes of n frames.
+    initial: Where it starts, if elsewhere.
 
     Returns
     -------

@@ -65,31 +65,20 @@ class FrameLayout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     Parameters
     ----------
-    sync : str
-        Bytes with which each frame begins, in hexadecimal: ``"AA 55"``.
-    interval_s : float
-        Nominal time between frames, seconds.
-    length : int, optional
-        Bytes of a frame, from its first sync byte to its last; or
-    length_field : FrameNumber, optional
-        where the frame says it.
-    longest : int
-        Bytes of the longest frame, where the frame says it: a length beyond it is garbage.
-    byte_order : str
-        ``big`` or ``little``, where a field does not say.
-    fields : tuple of FrameField
-        Its quantities.
-    counter : FrameNumber, optional
-        Its counter, by which lost frames are found.
-    checksum : FrameChecksum, optional
-        Its checksum.
-    data_bits, parity, stop_bits
-        Of the serial line.
+    sync: Bytes with which each frame begins, in hexadecimal: ``"AA 55"``.
+    interval_s: Nominal time between frames, seconds.
+    length: Bytes of a frame, from its first sync byte to its last; or
+    length_field: where the frame says it.
+    longest: Bytes of the longest frame, where the frame says it: a length beyond it is garbage.
+    byte_order: ``big`` or ``little``, where a field does not say.
+    fields: Its quantities.
+    counter: Its counter, by which lost frames are found.
+    checksum: Its checksum.
+    data_bits, parity, stop_bits: Of the serial line.
 
     Raises
     ------
-    BadInput
-        By `check`, if it contradicts itself.
+    BadInput: By `check`, if it contradicts itself.
 
     Examples
     --------
@@ -144,8 +133,7 @@ class FrameLayout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
         Raises
         ------
-        BadInput
-            Naming what, after `where`.
+        BadInput: Naming what, after `where`.
         """
         try:
             is_there = bool(self.sync_bytes)
@@ -196,8 +184,7 @@ def decode_layout(text: bytes, where: str) -> FrameLayout:
 
     Raises
     ------
-    BadInput
-        Naming `where` and the place in it.
+    BadInput: Naming `where` and the place in it.
     """
     try:
         layout = decode_toml(text, FrameLayout)
@@ -212,8 +199,7 @@ def load_layout(path: Path) -> FrameLayout:
 
     Raises
     ------
-    BadInput
-        If the file cannot be read, or is no layout.
+    BadInput: If the file cannot be read, or is no layout.
     """
     try:
         text = path.read_bytes()

@@ -30,19 +30,14 @@ class FrameTimes:
 
     Parameters
     ----------
-    interval_s : float
-        Nominal time between frames, seconds.
-    modulus : int, optional
-        Where the counter starts anew; None where there is no counter, so that only time tells of lost frames.
-    resync_s : float
-        Largest delay of the line, seconds.
+    interval_s: Nominal time between frames, seconds.
+    modulus: Where the counter starts anew; None where there is no counter, so that only time tells of lost frames.
+    resync_s: Largest delay of the line, seconds.
 
     Attributes
     ----------
-    lost, repeated, restarts : int
-        Frames lost, frames that came twice, times that the counter started anew.
-    steering : float
-        By how much the interval is stretched now, relative; it comes to the device's own error.
+    lost, repeated, restarts: Frames lost, frames that came twice, times that the counter started anew.
+    steering: By how much the interval is stretched now, relative; it comes to the device's own error.
 
     Examples
     --------

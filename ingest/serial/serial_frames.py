@@ -23,14 +23,10 @@ class FrameCounts:
 
     Attributes
     ----------
-    frames : int
-        Whole frames found.
-    bad_checksums, bad_lengths : int
-        Places that began like a frame and were none.
-    dropped_bytes : int
-        Bytes that belong to no frame.
-    lost, repeated, restarts : int
-        Frames that the counters miss, frames that came twice, times that the counter began anew.
+    frames: Whole frames found.
+    bad_checksums, bad_lengths: Places that began like a frame and were none.
+    dropped_bytes: Bytes that belong to no frame.
+    lost, repeated, restarts: Frames that the counters miss, frames that came twice, times that the counter began anew.
     """
 
     frames: int = 0
@@ -68,14 +64,10 @@ class SerialFrames:
 
     Parameters
     ----------
-    layout : FrameLayout
-        The frames.
-    unit, run : str
-        Whose samples they are.
-    epoch : UUID
-        What they are numbered under.
-    resync_s : float
-        Largest delay of the line, see `FrameTimes`.
+    layout: The frames.
+    unit, run: Whose samples they are.
+    epoch: What they are numbered under.
+    resync_s: Largest delay of the line, see `FrameTimes`.
 
     Examples
     --------

@@ -24,33 +24,22 @@ class SerialLine:
 
     Parameters
     ----------
-    port : str
-        ``/dev/ttyUSB0``, or any address that pyserial opens.
-    baud : int
-        Bits a second.
-    layout : FrameLayout
-        Its frames.
-    unit, run : str
-        Whose samples they are.
-    epoch : UUID
-        What they are numbered under.
-    clock : StationClock
-        The station's clock.
-    deliver : callable
-        Given each batch, in this line's thread. While it does not return nothing is read, and once the operating
+    port: ``/dev/ttyUSB0``, or any address that pyserial opens.
+    baud: Bits a second.
+    layout: Its frames.
+    unit, run: Whose samples they are.
+    epoch: What they are numbered under.
+    clock: The station's clock.
+    deliver: Given each batch, in this line's thread. While it does not return nothing is read, and once the operating
         system's buffer is full frames are lost, which their counters tell. If it raises, reading ends and that is
         reported.
-    report : callable
-        Given sentences for people.
-    batch_s : float
-        How long bytes are collected for a batch, seconds of the computer.
+    report: Given sentences for people.
+    batch_s: How long bytes are collected for a batch, seconds of the computer.
 
     Attributes
     ----------
-    frames : SerialFrames
-        The decoder, with its counts.
-    error : Exception or None
-        What ended it before its time.
+    frames: The decoder, with its counts.
+    error: What ended it before its time.
     """
 
     def __init__(
@@ -87,8 +76,7 @@ class SerialLine:
 
         Raises
         ------
-        InstrumentError
-            If it cannot be opened.
+        InstrumentError: If it cannot be opened.
         """
         if self._port is None:
             self._port = open_port(self._address, self._baud, self.frames.layout, self._who)
@@ -183,8 +171,7 @@ def open_port(address: str, baud: int, layout: FrameLayout, who: str) -> Any:
 
     Raises
     ------
-    InstrumentError
-        If it cannot be opened.
+    InstrumentError: If it cannot be opened.
     """
     import serial
 

@@ -19,8 +19,7 @@ def check_numbers(
 
     Raises
     ------
-    BadInput
-        Naming the parameter.
+    BadInput: Naming the parameter.
     """
     for name, value in msgspec.structs.asdict(parameters).items():
         if isinstance(value, str):
@@ -38,21 +37,16 @@ class ChamberParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 
     Parameters
     ----------
-    mean_deg_c : float
-        Temperature it settles at.
-    start_offset_deg_c, settling_time_constant_s : float
-        Where it starts, relative to that, and the time constant of the first-order approach.
-    daily_amplitude_deg_c, daily_period_s : float
-        Sine on top, 0 and rising at the start.
-    draught_deg_c, draught_correlation_s : float
-        Standard deviation and correlation time of the local fluctuation at each gyro.
-    thermometer_noise_deg_c : float
-        Standard deviation of one reading. Readings are rounded to 0.01 degC.
+    mean_deg_c: Temperature it settles at.
+    start_offset_deg_c, settling_time_constant_s: Where it starts, relative to that, and the time constant of the
+        first-order approach.
+    daily_amplitude_deg_c, daily_period_s: Sine on top, 0 and rising at the start.
+    draught_deg_c, draught_correlation_s: Standard deviation and correlation time of the local fluctuation at each gyro.
+    thermometer_noise_deg_c: Standard deviation of one reading. Readings are rounded to 0.01 degC.
 
     Raises
     ------
-    BadInput
-        If a number has an impossible sign or is not finite.
+    BadInput: If a number has an impossible sign or is not finite.
     """
 
     mean_deg_c: float = 25.5
@@ -82,10 +76,8 @@ class GyroTemperature:
 
     Parameters
     ----------
-    chamber : ChamberParameters
-        The chamber.
-    seed : SeedSequence
-        Of the draught.
+    chamber: The chamber.
+    seed: Of the draught.
     """
 
     def __init__(self, chamber: ChamberParameters, seed: np.random.SeedSequence) -> None:

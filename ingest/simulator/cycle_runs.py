@@ -36,14 +36,10 @@ class CycleRun(NamedTuple):
 
     Parameters
     ----------
-    kind : str
-        Its procedure.
-    number : int
-        From 1 on; also the number of the power-on.
-    t0_ns : int
-        When it begins.
-    environment : PiecewiseEnvironment
-        Temperature and rate about the input axis.
+    kind: Its procedure.
+    number: From 1 on; also the number of the power-on.
+    t0_ns: When it begins.
+    environment: Temperature and rate about the input axis.
     """
 
     kind: str
@@ -95,15 +91,11 @@ def cycle_batches(fleet: tuple[GyroParameters, ...], run: CycleRun, name: str, s
 
     Parameters
     ----------
-    fleet : tuple of GyroParameters
-        Units; noise, bias and linear temperature coefficient are taken over. `ODD_UNIT` also feels how fast the
+    fleet: Units; noise, bias and linear temperature coefficient are taken over. `ODD_UNIT` also feels how fast the
         temperature changes.
-    run : CycleRun
-        Which run.
-    name : str
-        What the run is called.
-    seed : int
-        Of the simulation.
+    run: Which run.
+    name: What the run is called.
+    seed: Of the simulation.
     """
     sources = [_unit(parameters, run, name, seed) for parameters in fleet]
     return heapq.merge(*sources, _table(run, name, seed), key=lambda batch: batch.last_ns)

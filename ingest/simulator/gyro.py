@@ -44,29 +44,20 @@ class GyroParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     Parameters
     ----------
-    unit : str
-        Its serial number; the noise is different for every unit of one seed.
-    angle_random_walk_deg_per_sqrt_h : float
-        N of IEEE 952; the Allan deviation is N/sqrt(tau), tau in hours.
-    bias_instability_deg_per_h : float
-        B of IEEE 952; the Allan deviation has a floor of 0.664 B.
-    rate_random_walk_deg_per_h_per_sqrt_h : float
-        K of IEEE 952; the Allan deviation is K sqrt(tau/3), tau in hours.
-    bias_deg_per_h, turn_on_bias_deg_per_h : float
-        Constant bias, and the standard deviation of the bias that is drawn anew at every power-on.
-    bias_temperature_coefficient_deg_per_h_per_deg_c : float
-        Bias for every degree above 25 degC.
-    warm_up_deg_per_h, warm_up_time_constant_s : float
-        Bias of warm_up exp(-t/time constant), t from power-on.
-    scale_deg_per_s_per_count : float
-        Rate of one count. Rates are rounded to the nearest count and stop at the ends of int32.
-    sample_interval_ns : int
-        Interval of the rate samples; 5,000,000 is 200 Hz.
+    unit: Its serial number; the noise is different for every unit of one seed.
+    angle_random_walk_deg_per_sqrt_h: N of IEEE 952; the Allan deviation is N/sqrt(tau), tau in hours.
+    bias_instability_deg_per_h: B of IEEE 952; the Allan deviation has a floor of 0.664 B.
+    rate_random_walk_deg_per_h_per_sqrt_h: K of IEEE 952; the Allan deviation is K sqrt(tau/3), tau in hours.
+    bias_deg_per_h, turn_on_bias_deg_per_h: Constant bias, and the standard deviation of the bias that is drawn anew at
+        every power-on.
+    bias_temperature_coefficient_deg_per_h_per_deg_c: Bias for every degree above 25 degC.
+    warm_up_deg_per_h, warm_up_time_constant_s: Bias of warm_up exp(-t/time constant), t from power-on.
+    scale_deg_per_s_per_count: Rate of one count. Rates are rounded to the nearest count and stop at the ends of int32.
+    sample_interval_ns: Interval of the rate samples; 5,000,000 is 200 Hz.
 
     Raises
     ------
-    BadInput
-        If a number has an impossible sign or is not finite.
+    BadInput: If a number has an impossible sign or is not finite.
     """
 
     unit: str
@@ -118,17 +109,13 @@ class SimulatedGyro:
 
     Parameters
     ----------
-    parameters : GyroParameters
-        What it is like.
-    seed : int
-        Not negative. The same seed, unit and parameters give the same counts, in blocks of whatever size.
-    chamber : ChamberParameters
-        Where it stands.
+    parameters: What it is like.
+    seed: Not negative. The same seed, unit and parameters give the same counts, in blocks of whatever size.
+    chamber: Where it stands.
 
     Raises
     ------
-    BadInput
-        If the seed is negative.
+    BadInput: If the seed is negative.
 
     Notes
     -----
@@ -229,28 +216,18 @@ def unit_batches(
 
     Parameters
     ----------
-    parameters : GyroParameters
-        The unit.
-    run : str
-        The run they belong to.
-    duration_s : float
-        Length of the run, seconds; the last batch of a signal may be shorter.
-    seed : int
-        See SimulatedGyro.
-    t0_ns : int
-        Time of the first sample of both signals, nanoseconds UTC.
-    epoch : UUID, optional
-        The power-on. By default it follows from run, seed and parameters: the same samples carry the same
-        name.
-    chamber : ChamberParameters, optional
-        Where the unit stands.
-    rate_batch, temperature_batch : int
-        Samples in a batch.
+    parameters: The unit.
+    run: The run they belong to.
+    duration_s: Length of the run, seconds; the last batch of a signal may be shorter.
+    seed: See SimulatedGyro.
+    t0_ns: Time of the first sample of both signals, nanoseconds UTC.
+    epoch: The power-on. By default it follows from run, seed and parameters: the same samples carry the same name.
+    chamber: Where the unit stands.
+    rate_batch, temperature_batch: Samples in a batch.
 
     Raises
     ------
-    BadInput
-        If the seed or the duration is negative or not finite, or a batch holds no sample.
+    BadInput: If the seed or the duration is negative or not finite, or a batch holds no sample.
 
     Examples
     --------

@@ -32,18 +32,12 @@ class GyroBus:
 
     Parameters
     ----------
-    plan : Plan
-        The fleet.
-    environment : TableEnvironment
-        What acts on it.
-    supply : SimulatedSupply
-        Powers it: who has no power sends nothing, and each switching on is a power-on.
-    send : callable
-        Given the frames of a tick, each an arbitration id and 8 bytes, in the order of their moments.
-    on_power : callable, optional
-        Given every power-on and its seconds so far, as it begins and when it has ended.
-    power_ons : mapping of int, optional
-        How often each unit has been powered on before.
+    plan: The fleet.
+    environment: What acts on it.
+    supply: Powers it: who has no power sends nothing, and each switching on is a power-on.
+    send: Given the frames of a tick, each an arbitration id and 8 bytes, in the order of their moments.
+    on_power: Given every power-on and its seconds so far, as it begins and when it has ended.
+    power_ons: How often each unit has been powered on before.
 
     Notes
     -----
@@ -154,25 +148,17 @@ def play(
 
     Parameters
     ----------
-    plan : Plan
-        The fleet.
-    world : World
-        Lets the bench, which is a copy, follow the instruments.
-    bench : SimulatedBench
-        What acts on the gyros.
-    latitude_deg, position : float and str
-        Where the table stands, and how the gyros stand on it.
-    bus : can.BusABC
-        Where to send.
-    is_over : callable
-        Asked at every tick.
-    on_power, power_ons : callable and mapping, optional
-        See `GyroBus`.
+    plan: The fleet.
+    world: Lets the bench, which is a copy, follow the instruments.
+    bench: What acts on the gyros.
+    latitude_deg, position: Where the table stands, and how the gyros stand on it.
+    bus: Where to send.
+    is_over: Asked at every tick.
+    on_power, power_ons: See `GyroBus`.
 
     Raises
     ------
-    InstrumentError
-        If the instruments' process has ended.
+    InstrumentError: If the instruments' process has ended.
     """
     import can
 

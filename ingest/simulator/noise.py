@@ -49,17 +49,11 @@ class GaussMarkovSum:
 
     Parameters
     ----------
-    decay, kick : ndarray, shape (p,)
-        x_after = decay * x_before + kick * normal, over one interval.
-    weight : ndarray, shape (p,)
-        The mean over the interval, given both ends, is expected at weight * (x_before + x_after).
-    scatter : float
-        Standard deviation of the means about that, all processes together: given the ends they are
-        independent.
-    start_sd : ndarray, shape (p,)
-        Standard deviation of the processes at time 0.
-    generator : numpy.random.Generator
-        Where its normals come from; not to be shared.
+    decay, kick: shape (p,); x_after = decay * x_before + kick * normal, over one interval.
+    weight: shape (p,); the mean over the interval, given both ends, is expected at weight * (x_before + x_after).
+    scatter: Standard deviation of the means about that, all processes together: given the ends they are independent.
+    start_sd: shape (p,); standard deviation of the processes at time 0.
+    generator: Where its normals come from; not to be shared.
     """
 
     def __init__(
@@ -91,12 +85,10 @@ def ornstein_uhlenbeck(
 
     Parameters
     ----------
-    sd, correlation_s : ndarray, shape (p,)
-        Standard deviation and correlation time of each: autocovariance sd^2 exp(-abs(t)/correlation_s).
-    interval_s : float
-        Interval of the means, seconds.
-    generator : numpy.random.Generator
-        Where its normals come from.
+    sd, correlation_s: shape (p,); standard deviation and correlation time of each: autocovariance sd^2
+        exp(-abs(t)/correlation_s).
+    interval_s: Interval of the means, seconds.
+    generator: Where its normals come from.
 
     Notes
     -----
@@ -132,12 +124,9 @@ def flicker_noise(
 
     Parameters
     ----------
-    bias_instability_deg_per_h : float
-        B, deg/h.
-    interval_s : float
-        Interval of the means, seconds.
-    generator : numpy.random.Generator
-        Where its normals come from.
+    bias_instability_deg_per_h: B, deg/h.
+    interval_s: Interval of the means, seconds.
+    generator: Where its normals come from.
 
     Notes
     -----
@@ -160,12 +149,9 @@ def rate_random_walk(
 
     Parameters
     ----------
-    rate_random_walk_deg_per_h_per_sqrt_h : float
-        K, deg/h/sqrt(h): standard deviation after one hour.
-    interval_s : float
-        Interval of the means, seconds.
-    generator : numpy.random.Generator
-        Where its normals come from.
+    rate_random_walk_deg_per_h_per_sqrt_h: K, deg/h/sqrt(h): standard deviation after one hour.
+    interval_s: Interval of the means, seconds.
+    generator: Where its normals come from.
 
     Notes
     -----

@@ -24,16 +24,11 @@ class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     Parameters
     ----------
-    speed, start_ns, origin_s
-        Its clock, as in the station's file.
-    ports : mapping of int
-        TCP port of every instrument by name, and of `world`.
-    multicast_port : int
-        UDP port of the CAN bus.
-    latitude_deg : float
-        Where it stands.
-    position : str
-        How the gyros stand on the table.
+    speed, start_ns, origin_s: Its clock, as in the station's file.
+    ports: TCP port of every instrument by name, and of `world`.
+    multicast_port: UDP port of the CAN bus.
+    latitude_deg: Where it stands.
+    position: How the gyros stand on the table.
     """
 
     speed: float
@@ -52,8 +47,7 @@ def write_station(
 
     Raises
     ------
-    BadInput
-        If the folder cannot be written, or a unit cannot be a name.
+    BadInput: If the folder cannot be written, or a unit cannot be a name.
     """
     for unit in units:
         check_name("unit", unit)
@@ -88,8 +82,7 @@ def read_simulation(folder: Path) -> Simulation:
 
     Raises
     ------
-    BadInput
-        If the folder has no such file, or it cannot be read.
+    BadInput: If the folder has no such file, or it cannot be read.
     """
     path = folder / SIMULATION
     try:

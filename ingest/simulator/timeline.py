@@ -27,12 +27,9 @@ class Timeline(Generic[State]):
 
     Parameters
     ----------
-    clock : StationClock
-        The station's clock.
-    state : object
-        Of the first stretch, which reaches back for ever.
-    value : callable
-        Values of a stretch from its state and the seconds since its start, shape (n,).
+    clock: The station's clock.
+    state: Of the first stretch, which reaches back for ever.
+    value: Values of a stretch from its state and the seconds since its start, shape (n,).
 
     Examples
     --------
@@ -63,8 +60,7 @@ class Timeline(Generic[State]):
 
         Parameters
         ----------
-        plan : callable
-            The stretches that come, from the moment now, the state of the present stretch and the seconds since its
+        plan: The stretches that come, from the moment now, the state of the present stretch and the seconds since its
             start. What of them begins before now begins now.
         """
         with self._lock:

@@ -23,10 +23,8 @@ class WorldServer:
 
     Parameters
     ----------
-    devices : mapping of SimulatedDevice
-        By name; those without a course are left out.
-    port : int
-        Where to listen, on the loopback; any free one by default.
+    devices: By name; those without a course are left out.
+    port: Where to listen, on the loopback; any free one by default.
 
     Examples
     --------
@@ -81,15 +79,12 @@ class World:
 
     Parameters
     ----------
-    host, port : str and int
-        Where they are told.
-    copies : mapping of SimulatedDevice
-        Made like the originals, by the same names.
+    host, port: Where they are told.
+    copies: Made like the originals, by the same names.
 
     Raises
     ------
-    InstrumentError
-        If nobody tells them there.
+    InstrumentError: If nobody tells them there.
     """
 
     def __init__(self, host: str, port: int, copies: Mapping[str, SimulatedDevice]) -> None:
@@ -108,8 +103,7 @@ class World:
 
         Raises
         ------
-        InstrumentError
-            If the process of the instruments has ended.
+        InstrumentError: If the process of the instruments has ended.
         """
         try:
             self._socket.sendall(json.dumps(self._since).encode() + b"\n")

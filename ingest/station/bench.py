@@ -16,10 +16,8 @@ class StationBench:
 
     Parameters
     ----------
-    station : Station
-        Where.
-    instruments : mapping of Instrument
-        By name.
+    station: Where.
+    instruments: By name.
     """
 
     def __init__(self, station: Station, instruments: Mapping[str, Instrument]) -> None:

@@ -19,14 +19,10 @@ class StationLocation(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    latitude_deg : float, optional
-        Geodetic latitude, positive north, deg.
-    time_zone : str, optional
-        IANA name, such as ``Asia/Shanghai``: what is "the same day".
-    altitude_m : float, optional
-        Above the ellipsoid (or the sea, which makes no difference here), m.
-    gravity_m_per_s2 : float, optional
-        As it was measured there; else it follows from latitude and altitude.
+    latitude_deg: Geodetic latitude, positive north, deg.
+    time_zone: IANA name, such as ``Asia/Shanghai``: what is "the same day".
+    altitude_m: Above the ellipsoid (or the sea, which makes no difference here), m.
+    gravity_m_per_s2: As it was measured there; else it follows from latitude and altitude.
     """
 
     latitude_deg: float | None = None
@@ -39,13 +35,11 @@ class StationLocation(msgspec.Struct, frozen=True, kw_only=True):
 
         Parameters
         ----------
-        named : callable
-            How the message names one of the fields.
+        named: How the message names one of the fields.
 
         Raises
         ------
-        BadInput
-            If it is no place on Earth.
+        BadInput: If it is no place on Earth.
         """
         for name, value, least, most, unit in (
             ("latitude_deg", self.latitude_deg, -90.0, 90.0, ""),

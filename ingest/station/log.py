@@ -37,36 +37,24 @@ class RunLog:
 
     Parameters
     ----------
-    run : str
-        Its id.
-    procedure, plan : str
-        Name of the procedure, and the SHA-256 of its steps.
-    units : sequence of str
-        Serial numbers.
-    station : Station
-        Where.
-    spool : Spool
-        Where everything that is sent is kept until it is recorded; the run's state lies in its folder.
-    clock : StationClock
-        The station's clock.
+    run: Its id.
+    procedure, plan: Name of the procedure, and the SHA-256 of its steps.
+    units: Serial numbers.
+    station: Where.
+    spool: Where everything that is sent is kept until it is recorded; the run's state lies in its folder.
+    clock: The station's clock.
 
     Raises
     ------
-    BadInput
-        If the run was started as another one.
-    StoreError
-        If its state cannot be read, or, from every method, not be written.
+    BadInput: If the run was started as another one.
+    StoreError: If its state cannot be read, or, from every method, not be written.
 
     Attributes
     ----------
-    state : StationRunState
-        How far it is.
-    is_resumed : bool
-        Whether another process began it.
-    gap_s : float
-        How long nothing was measured before it was taken up, seconds at the station.
-    coverage : StepCoverage
-        What units deliver in the step that is recorded.
+    state: How far it is.
+    is_resumed: Whether another process began it.
+    gap_s: How long nothing was measured before it was taken up, seconds at the station.
+    coverage: What units deliver in the step that is recorded.
     """
 
     def __init__(
@@ -128,18 +116,12 @@ class RunLog:
 
         Parameters
         ----------
-        sender : Sender
-            Takes documents and samples, from now on.
-        mounted : iterable of documents
-            Which units are where.
-        about : mapping of str
-            What else is to be remembered of the run.
-        operator, lot : str, optional
-            Who is responsible, and the production lot.
-        at : int, optional
-            Index of the step that it goes on with; by default that at which it was.
-        warnings : iterable of str
-            What people were warned of; remembered with a run that starts.
+        sender: Takes documents and samples, from now on.
+        mounted: Which units are where.
+        about: What else is to be remembered of the run.
+        operator, lot: Who is responsible, and the production lot.
+        at: Index of the step that it goes on with; by default that at which it was.
+        warnings: What people were warned of; remembered with a run that starts.
         """
         self._sender = sender
         if self.state.phase == "starting":

@@ -24,16 +24,11 @@ class ConsoleOperator:
 
     Parameters
     ----------
-    console : Console
-        Where it is told.
-    stop : Stop
-        Whether the process was asked to end.
-    says_yes : bool
-        Whether every prompt is taken as done.
-    quiet : bool
-        Tell nothing but what is wrong.
-    listens : bool
-        Whether words are read from standard input.
+    console: Where it is told.
+    stop: Whether the process was asked to end.
+    says_yes: Whether every prompt is taken as done.
+    quiet: Tell nothing but what is wrong.
+    listens: Whether words are read from standard input.
     """
 
     def __init__(self, console: Console, stop: Stop, *, says_yes: bool, quiet: bool, listens: bool) -> None:
@@ -78,8 +73,7 @@ class ConsoleOperator:
 
         Raises
         ------
-        RunStopped
-            If nobody can give it, as standard input has ended.
+        RunStopped: If nobody can give it, as standard input has ended.
         """
         if self._says_yes:
             return True

@@ -28,10 +28,8 @@ class Preflight(NamedTuple):
 
     Parameters
     ----------
-    instruments : mapping of str
-        What each instrument says it is, by its name.
-    warnings : tuple of str
-        What does not stand in the way and is to be known.
+    instruments: What each instrument says it is, by its name.
+    warnings: What does not stand in the way and is to be known.
     """
 
     instruments: Mapping[str, str]
@@ -53,28 +51,19 @@ def preflight(
 
     Parameters
     ----------
-    stack : ExitStack
-        Instruments stay open until it is left.
-    station : Station
-        Where.
-    instruments : mapping of Instrument
-        By name; opened here.
-    sources : StationSources
-        Its buses and lines are opened and closed.
-    folders : sequence of Path
-        What will be written to; those that do not exist are looked at where they would be made. With the newest run
-        of those that are stores the clock is compared.
-    now_ns : int
-        Time at the station, nanoseconds UTC.
-    duration_s : float
-        How long the run will take.
-    disk : Disk
-        Whose room.
+    stack: Instruments stay open until it is left.
+    station: Where.
+    instruments: By name; opened here.
+    sources: Its buses and lines are opened and closed.
+    folders: What will be written to; those that do not exist are looked at where they would be made. With the newest
+        run of those that are stores the clock is compared.
+    now_ns: Time at the station, nanoseconds UTC.
+    duration_s: How long the run will take.
+    disk: Whose room.
 
     Raises
     ------
-    InstrumentError
-        If the run could not be recorded; the message has everything that stands in its way.
+    InstrumentError: If the run could not be recorded; the message has everything that stands in its way.
     """
     stops: list[str] = []
     found: dict[str, str] = {}

@@ -56,25 +56,17 @@ class StationRun:
 
     Parameters
     ----------
-    log : RunLog
-        What is said of the run, and how far it is.
-    steps : sequence of PlannedStep
-        All its steps.
-    station : Station
-        Where.
-    instruments : mapping of Instrument
-        The station's instruments, by name.
-    operator : Operator
-        Who attends.
-    clock : StationClock
-        The station's clock.
-    settle_timeout_s : float
-        Seconds at the station after which an instrument that has not settled is given up.
+    log: What is said of the run, and how far it is.
+    steps: All its steps.
+    station: Where.
+    instruments: The station's instruments, by name.
+    operator: Who attends.
+    clock: The station's clock.
+    settle_timeout_s: Seconds at the station after which an instrument that has not settled is given up.
 
     Attributes
     ----------
-    unsafe : tuple of str
-        Instruments that could not be made safe at the end.
+    unsafe: Instruments that could not be made safe at the end.
     """
 
     def __init__(
@@ -107,19 +99,14 @@ class StationRun:
 
         Parameters
         ----------
-        sources : callable
-            Makes the sources of the units for their epochs as they are; called again after every power-on.
-        samplers : sequence of Source
-            Those of the instruments, which measure all the time.
+        sources: Makes the sources of the units for their epochs as they are; called again after every power-on.
+        samplers: Those of the instruments, which measure all the time.
 
         Raises
         ------
-        RunStopped
-            If the operator stops it, or an instrument fails; it can be gone on with.
-        RunAborted
-            If the operator aborts it.
-        InstrumentError
-            If a source cannot be started.
+        RunStopped: If the operator stops it, or an instrument fails; it can be gone on with.
+        RunAborted: If the operator aborts it.
+        InstrumentError: If a source cannot be started.
         """
         active: list[Source] = []
         outcome = "interrupted"

@@ -19,36 +19,22 @@ class StationRunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
     Parameters
     ----------
-    run : str
-        Its id.
-    procedure, plan : str
-        Name of the procedure, and the SHA-256 of its steps as they were planned.
-    units : tuple of str
-        Serial numbers.
-    t0_ns, seen_ns : int
-        The station's clock when it started, and when it was last seen going on.
-    starts : int
-        How often a process took it up.
-    phase, outcome : str
-        ``starting`` until its first documents are kept, ``running``, ``ending`` when nothing more is measured,
-        ``ended`` when a recorder has everything; and how it ended.
-    step : int
-        Index of the step that is worked on.
-    open_steps : mapping
-        Of the step that is being recorded: the identity of its document by unit.
-    epochs : mapping
-        Epoch of every unit's power-on by unit; none for one that is off.
-    steps_done : int
-        Steps that were completed.
-    is_powered : bool
-        Whether the units have power.
-    powered_ns : int
-        When they were given it.
-    closed_steps, closed_as, closed_ns : mapping, str and int
-        Of the step that has ended last: the identity of its document by unit, how and when it has ended. It is said
-        again after a crash, which may have come before it was said.
-    short_records : int
-        Records of a unit in a step that lack samples.
+    run: Its id.
+    procedure, plan: Name of the procedure, and the SHA-256 of its steps as they were planned.
+    units: Serial numbers.
+    t0_ns, seen_ns: The station's clock when it started, and when it was last seen going on.
+    starts: How often a process took it up.
+    phase, outcome: ``starting`` until its first documents are kept, ``running``, ``ending`` when nothing more is
+        measured, ``ended`` when a recorder has everything; and how it ended.
+    step: Index of the step that is worked on.
+    open_steps: Of the step that is being recorded: the identity of its document by unit.
+    epochs: Epoch of every unit's power-on by unit; none for one that is off.
+    steps_done: Steps that were completed.
+    is_powered: Whether the units have power.
+    powered_ns: When they were given it.
+    closed_steps, closed_as, closed_ns: Of the step that has ended last: the identity of its document by unit, how and
+        when it has ended. It is said again after a crash, which may have come before it was said.
+    short_records: Records of a unit in a step that lack samples.
     """
 
     format: int = 1
@@ -78,8 +64,7 @@ def read_station_run(folder: Path) -> StationRunState | None:
 
     Raises
     ------
-    StoreError
-        If it cannot be read.
+    StoreError: If it cannot be read.
     """
     return read_state(folder / STATE_FILE, StationRunState)
 
@@ -89,8 +74,7 @@ def write_station_run(folder: Path, state: StationRunState) -> StationRunState:
 
     Raises
     ------
-    StoreError
-        If it cannot be written; the one before is then still there.
+    StoreError: If it cannot be written; the one before is then still there.
     """
     return write_state(folder / STATE_FILE, state)
 

@@ -28,31 +28,20 @@ class Sampler:
 
     Parameters
     ----------
-    instrument : Instrument
-        Opened; its name is the unit of its samples.
-    run : str
-        The run that the samples belong to.
-    epoch : UUID
-        What they are numbered under.
-    deliver : callable
-        Given each batch, in this sampler's thread. If it raises, sampling ends and that is reported.
-    report : callable
-        Given sentences for people.
-    lock : context manager, optional
-        Held while the instrument is used; by default the instrument's own.
-    batch_s : float
-        Longest time that a sample waits for its batch, seconds of the computer.
-    first_seq : mapping of str to int, optional
-        Number of the first sample of a signal; by default 0.
+    instrument: Opened; its name is the unit of its samples.
+    run: The run that the samples belong to.
+    epoch: What they are numbered under.
+    deliver: Given each batch, in this sampler's thread. If it raises, sampling ends and that is reported.
+    report: Given sentences for people.
+    lock: Held while the instrument is used; by default the instrument's own.
+    batch_s: Longest time that a sample waits for its batch, seconds of the computer.
+    first_seq: Number of the first sample of a signal; by default 0.
 
     Attributes
     ----------
-    samples : int
-        Delivered so far, all signals together.
-    missed : int
-        Moments at which it was to be read and was not.
-    error : Exception or None
-        What ended it before its time.
+    samples: Delivered so far, all signals together.
+    missed: Moments at which it was to be read and was not.
+    error: What ended it before its time.
 
     Examples
     --------

@@ -24,19 +24,14 @@ class StationSources:
 
     Parameters
     ----------
-    station : Station
-        Where.
-    instruments : mapping of Instrument
-        Opened, by name.
-    clock : StationClock
-        The station's clock.
-    units : tuple of str
-        The units that are tested; each must come from a bus or a line.
+    station: Where.
+    instruments: Opened, by name.
+    clock: The station's clock.
+    units: The units that are tested; each must come from a bus or a line.
 
     Raises
     ------
-    BadInput
-        If a database, mapping or layout cannot be read, or a unit comes from nowhere.
+    BadInput: If a database, mapping or layout cannot be read, or a unit comes from nowhere.
     """
 
     def __init__(

@@ -33,12 +33,9 @@ class BusTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     Parameters
     ----------
-    bus : CanBusOptions
-        The interface, as python-can knows it.
-    dbc : tuple of str
-        Database files, beside the station file.
-    mapping : str
-        Which signal of the database is which unit's; beside the station file.
+    bus: The interface, as python-can knows it.
+    dbc: Database files, beside the station file.
+    mapping: Which signal of the database is which unit's; beside the station file.
     """
 
     bus: CanBusOptions
@@ -99,18 +96,12 @@ class Station(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    path : Path
-        The file; other files that it names lie beside it.
-    table : StationTable
-        Names and place.
-    clock : ClockTable
-        Its clock.
-    instruments : mapping
-        Kind and options of every instrument by its name.
-    buses, lines, slots : mapping
-        CAN buses, serial lines, and places for units, by name.
-    settings : mapping
-        Which instrument a setting of a procedure goes to: ``{"rate": "table"}``.
+    path: The file; other files that it names lie beside it.
+    table: Names and place.
+    clock: Its clock.
+    instruments: Kind and options of every instrument by its name.
+    buses, lines, slots: CAN buses, serial lines, and places for units, by name.
+    settings: Which instrument a setting of a procedure goes to: ``{"rate": "table"}``.
     """
 
     path: Path
@@ -142,8 +133,7 @@ class Station(msgspec.Struct, frozen=True, kw_only=True):
 
         Raises
         ------
-        BadInput
-            If another run of this computer has it.
+        BadInput: If another run of this computer has it.
         """
         with self.path.open("rb") as file:
             with suppress(OSError):  # where files cannot be locked, people see to it
@@ -180,8 +170,7 @@ def load_station(path: Path) -> Station:
 
     Raises
     ------
-    BadInput
-        If it cannot be read, or does not describe a station; the message says where in it.
+    BadInput: If it cannot be read, or does not describe a station; the message says where in it.
     """
     try:
         content = path.read_bytes()

@@ -25,8 +25,7 @@ class StepCoverage:
 
     Parameters
     ----------
-    units : sequence of str
-        Serial numbers; samples of others are not counted.
+    units: Serial numbers; samples of others are not counted.
 
     Examples
     --------

@@ -32,16 +32,11 @@ class UnitEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     Parameters
     ----------
-    serial : str
-        Its serial number, which is its name in the data.
-    slot : str, optional
-        Where it stands.
-    lot, operator, fixture, firmware, product : str, optional
-        What belongs to it.
-    details : dict
-        Whatever else the file says of it, by the title of the column.
-    line : int
-        Line of the file that it stands in, from 1.
+    serial: Its serial number, which is its name in the data.
+    slot: Where it stands.
+    lot, operator, fixture, firmware, product: What belongs to it.
+    details: Whatever else the file says of it, by the title of the column.
+    line: Line of the file that it stands in, from 1.
     """
 
     serial: str
@@ -74,17 +69,14 @@ def read_units(path: str | Path, slots: Iterable[str] | None = None) -> UnitsFil
 
     Parameters
     ----------
-    path : str or Path
-        A table with a first line of titles, one of them ``serial`` (comma, semicolon or tab between columns), or
+    path: A table with a first line of titles, one of them ``serial`` (comma, semicolon or tab between columns), or
         plain text with one serial a line. UTF-8, GB 18030, or UTF-16 with its mark.
-    slots : iterable of str, optional
-        The station's slots; others are refused.
+    slots: The station's slots; others are refused.
 
     Raises
     ------
-    BadInput
-        If it cannot be read, or units are missing, named twice, put into one slot or a slot that is not there; all
-        problems are listed with their lines.
+    BadInput: If it cannot be read, or units are missing, named twice, put into one slot or a slot that is not there;
+        all problems are listed with their lines.
     """
     if str(path) == STDIN:
         content, source = sys.stdin.buffer.read(_MOST_BYTES + 1), "standard input"
@@ -141,8 +133,7 @@ def assigned(entries: Sequence[UnitEntry], slots: Sequence[str]) -> tuple[UnitEn
 
     Raises
     ------
-    BadInput
-        If there are fewer slots than units.
+    BadInput: If there are fewer slots than units.
 
     Examples
     --------
@@ -165,12 +156,9 @@ def mounted_documents(entries: Iterable[UnitEntry], run: str, t_ns: int) -> tupl
 
     Parameters
     ----------
-    entries : iterable of UnitEntry
-        The units.
-    run : str
-        The run.
-    t_ns : int
-        When they were mounted, nanoseconds on the station's clock.
+    entries: The units.
+    run: The run.
+    t_ns: When they were mounted, nanoseconds on the station's clock.
 
     Examples
     --------

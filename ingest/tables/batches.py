@@ -30,12 +30,9 @@ class Batcher:
 
     Parameters
     ----------
-    head : BatchHead
-        What its batches share.
-    batch_samples : int
-        Samples in a full batch.
-    splits_at_gaps : bool
-        Whether a batch ends before a gap.
+    head: What its batches share.
+    batch_samples: Samples in a full batch.
+    splits_at_gaps: Whether a batch ends before a gap.
 
     Examples
     --------

@@ -38,16 +38,11 @@ class GoodRows:
 
     Parameters
     ----------
-    owner : Owner
-        Unit and run.
-    times_ns : ndarray of int64, shape (n,)
-        Strictly increasing, on the run's clock.
-    signals : dict of str to NumberCells
-        By name of the signal, shape (n,) each.
-    stretches : list of (int, int, StepWords or None)
-        Consecutive stretches of rows (from, to, words of their step).
-    done : float
-        Fraction of the file that is read, 0 to 1.
+    owner: Unit and run.
+    times_ns: shape (n,); strictly increasing, on the run's clock.
+    signals: By name of the signal, shape (n,) each.
+    stretches: Consecutive stretches of rows (from, to, words of their step).
+    done: Fraction of the file that is read, 0 to 1.
     """
 
     owner: Owner
@@ -62,17 +57,13 @@ class RowFilter:
 
     Parameters
     ----------
-    path : Path
-        The file, for messages and the run's default name.
-    columns : Columns
-        What its columns are.
-    options : TableOptions
-        What the command line adds.
+    path: The file, for messages and the run's default name.
+    columns: What its columns are.
+    options: What the command line adds.
 
     Raises
     ------
-    BadInput
-        If a name given by the options cannot be used.
+    BadInput: If a name given by the options cannot be used.
     """
 
     def __init__(self, path: Path, columns: Columns, options: TableOptions) -> None:

@@ -32,24 +32,17 @@ class TableOptions:
 
     Parameters
     ----------
-    unit, run : str, optional
-        Whose samples these are, where no column says so. Without a run, it is named as the file is, less the
+    unit, run: Whose samples these are, where no column says so. Without a run, it is named as the file is, less the
         suffix.
-    start_ns : int, optional
-        The run's start, nanoseconds UTC: added to times that count from it.
-    sample_rate_hz : float, optional
-        Sampling rate in Hz of a file without a time column.
-    skip_bad : bool
-        Leave bad rows out instead of refusing the file.
-    batch_samples : int
-        Most samples in a batch.
-    words : StepWords, optional
-        Words of a step that hold for all rows, where no column says them.
+    start_ns: The run's start, nanoseconds UTC: added to times that count from it.
+    sample_rate_hz: Sampling rate in Hz of a file without a time column.
+    skip_bad: Leave bad rows out instead of refusing the file.
+    batch_samples: Most samples in a batch.
+    words: Words of a step that hold for all rows, where no column says them.
 
     Raises
     ------
-    BadInput
-        If a number is outside its range.
+    BadInput: If a number is outside its range.
 
     Examples
     --------
@@ -114,8 +107,7 @@ def read_header(path: Path, titles: Sequence[str], options: TableOptions) -> Col
 
     Raises
     ------
-    BadInput
-        If a title does not keep the contract, or something is missing or given twice.
+    BadInput: If a title does not keep the contract, or something is missing or given twice.
 
     Examples
     --------

@@ -31,15 +31,12 @@ class CsvTable:
 
     Parameters
     ----------
-    path : Path
-        The file.
-    block_bytes : int
-        How much is read at a time.
+    path: The file.
+    block_bytes: How much is read at a time.
 
     Raises
     ------
-    BadInput
-        If it is empty, not UTF-8, or holds nothing but a header.
+    BadInput: If it is empty, not UTF-8, or holds nothing but a header.
     """
 
     def __init__(self, path: Path, block_bytes: int = BLOCK_BYTES) -> None:

@@ -20,12 +20,9 @@ class LineReader:
 
     Parameters
     ----------
-    titles : sequence of str
-        Titles of the columns, in order.
-    columns : Columns
-        What they are.
-    delimiter : str
-        Character between cells.
+    titles: Titles of the columns, in order.
+    columns: What they are.
+    delimiter: Character between cells.
     """
 
     def __init__(self, titles: Sequence[str], columns: Columns, delimiter: str) -> None:
@@ -90,8 +87,7 @@ def split_line(line: str, delimiter: str) -> list[str]:
 
     Raises
     ------
-    BadInput
-        If quotes do not match or a carriage return stands within the line; the text says what was expected.
+    BadInput: If quotes do not match or a carriage return stands within the line; the text says what was expected.
 
     Examples
     --------

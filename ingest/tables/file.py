@@ -39,15 +39,12 @@ class TableFile:
 
     Parameters
     ----------
-    path : Path
-        The file: .csv, .tsv, .txt, .parquet or .pq.
-    options : TableOptions
-        What its columns do not say.
+    path: The file: .csv, .tsv, .txt, .parquet or .pq.
+    options: What its columns do not say.
 
     Raises
     ------
-    BadInput
-        If the file cannot be read or its header does not keep the contract.
+    BadInput: If the file cannot be read or its header does not keep the contract.
 
     Examples
     --------
@@ -79,15 +76,12 @@ class TableFile:
 
         Parameters
         ----------
-        progress : callable, optional
-            Called with the fraction of the file that is read, 0 to 1.
+        progress: Called with the fraction of the file that is read, 0 to 1.
 
         Raises
         ------
-        BadRows
-            If rows are bad and `skip_bad` is not set; it carries them.
-        BadInput
-            If the file as a whole cannot be used.
+        BadRows: If rows are bad and `skip_bad` is not set; it carries them.
+        BadInput: If the file as a whole cannot be used.
         """
         rows = self._new_filter()
         grids: dict[tuple[Owner, str], SamplingGrid] = {}
@@ -128,8 +122,7 @@ class TableFile:
 
         Raises
         ------
-        BadInput
-            As `check`, which runs first where it has not; and if the file has changed since.
+        BadInput: As `check`, which runs first where it has not; and if the file has changed since.
         """
         counts = self._counts()
         for good in self._good_rows(self._new_filter(), progress):
@@ -150,18 +143,14 @@ class TableFile:
 
         Parameters
         ----------
-        epoch_of : callable
-            From unit and run to the epoch of their samples.
-        keep : callable, optional
-            From unit, run, signal and times (ndarray of int64, nanoseconds) to a mask of those to deliver.
-            Steps are delivered whatever it says.
-        progress : callable, optional
-            Called with the fraction of the file that is read, 0 to 1.
+        epoch_of: From unit and run to the epoch of their samples.
+        keep: From unit, run, signal and times (ndarray of int64, nanoseconds) to a mask of those to deliver. Steps are
+            delivered whatever it says.
+        progress: Called with the fraction of the file that is read, 0 to 1.
 
         Raises
         ------
-        BadInput
-            As `check`, which runs first where it has not; and if the file has changed since.
+        BadInput: As `check`, which runs first where it has not; and if the file has changed since.
         """
         counts = self._counts()
         batchers = self._batchers(epoch_of)

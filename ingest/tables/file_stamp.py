@@ -10,8 +10,7 @@ class FileStamp:
 
     Parameters
     ----------
-    path : Path
-        The file.
+    path: The file.
 
     Examples
     --------

@@ -22,21 +22,15 @@ class Sampling:
 
     Parameters
     ----------
-    samples : int
-        How many there are.
-    t_first_ns, t_last_ns : int
-        First and last time, nanoseconds.
-    dt_ns : int
-        Nominal interval, nanoseconds: the mean of the first 10,000 intervals, gaps counted by how many nominal ones
+    samples: How many there are.
+    t_first_ns, t_last_ns: First and last time, nanoseconds.
+    dt_ns: Nominal interval, nanoseconds: the mean of the first 10,000 intervals, gaps counted by how many nominal ones
         they last. (Their median is wrong by up to a rounding step where times are rounded: 102.4 Hz in whole
         milliseconds has a median of 10 ms.)
-    off_grid : int
-        Intervals further than a tenth of the nominal one from every multiple of it. Gaps of more than ten intervals
-        are not counted: a source that begins anew after one has a grid of its own.
-    worst_ns : int
-        Largest distance of such an interval from a multiple of the nominal one, nanoseconds.
-    gaps : int
-        Intervals longer than 1.5 nominal ones.
+    off_grid: Intervals further than a tenth of the nominal one from every multiple of it. Gaps of more than ten
+        intervals are not counted: a source that begins anew after one has a grid of its own.
+    worst_ns: Largest distance of such an interval from a multiple of the nominal one, nanoseconds.
+    gaps: Intervals longer than 1.5 nominal ones.
     """
 
     samples: int
@@ -58,8 +52,7 @@ class SamplingGrid:
 
     Parameters
     ----------
-    nominal : callable, optional
-        From the first intervals and what they say the nominal one is to the nominal one, all in nanoseconds.
+    nominal: From the first intervals and what they say the nominal one is to the nominal one, all in nanoseconds.
 
     Examples
     --------

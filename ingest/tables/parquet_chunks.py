@@ -25,15 +25,12 @@ class ParquetTable:
 
     Parameters
     ----------
-    path : Path
-        The file.
-    block_rows : int
-        Most rows in a block; fewer where there are many columns.
+    path: The file.
+    block_rows: Most rows in a block; fewer where there are many columns.
 
     Raises
     ------
-    BadInput
-        If it is no Parquet file, or holds no rows.
+    BadInput: If it is no Parquet file, or holds no rows.
     """
 
     def __init__(self, path: Path, block_rows: int = BLOCK_ROWS) -> None:
@@ -65,8 +62,7 @@ class ParquetTable:
 
         Raises
         ------
-        BadInput
-            If a signal or the time is not numeric, or a name or word is neither text nor a number.
+        BadInput: If a signal or the time is not numeric, or a name or word is neither text nor a number.
         """
         self._columns = columns
         numeric = [signal.title for signal in columns.signals]

@@ -26,15 +26,11 @@ class BadRow:
 
     Parameters
     ----------
-    place : str
-        What `number` counts: ``line`` of a text file (as an editor counts, the header among them) or ``row``
-        of a Parquet file, both from 1.
-    number : int
-        Which one.
-    column : str
-        Title of the column, or '' where the row as a whole is meant.
-    found, expected : str
-        What stands there, and what should.
+    place: What `number` counts: ``line`` of a text file (as an editor counts, the header among them) or ``row`` of a
+        Parquet file, both from 1.
+    number: Which one.
+    column: Title of the column, or '' where the row as a whole is meant.
+    found, expected: What stands there, and what should.
 
     Examples
     --------
@@ -59,10 +55,8 @@ class BadRows(BadInput):
 
     Attributes
     ----------
-    bad : tuple of BadRow
-        The first 1000 of them.
-    count : int
-        How many there are in all.
+    bad: The first 1000 of them.
+    count: How many there are in all.
     """
 
     def __init__(self, path: Path, bad: tuple[BadRow, ...], count: int) -> None:
@@ -146,20 +140,13 @@ class CellBlock:
 
     Parameters
     ----------
-    place : str
-        ``line`` or ``row``.
-    numbers : ndarray of int64, shape (n,)
-        Line or row number of every row.
-    times_ns : ndarray of int64, shape (n,), optional
-        Times as written, in nanoseconds; None where the file has no time column.
-    signals : dict of str to NumberCells
-        By name of the signal.
-    texts : dict of str to TextCells
-        By title of the column: unit, run and the step words.
-    sieve : Sieve
-        Rows that are bad already; what their cells hold has no meaning.
-    done : float
-        Fraction of the file that is read, 0 to 1.
+    place: ``line`` or ``row``.
+    numbers: shape (n,); line or row number of every row.
+    times_ns: shape (n,); times as written, in nanoseconds; None where the file has no time column.
+    signals: By name of the signal.
+    texts: By title of the column: unit, run and the step words.
+    sieve: Rows that are bad already; what their cells hold has no meaning.
+    done: Fraction of the file that is read, 0 to 1.
     """
 
     place: str

@@ -37,12 +37,9 @@ class WordColumn:
 
     Parameters
     ----------
-    title : str
-        As it stands in the file.
-    word : str
-        Field of StepWords that it fills.
-    factor, offset : float
-        From the column's unit of measure to the field's.
+    title: As it stands in the file.
+    word: Field of StepWords that it fills.
+    factor, offset: From the column's unit of measure to the field's.
     """
 
     title: str
@@ -55,8 +52,7 @@ class WordColumn:
 
         Raises
         ------
-        BadInput
-            If the cell cannot be read; the text says what is expected.
+        BadInput: If the cell cannot be read; the text says what is expected.
 
         Examples
         --------
@@ -89,8 +85,7 @@ def cell_text(cell: object) -> str:
 
     Raises
     ------
-    BadInput
-        If the cell is NaN or infinite.
+    BadInput: If the cell is NaN or infinite.
 
     Examples
     --------
@@ -109,8 +104,7 @@ def word_column(title: str, name: str, unit: str | None) -> WordColumn:
 
     Raises
     ------
-    BadInput
-        If the word needs a unit and has none, has one and takes none, or has one of another quantity.
+    BadInput: If the word needs a unit and has none, has one and takes none, or has one of another quantity.
 
     Examples
     --------

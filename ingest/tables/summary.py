@@ -14,14 +14,10 @@ class SignalSummary:
 
     Parameters
     ----------
-    unit, run, signal : str
-        Which.
-    unit_of_measure : str
-        Unit of its values.
-    is_counts : bool
-        Whether it is delivered as counts (int32) rather than values (float64).
-    sampling : Sampling
-        Samples, times and interval.
+    unit, run, signal: Which.
+    unit_of_measure: Unit of its values.
+    is_counts: Whether it is delivered as counts (int32) rather than values (float64).
+    sampling: Samples, times and interval.
     """
 
     unit: str
@@ -38,26 +34,16 @@ class TableSummary:
 
     Parameters
     ----------
-    rows : int
-        Rows in the file, without header and blank lines.
-    bad_rows : int
-        How many of them are bad.
-    bad : tuple of BadRow
-        The first 1000 of these.
-    date_known : bool
-        Whether times are UTC; else they count from an unknown moment.
-    steps : int
-        Steps that the step words make.
-    signals : tuple of SignalSummary
-        Every signal that has samples.
-    counted : str
-        What `rows` counts, for people.
-    damage : str
-        What is wrong with the file as a whole, where what is good of it is used; empty where nothing is.
-    remarks : tuple of str
-        What whoever imports it should know, for people.
-    words : StepWords, optional
-        What was given for all of its steps, where the file does not say it.
+    rows: Rows in the file, without header and blank lines.
+    bad_rows: How many of them are bad.
+    bad: The first 1000 of these.
+    date_known: Whether times are UTC; else they count from an unknown moment.
+    steps: Steps that the step words make.
+    signals: Every signal that has samples.
+    counted: What `rows` counts, for people.
+    damage: What is wrong with the file as a whole, where what is good of it is used; empty where nothing is.
+    remarks: What whoever imports it should know, for people.
+    words: What was given for all of its steps, where the file does not say it.
     """
 
     rows: int

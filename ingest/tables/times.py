@@ -24,8 +24,7 @@ def ns_per_unit(unit: str) -> int:
 
     Raises
     ------
-    BadInput
-        If `unit` measures no time, or one is no whole number of nanoseconds.
+    BadInput: If `unit` measures no time, or one is no whole number of nanoseconds.
 
     Examples
     --------
@@ -125,8 +124,7 @@ class RunClock:
 
     Parameters
     ----------
-    start_ns : int, optional
-        The run's start, nanoseconds UTC, where it is given.
+    start_ns: The run's start, nanoseconds UTC, where it is given.
 
     Examples
     --------
@@ -150,8 +148,7 @@ class RunClock:
 
         Raises
         ------
-        BadInput
-            If it is UTC and a start is given as well.
+        BadInput: If it is UTC and a start is given as well.
         """
         self.is_utc = first_ns >= UTC_FROM_NS
         if self.is_utc and self._start_ns is not None:

@@ -52,15 +52,12 @@ def recover(store: Store, *, quarantine: bool = False) -> Iterator[Action]:
 
     Parameters
     ----------
-    store : Store
-        Which store.
-    quarantine : bool
-        Also move files that are not the store's out of its log, to ``log/aside``.
+    store: Which store.
+    quarantine: Also move files that are not the store's out of its log, to ``log/aside``.
 
     Raises
     ------
-    StoreError
-        If another process writes the store, or the disk refuses.
+    StoreError: If another process writes the store, or the disk refuses.
     """
     try:
         with WriterLock(store, "gyrofleet recover"), builder_lock(store):

@@ -29,10 +29,8 @@ def verify(store: Store, progress: Callable[[float], None] | None = None) -> tup
 
     Parameters
     ----------
-    store : Store
-        Which store; it may be written meanwhile, what is not sealed yet is then not looked at.
-    progress : callable, optional
-        Called with the fraction of the log that is read.
+    store: Which store; it may be written meanwhile, what is not sealed yet is then not looked at.
+    progress: Called with the fraction of the log that is read.
     """
     began = time.monotonic()
     state = verify_log(store, progress)

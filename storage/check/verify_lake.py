@@ -112,8 +112,7 @@ def mend(store: Store) -> Iterator[LakeProblem]:
 
     Raises
     ------
-    StoreError
-        If a part cannot be rebuilt, as its segment is damaged too; the others are mended first.
+    StoreError: If a part cannot be rebuilt, as its segment is damaged too; the others are mended first.
     """
     found = list(lake_problems(store))
     for problem in found:

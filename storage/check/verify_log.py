@@ -35,36 +35,21 @@ class LogState:
 
     Parameters
     ----------
-    findings : list of Finding
-        In the order of the log.
-    entries, lost : dict of str to SegmentEntry
-        Of the manifest, and of those what is not there any more, as the log says.
-    gone : list of str
-        Segments that are listed and not there.
-    samples : dict of str to int
-        Samples of each sealed segment, by name, as far as it can be read.
-    messages : int
-        Messages of all of them.
-    check : SequenceCheck
-        How far the streams have come, and what is missing in them.
-    damaged : list of Path
-        Sealed segments that are not what was written.
-    before : dict of str to dict
-        How far the streams had come before each of those.
-    undocumented : list of LostStretch
-        What is missing without a document in the log that says so.
-    unsaid : list of str
-        Segments that are what could be saved of a damaged one, without a document that says so.
-    said : set of str
-        Segments of which a document says that they are not what was recorded, or not there.
-    uids : set of str
-        Documents of the store itself.
-    documented : set of tuple
-        Stretches that documents say are lost.
-    totals : dict of StreamId to tuple
-        Run and samples that a stream ended with.
-    store : str
-        Identity of the store.
+    findings: In the order of the log.
+    entries, lost: Of the manifest, and of those what is not there any more, as the log says.
+    gone: Segments that are listed and not there.
+    samples: Samples of each sealed segment, by name, as far as it can be read.
+    messages: Messages of all of them.
+    check: How far the streams have come, and what is missing in them.
+    damaged: Sealed segments that are not what was written.
+    before: How far the streams had come before each of those.
+    undocumented: What is missing without a document in the log that says so.
+    unsaid: Segments that are what could be saved of a damaged one, without a document that says so.
+    said: Segments of which a document says that they are not what was recorded, or not there.
+    uids: Documents of the store itself.
+    documented: Stretches that documents say are lost.
+    totals: Run and samples that a stream ended with.
+    store: Identity of the store.
     """
 
     store: str
@@ -94,10 +79,8 @@ def verify_log(store: Store, progress: Callable[[float], None] | None = None) ->
 
     Parameters
     ----------
-    store : Store
-        Whose.
-    progress : callable, optional
-        Called with the fraction that is read.
+    store: Whose.
+    progress: Called with the fraction that is read.
     """
     state = LogState(store.identity)
     sealed = _verify_manifest(store, state)

@@ -24,12 +24,9 @@ class ChannelBuffer:
 
     Parameters
     ----------
-    identity : int
-        Of the channel.
-    place : Place
-        Where it comes from.
-    first : SampleBatch
-        Its first batch: what all have in common.
+    identity: Of the channel.
+    place: Where it comes from.
+    first: Its first batch: what all have in common.
     """
 
     def __init__(self, identity: int, place: Place, first: SampleBatch) -> None:

@@ -45,14 +45,11 @@ def clock_table(
 
     Parameters
     ----------
-    channel : int
-        Which one.
-    messages : Messages
-        Its messages in the order of the log.
-    backward, backward_most_ns : ndarray of int64
-        Of each message, samples within it that are not after the one before, and how far back at most.
-    irregular : bool
-        Whether the samples lie on no grid.
+    channel: Which one.
+    messages: Its messages in the order of the log.
+    backward, backward_most_ns: Of each message, samples within it that are not after the one before, and how far back
+        at most.
+    irregular: Whether the samples lie on no grid.
     """
     delay_ns = messages.arrival_ns - messages.last_ns
     minute = messages.arrival_ns // STRETCH_NS

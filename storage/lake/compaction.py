@@ -49,8 +49,7 @@ def compact(lake: "Lake", *, now_ns: int | None = None) -> Iterator[Compacted]:
 
     Raises
     ------
-    StoreError
-        If a part is damaged; the others are compacted first.
+    StoreError: If a part is damaged; the others are compacted first.
     """
     failure: StoreError | None = None
     passed_over: set[str] = set()

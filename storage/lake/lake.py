@@ -49,8 +49,7 @@ def builder_lock(store: Store, *, patience_s: float = 0.0) -> Iterator[None]:
 
     Raises
     ------
-    LakeBusy
-        If another process, or another part of this one, still holds it.
+    LakeBusy: If another process, or another part of this one, still holds it.
     """
     until = time.monotonic() + patience_s
     with ExitStack() as stack:
@@ -72,15 +71,12 @@ def build_missing(store: Store, *, compacts: bool = True) -> Iterator[str]:
 
     Parameters
     ----------
-    store : Store
-        Whose.
-    compacts : bool
-        Whether to put small parts together on the way, and to remove what has been replaced for an hour.
+    store: Whose.
+    compacts: Whether to put small parts together on the way, and to remove what has been replaced for an hour.
 
     Raises
     ------
-    StoreError
-        If a segment is damaged; the others are brought there first.
+    StoreError: If a segment is damaged; the others are brought there first.
     """
     lake = Lake(store)
     failed: dict[str, StoreError] = {}
@@ -103,18 +99,15 @@ class Lake:
 
     Parameters
     ----------
-    store : Store
-        Whose.
+    store: Whose.
 
     Attributes
     ----------
-    manifest : Manifest
-        What is in force now.
+    manifest: What is in force now.
 
     Raises
     ------
-    LakeManifestDamaged
-        If it is damaged or lost.
+    LakeManifestDamaged: If it is damaged or lost.
     """
 
     def __init__(self, store: Store) -> None:
@@ -196,8 +189,7 @@ class Lake:
 
         Raises
         ------
-        StoreError
-            If a segment of it is damaged; the part stays as it was.
+        StoreError: If a segment of it is damaged; the part stays as it was.
         """
         part = self.manifest.part(name)
         self.swap([name], [self._built(segment) for segment in part.segments])

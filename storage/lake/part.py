@@ -147,21 +147,15 @@ def build_part(segment: Path, fresh: Path, name: str, *, store: str, without_raw
 
     Parameters
     ----------
-    segment : Path
-        A sealed segment.
-    fresh : Path
-        Folder to make it in; what is there is removed.
-    name : str
-        That it will have in the lake.
-    store : str
-        Identity of the store; what documents of another say is dropped is not.
-    without_raw : str, optional
-        The document that says that its raw rows are dropped.
+    segment: A sealed segment.
+    fresh: Folder to make it in; what is there is removed.
+    name: That it will have in the lake.
+    store: Identity of the store; what documents of another say is dropped is not.
+    without_raw: The document that says that its raw rows are dropped.
 
     Raises
     ------
-    StoreError
-        If the segment is damaged, or does not fit into memory.
+    StoreError: If the segment is damaged, or does not fit into memory.
     """
     content = _Segment(store, segment.stem)
     try:

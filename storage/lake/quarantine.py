@@ -34,15 +34,12 @@ class Quarantine:
 
     Parameters
     ----------
-    store : str
-        Identity of the store.
-    segment : str
-        Name of the segment.
+    store: Identity of the store.
+    segment: Name of the segment.
 
     Attributes
     ----------
-    messages, samples : int
-        How many messages, and samples in them as far as that can be read.
+    messages, samples: How many messages, and samples in them as far as that can be read.
     """
 
     def __init__(self, store: str, segment: str) -> None:

@@ -26,16 +26,13 @@ def rebuild(store: Store, *, force: bool = False) -> Iterator[RebuildStep]:
 
     Parameters
     ----------
-    store : Store
-        Whose.
-    force : bool
-        Also where the old lake holds what the log no longer gives; the old one is quarantined then.
+    store: Whose.
+    force: Also where the old lake holds what the log no longer gives; the old one is quarantined then.
 
     Raises
     ------
-    StoreError
-        If a segment is damaged, the old lake holds more than the log gives, or the disk refuses; the old lake stays
-        in force.
+    StoreError: If a segment is damaged, the old lake holds more than the log gives, or the disk refuses; the old lake
+        stays in force.
     """
     try:
         yield from _rebuilt(store, force=force)

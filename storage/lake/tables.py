@@ -186,10 +186,8 @@ class TableWriter:
 
     Parameters
     ----------
-    folder : Path
-        Of the part.
-    table : str
-        One of `TABLES`.
+    folder: Of the part.
+    table: One of `TABLES`.
     """
 
     def __init__(self, folder: Path, table: str) -> None:
@@ -262,8 +260,7 @@ def open_table(path: Path) -> pq.ParquetFile:
 
     Raises
     ------
-    StoreError
-        If it cannot be read.
+    StoreError: If it cannot be read.
     """
     try:
         return pq.ParquetFile(path, page_checksum_verification=True)

@@ -32,23 +32,16 @@ class EventLog:
 
     Parameters
     ----------
-    store : Store
-        Whose log; the caller holds its writer lock.
-    rotate_bytes : int
-        Payload after which a segment is sealed.
-    rotate_s : float
-        Age after which a segment is sealed, in seconds.
-    disk : Disk
-        Where to.
+    store: Whose log; the caller holds its writer lock.
+    rotate_bytes: Payload after which a segment is sealed.
+    rotate_s: Age after which a segment is sealed, in seconds.
+    disk: Where to.
 
     Attributes
     ----------
-    marks : dict of StreamId to int
-        Number that each stream expects next, from the log itself.
-    recovered : list of Recovery
-        Segments that an earlier process had left open.
-    warnings : list of str
-        What was found that is not as it should be, and does not hinder recording.
+    marks: Number that each stream expects next, from the log itself.
+    recovered: Segments that an earlier process had left open.
+    warnings: What was found that is not as it should be, and does not hinder recording.
     """
 
     def __init__(
@@ -159,8 +152,7 @@ class EventLog:
 
         Raises
         ------
-        OSError
-            As the disk has it; what is left can be tried again.
+        OSError: As the disk has it; what is left can be tried again.
         """
         found = []
         self._name_abandoned()

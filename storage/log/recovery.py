@@ -35,20 +35,13 @@ class Recovery:
 
     Parameters
     ----------
-    segment : str
-        The file as it was called.
-    records : int
-        Messages that it has now.
-    damaged_bytes, damaged_chunks : int
-        What could not be read, and in how many pieces.
-    lost : tuple of LostStretch
-        Samples and documents that are missing for it, as far as the numbers tell.
-    kept_aside : Path or None
-        The file as it was, where anything of it was left out.
-    entry : SegmentEntry or None
-        The sealed segment; None if there was no message.
-    positions : dict of StreamId to int
-        How far its streams have come.
+    segment: The file as it was called.
+    records: Messages that it has now.
+    damaged_bytes, damaged_chunks: What could not be read, and in how many pieces.
+    lost: Samples and documents that are missing for it, as far as the numbers tell.
+    kept_aside: The file as it was, where anything of it was left out.
+    entry: The sealed segment; None if there was no message.
+    positions: How far its streams have come.
     """
 
     segment: str
@@ -81,19 +74,14 @@ def recover_segment(store: Store, path: Path, known: dict[StreamId, int], disk: 
 
     Parameters
     ----------
-    store : Store
-        Whose; the caller holds its writer lock.
-    path : Path
-        The segment.
-    known : dict of StreamId to int
-        How far the streams had come in the segments before.
-    disk : Disk
-        Where to.
+    store: Whose; the caller holds its writer lock.
+    path: The segment.
+    known: How far the streams had come in the segments before.
+    disk: Where to.
 
     Raises
     ------
-    OSError
-        As the disk has it; it can be tried again.
+    OSError: As the disk has it; it can be tried again.
     """
     match = _ABANDONED.fullmatch(path.name)
     limit = int(match[2]) if match else None
@@ -149,8 +137,7 @@ def take_in(store: Store, path: Path) -> tuple[SegmentEntry, dict[StreamId, int]
 
     Raises
     ------
-    StoreError
-        If it is damaged.
+    StoreError: If it is damaged.
     """
     tally = SegmentTally()
     for record in read_segment(path):

@@ -51,28 +51,20 @@ class StoredRun:
 
     Parameters
     ----------
-    store : Store
-        Which store.
-    run : str
-        Which run.
+    store: Which store.
+    run: Which run.
 
     Raises
     ------
-    NotFound
-        If the log holds nothing of it.
+    NotFound: If the log holds nothing of it.
 
     Attributes
     ----------
-    estimates : dict of str to StoredEstimate
-        What was published of its signals, by the identity of the document.
-    every_ns : set of int
-        Intervals in which that was done, nanoseconds.
-    averages_s : set of float
-        Averaging times of its bias stabilities.
-    signals : set of str
-        Signals that were estimated.
-    is_ended : bool
-        Whether its end is in the log.
+    estimates: What was published of its signals, by the identity of the document.
+    every_ns: Intervals in which that was done, nanoseconds.
+    averages_s: Averaging times of its bias stabilities.
+    signals: Signals that were estimated.
+    is_ended: Whether its end is in the log.
     """
 
     def __init__(self, store: Store, run: str) -> None:
@@ -139,10 +131,8 @@ class Comparison:
 
     Attributes
     ----------
-    stored, made, equal : int
-        How many there are, were made, and are the same to the last bit.
-    different, missing, extra : list of str
-        Names of those that are not the same, not made, and not stored; each the first hundred.
+    stored, made, equal: How many there are, were made, and are the same to the last bit.
+    different, missing, extra: Names of those that are not the same, not made, and not stored; each the first hundred.
     """
 
     stored: int
@@ -163,8 +153,7 @@ class Comparing:
 
     Parameters
     ----------
-    stored : dict of str to StoredEstimate
-        Those that are expected.
+    stored: Those that are expected.
     """
 
     outstanding = 0

@@ -36,10 +36,8 @@ class RunScan:
 
     Attributes
     ----------
-    runs : set of str
-        All that were seen.
-    open_runs : set of str
-        Those with samples or documents, estimates aside, and no end behind them.
+    runs: All that were seen.
+    open_runs: Those with samples or documents, estimates aside, and no end behind them.
     """
 
     def __init__(self) -> None:

@@ -26,8 +26,7 @@ def sealed(store: Store, document: StoreNoted) -> StoreNoted:
 
     Raises
     ------
-    StoreError
-        If the secret cannot be read or written.
+    StoreError: If the secret cannot be read or written.
     """
     details = {name: value for name, value in document.details.items() if name != _SEAL}
     plain = msgspec.structs.replace(document, details=details)
@@ -48,8 +47,7 @@ def sealed_specification(store: Store, document: SpecificationEntered) -> Specif
 
     Raises
     ------
-    StoreError
-        If the secret cannot be read or written.
+    StoreError: If the secret cannot be read or written.
     """
     plain = msgspec.structs.replace(document, store=store.identity, seal="")
     return msgspec.structs.replace(plain, seal=_digest(_secret(store), plain))

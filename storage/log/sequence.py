@@ -77,12 +77,9 @@ class SequenceCheck:
 
     Attributes
     ----------
-    next_seq : dict of StreamId to int
-        Number that each stream expects.
-    lost : list of LostStretch
-        Numbers that were passed over.
-    repeated : list of Place
-        Messages whose numbers were there before.
+    next_seq: Number that each stream expects.
+    lost: Numbers that were passed over.
+    repeated: Messages whose numbers were there before.
     """
 
     def __init__(self) -> None:
@@ -120,8 +117,7 @@ def place_of(record: LogRecord) -> Place | None:
 
     Raises
     ------
-    WireError
-        If it cannot be read.
+    WireError: If it cannot be read.
     """
     if record.schema == SAMPLES:
         head = read_batch_head(record.data, bounded=False)
@@ -140,8 +136,7 @@ def stream_of(text: str) -> StreamId:
 
     Raises
     ------
-    StoreError
-        If it is none.
+    StoreError: If it is none.
     """
     key, separator, epoch = text.rpartition(" ")
     if not separator:

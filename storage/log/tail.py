@@ -40,8 +40,7 @@ class LogTail:
 
     Parameters
     ----------
-    store : Store
-        Which store.
+    store: Which store.
     """
 
     def __init__(self, store: Store) -> None:
@@ -58,13 +57,11 @@ class LogTail:
 
         Parameters
         ----------
-        thorough : bool
-            Read the whole log, and begin also the runs that have ended while their last estimates are not there.
+        thorough: Read the whole log, and begin also the runs that have ended while their last estimates are not there.
 
         Raises
         ------
-        StoreError
-            If a sealed segment that is needed is damaged.
+        StoreError: If a sealed segment that is needed is damaged.
         """
         sealed = _sealed(self._store)
         start = 0 if thorough else first_to_read(self._store, sealed)
@@ -87,8 +84,7 @@ class LogTail:
 
         Raises
         ------
-        StoreError
-            If a sealed segment that is needed is damaged.
+        StoreError: If a sealed segment that is needed is damaged.
         """
         return self._since(positions, lambda _key: True)
 
@@ -97,8 +93,7 @@ class LogTail:
 
         Raises
         ------
-        StoreError
-            If a sealed segment that is needed is damaged.
+        StoreError: If a sealed segment that is needed is damaged.
         """
         for message in self._since(positions, _is_estimate):
             yield decode_event(message.payload).document.uid
@@ -131,17 +126,13 @@ def records_of(store: Store, is_needed: Callable[[str], bool], wanted: Callable[
 
     Parameters
     ----------
-    store : Store
-        Whose log.
-    is_needed : callable
-        Whether a sealed segment of that name is to be read.
-    wanted : callable
-        Whether messages under that key expression are.
+    store: Whose log.
+    is_needed: Whether a sealed segment of that name is to be read.
+    wanted: Whether messages under that key expression are.
 
     Raises
     ------
-    StoreError
-        If a sealed segment that is needed is damaged.
+    StoreError: If a sealed segment that is needed is damaged.
     """
     done: set[str] = set()
     begun: Counter[str] = Counter()  # what was read of a segment before it was sealed
@@ -169,15 +160,12 @@ def documents_beyond(store: Store, in_lake: Set[str]) -> Iterator[tuple[AnyDocum
 
     Parameters
     ----------
-    store : Store
-        Whose log.
-    in_lake : set of str
-        Segments that the lake has.
+    store: Whose log.
+    in_lake: Segments that the lake has.
 
     Raises
     ------
-    StoreError
-        If a sealed segment that is needed is damaged.
+    StoreError: If a sealed segment that is needed is damaged.
     """
     for record in records_of(store, lambda segment: segment.removesuffix(".mcap") not in in_lake, _is_event):
         if record.schema != EVENTS:

@@ -46,27 +46,20 @@ class SegmentWriter:
 
     Parameters
     ----------
-    path : Path
-        Name of the sealed segment.
-    suffix : str
-        What is added to the name until then.
-    disk : Disk
-        Where to.
-    found : tuple, optional
-        Whole records that the file begins with already, and the summary of them: what follows is cut off, and it is
+    path: Name of the sealed segment.
+    suffix: What is added to the name until then.
+    disk: Where to.
+    found: Whole records that the file begins with already, and the summary of them: what follows is cut off, and it is
         gone on from there. Without it the file is new.
-    open_path : Path, optional
-        The file as it is called now, where its name is not `path` with the suffix.
+    open_path: The file as it is called now, where its name is not `path` with the suffix.
 
     Attributes
     ----------
-    durable_bytes : int
-        Length of the file that is on disk whatever happens; it ends where a chunk ends.
+    durable_bytes: Length of the file that is on disk whatever happens; it ends where a chunk ends.
 
     Raises
     ------
-    OSError
-        From every method, as the disk has it; the segment is then to be abandoned.
+    OSError: From every method, as the disk has it; the segment is then to be abandoned.
     """
 
     def __init__(

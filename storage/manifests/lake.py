@@ -54,24 +54,16 @@ class Part(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    name : str
-        Of its folder.
-    segments : tuple of str
-        Sealed segments that it was made from, in order.
-    files : dict of str to PartFile
-        By file name.
-    samples : int
-        Samples in its segments.
-    t_first_ns, t_last_ns : int or None
-        Source time of its samples.
-    arrival_first_ns, arrival_last_ns : int or None
-        Arrival of everything in it.
-    dropped : DroppedRows or None
-        Set once its raw rows are dropped.
-    sources : dict of str to str
-        SHA-256 of the segments it was made from; an older gyrofleet did not note it.
-    quarantined, quarantined_samples : int
-        Messages of its segments that cannot be built, and the samples in them; the log keeps them.
+    name: Of its folder.
+    segments: Sealed segments that it was made from, in order.
+    files: By file name.
+    samples: Samples in its segments.
+    t_first_ns, t_last_ns: Source time of its samples.
+    arrival_first_ns, arrival_last_ns: Arrival of everything in it.
+    dropped: Set once its raw rows are dropped.
+    sources: SHA-256 of the segments it was made from; an older gyrofleet did not note it.
+    quarantined, quarantined_samples: Messages of its segments that cannot be built, and the samples in them; the log
+        keeps them.
     """
 
     name: str
@@ -118,16 +110,11 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    parts : tuple of Part
-        In the order of their first segments.
-    replaced : tuple of Replaced
-        What is to be removed later.
-    dropped : dict of str to str
-        Segments whose raw rows are not kept, and the document that says so.
-    restored : dict of str to tuple
-        Segments whose raw rows came back, and the documents that count for them no more.
-    number : int
-        Counts the changes.
+    parts: In the order of their first segments.
+    replaced: What is to be removed later.
+    dropped: Segments whose raw rows are not kept, and the document that says so.
+    restored: Segments whose raw rows came back, and the documents that count for them no more.
+    number: Counts the changes.
     """
 
     format: int = LAKE_FORMAT
@@ -181,10 +168,8 @@ def read_manifest(store: Store) -> Manifest:
 
     Raises
     ------
-    LakeManifestDamaged
-        If it is damaged, or lost while there are parts.
-    StoreError
-        If a newer gyrofleet wrote it.
+    LakeManifestDamaged: If it is damaged, or lost while there are parts.
+    StoreError: If a newer gyrofleet wrote it.
     """
     path = store.lake / MANIFEST
     try:
@@ -218,8 +203,7 @@ def read_part(folder: Path) -> Part:
 
     Raises
     ------
-    StoreError
-        If it says nothing, or its description is damaged.
+    StoreError: If it says nothing, or its description is damaged.
     """
     path = folder / PART
     try:

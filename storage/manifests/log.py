@@ -29,18 +29,12 @@ class SegmentEntry(msgspec.Struct, frozen=True, omit_defaults=True):
 
     Parameters
     ----------
-    segment : str
-        Name of its file.
-    size, sha256
-        Its length in bytes and its hash.
-    messages, samples : int
-        What it holds; samples are those of batches.
-    arrival_first_ns, arrival_last_ns : int
-        Between which moments its messages came in, by the recorder's clock.
-    runs, ended : tuple of str
-        Runs that it has samples or documents of, and those whose end it has.
-    origin : str
-        How it came to be: recorded, recovered (left open by a process that ended), salvaged (around damage), found
+    segment: Name of its file.
+    size, sha256: Its length in bytes and its hash.
+    messages, samples: What it holds; samples are those of batches.
+    arrival_first_ns, arrival_last_ns: Between which moments its messages came in, by the recorder's clock.
+    runs, ended: Runs that it has samples or documents of, and those whose end it has.
+    origin: How it came to be: recorded, recovered (left open by a process that ended), salvaged (around damage), found
         (sealed, without a line of its own); lost, where it is not there any more and the log says so.
     """
 
@@ -123,10 +117,8 @@ class ManifestWriter:
 
     Parameters
     ----------
-    store : Store
-        Whose.
-    disk : Disk
-        Where to.
+    store: Whose.
+    disk: Where to.
     """
 
     def __init__(self, store: Store, disk: Disk = DISK) -> None:
@@ -141,8 +133,7 @@ class ManifestWriter:
 
         Raises
         ------
-        OSError
-            As the disk has it; the segment is then taken in at the next start.
+        OSError: As the disk has it; the segment is then taken in at the next start.
         """
         text = msgspec.json.encode(entry)
         chained = _chain(self.found.last, text)

@@ -49,22 +49,17 @@ class RecorderClient:
 
     Parameters
     ----------
-    bus : Bus
-        Where it is reached.
-    wanted : str, optional
-        Identity of the store that is preferred where recorders of several answer.
-    patience_s : float
-        How long is waited for a recorder.
+    bus: Where it is reached.
+    wanted: Identity of the store that is preferred where recorders of several answer.
+    patience_s: How long is waited for a recorder.
 
     Raises
     ------
-    DeliveryError
-        If no recorder answers.
+    DeliveryError: If no recorder answers.
 
     Attributes
     ----------
-    store : str
-        Identity of the store.
+    store: Identity of the store.
     """
 
     def __init__(self, bus: Bus, *, wanted: str | None = None, patience_s: float = _PATIENCE_S) -> None:
@@ -80,10 +75,8 @@ class RecorderClient:
 
         Raises
         ------
-        StoreError
-            If the recorder says why it cannot answer.
-        DeliveryError
-            If it does not answer in that time.
+        StoreError: If the recorder says why it cannot answer.
+        DeliveryError: If it does not answer in that time.
         """
         (reply,) = self._ask(question, patience_s)
         if reply.error:
@@ -155,21 +148,15 @@ class HeldClaim:
 
     Parameters
     ----------
-    client : RecorderClient
-        The recorder.
-    owners : iterable of tuple
-        Units and runs.
-    what : str
-        Who sends, for the message that another one gets.
-    on_loss : callable, optional
-        Called once, with the reason, if another source has the word meanwhile.
-    holder : str, optional
-        Identity of who sends; one that is started again with the same need not wait for itself.
+    client: The recorder.
+    owners: Units and runs.
+    what: Who sends, for the message that another one gets.
+    on_loss: Called once, with the reason, if another source has the word meanwhile.
+    holder: Identity of who sends; one that is started again with the same need not wait for itself.
 
     Raises
     ------
-    StoreError
-        If another source has the word and goes on.
+    StoreError: If another source has the word and goes on.
     """
 
     def __init__(

@@ -18,15 +18,13 @@ class DiskWatch:
 
     Parameters
     ----------
-    folder : Path
-        The store.
-    disk : Disk
-        Whose room.
+    folder: The store.
+    disk: Whose room.
 
     Attributes
     ----------
-    reserve_bytes : int
-        What is kept free, so that what is recorded can be finished: 256 MB, or a twentieth of a smaller disk.
+    reserve_bytes: What is kept free, so that what is recorded can be finished: 256 MB, or a twentieth of a smaller
+        disk.
     """
 
     def __init__(self, folder: Path, disk: Disk) -> None:

@@ -72,27 +72,20 @@ class Intake:
 
     Parameters
     ----------
-    log : EventLog
-        Where to.
-    store : Store
-        Whose; documents in its name are believed only with its seal.
+    log: Where to.
+    store: Whose; documents in its name are believed only with its seal.
 
     Attributes
     ----------
-    counts : RecorderCounts
-        What became of the messages.
-    moved : set of StreamId
-        Streams whose source waits to hear how far they are.
-    heard : dict of StreamId to int
-        Number behind the last message that came of each stream: a source is never told of more than it has sent here.
-    rewinds : list of StreamId
-        Streams of which something is missing before what came; to be asked for.
-    clock_steps : list of ClockStep
-        Steps back of a source's clock.
-    conflicts : list of NumberConflict
-        Messages whose numbers are there with other content.
-    ended_runs, late : int
-        Ends of runs that were taken in, and messages behind the end of their run: what was sent again, estimates.
+    counts: What became of the messages.
+    moved: Streams whose source waits to hear how far they are.
+    heard: Number behind the last message that came of each stream: a source is never told of more than it has sent
+        here.
+    rewinds: Streams of which something is missing before what came; to be asked for.
+    clock_steps: Steps back of a source's clock.
+    conflicts: Messages whose numbers are there with other content.
+    ended_runs, late: Ends of runs that were taken in, and messages behind the end of their run: what was sent again,
+        estimates.
     """
 
     def __init__(self, log: EventLog, store: Store) -> None:
@@ -118,8 +111,7 @@ class Intake:
 
         Raises
         ------
-        OSError
-            If it cannot be written.
+        OSError: If it cannot be written.
         """
         self.counts.messages += 1
         try:

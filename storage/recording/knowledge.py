@@ -68,8 +68,7 @@ class CatalogKnowledge:
 
     Parameters
     ----------
-    catalog : Catalog
-        The lake.
+    catalog: The lake.
     """
 
     def __init__(self, catalog: "Catalog") -> None:

@@ -15,12 +15,9 @@ class LakeBuilder:
 
     Parameters
     ----------
-    store : Store
-        Whose.
-    on_lake : callable, optional
-        Called with the name of each segment that has reached the lake.
-    on_warning : callable, optional
-        Called with why a segment cannot be brought there; it is tried again.
+    store: Whose.
+    on_lake: Called with the name of each segment that has reached the lake.
+    on_warning: Called with why a segment cannot be brought there; it is tried again.
     """
 
     def __init__(
@@ -52,8 +49,7 @@ class LakeBuilder:
 
         Raises
         ------
-        StoreError
-            If a segment could not be brought there.
+        StoreError: If a segment could not be brought there.
         """
         with self._state:
             self._closing = self._is_wanted = True
@@ -67,8 +63,7 @@ class LakeBuilder:
 
         Raises
         ------
-        StoreError
-            If it cannot be brought there.
+        StoreError: If it cannot be brought there.
         """
         self._caught_up.wait()
         if self._failure is not None:

@@ -19,23 +19,17 @@ def note(
 
     Parameters
     ----------
-    store : Store
-        Whose log.
-    documents : sequence of Document
-        What there is to say.
-    role : str
-        Who writes, for the message that another writer gets.
-    place : Place
-        Where the documents are from.
-    builds_lake : bool
-        Whether they are also brought to the lake where no recorder is at work; a recorder does so in its own time.
+    store: Whose log.
+    documents: What there is to say.
+    role: Who writes, for the message that another writer gets.
+    place: Where the documents are from.
+    builds_lake: Whether they are also brought to the lake where no recorder is at work; a recorder does so in its own
+        time.
 
     Raises
     ------
-    DeliveryError
-        If the recorder does not acknowledge them.
-    StoreError
-        If a process writes the store that takes no messages, or the log cannot be written.
+    DeliveryError: If the recorder does not acknowledge them.
+    StoreError: If a process writes the store that takes no messages, or the log cannot be written.
     """
     endpoint = writer_endpoint(store.folder)
     if endpoint is not None:

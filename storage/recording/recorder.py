@@ -52,24 +52,15 @@ class Recorder:
 
     Parameters
     ----------
-    store : Store
-        Where to; the caller holds its writer lock.
-    bus : Bus
-        Where from.
-    log : EventLog
-        The store's log.
-    sync_interval_s : float
-        How often data are brought to the disk and acknowledged.
-    builds_lake : bool
-        Whether to make the lake here; else another process does.
-    on_lake : callable, optional
-        Called with the name of each segment that has reached the lake.
-    on_warning : callable, optional
-        Called with what a person should know: pauses, errors of the disk, little room.
-    on_failure : callable, optional
-        Called once, when nothing can be recorded any more.
-    disk : Disk
-        Where the log is written, for its room.
+    store: Where to; the caller holds its writer lock.
+    bus: Where from.
+    log: The store's log.
+    sync_interval_s: How often data are brought to the disk and acknowledged.
+    builds_lake: Whether to make the lake here; else another process does.
+    on_lake: Called with the name of each segment that has reached the lake.
+    on_warning: Called with what a person should know: pauses, errors of the disk, little room.
+    on_failure: Called once, when nothing can be recorded any more.
+    disk: Where the log is written, for its room.
     """
 
     def __init__(
@@ -132,8 +123,7 @@ class Recorder:
 
         Raises
         ------
-        StoreError
-            If not everything could be written.
+        StoreError: If not everything could be written.
         """
         self.end()
         if self._builder is not None:
@@ -146,8 +136,7 @@ class Recorder:
 
         Raises
         ------
-        StoreError
-            If it cannot be brought there.
+        StoreError: If it cannot be brought there.
         """
         if self._builder is not None:
             self._builder.wait_until_caught_up()
@@ -157,8 +146,7 @@ class Recorder:
 
         Raises
         ------
-        StoreError
-            If it does not come there.
+        StoreError: If it does not come there.
         """
         until = time.monotonic() + _SETTLE_S
         with self._state:

@@ -75,12 +75,9 @@ class RecorderService:
 
     Parameters
     ----------
-    store : Store
-        Which store.
-    bus : Bus
-        Where requests come from.
-    settle : callable
-        Brings all that has come to the lake; raises StoreError where it cannot.
+    store: Which store.
+    bus: Where requests come from.
+    settle: Brings all that has come to the lake; raises StoreError where it cannot.
     """
 
     def __init__(self, store: Store, bus: Bus, settle: Callable[[], None]) -> None:

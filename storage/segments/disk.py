@@ -101,8 +101,7 @@ def _renamed(path: Path, target: Path) -> bool:
 
     Raises
     ------
-    OSError
-        As the system has it; FileExistsError where the name is taken.
+    OSError: As the system has it; FileExistsError where the name is taken.
     """
     rename = getattr(_library, "renameat2", None)
     if rename is None:

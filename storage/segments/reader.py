@@ -85,8 +85,7 @@ def read_marks(path: Path) -> dict[str, str]:
 
     Raises
     ------
-    StoreError
-        If the segment is damaged there.
+    StoreError: If the segment is damaged there.
     """
     try:
         with _mapped(path) as content:
@@ -118,8 +117,7 @@ def read_segment(path: Path) -> Iterator[LogRecord]:
 
     Raises
     ------
-    StoreError
-        If the segment is damaged.
+    StoreError: If the segment is damaged.
     """
     channels: dict[int, tuple[str, str]] = {}
     try:
@@ -166,23 +164,16 @@ class SegmentScan:
 
     Parameters
     ----------
-    path : Path
-        The file, sealed or not.
-    limit : int, optional
-        Byte after which nothing is to be believed.
-    sealed : bool
-        Whether the file was finished once, so that it cannot break off.
+    path: The file, sealed or not.
+    limit: Byte after which nothing is to be believed.
+    sealed: Whether the file was finished once, so that it cannot break off.
 
     Attributes
     ----------
-    damaged : list of ByteSpan
-        Bytes between what could be read; an incomplete record at the end is `torn`, not damaged.
-    torn : ByteSpan or None
-        Bytes at the end that are no whole record.
-    whole_bytes : int
-        Length of the file's beginning that is without damage, up to the end of a chunk and its indexes.
-    summary : SegmentSummary
-        What the end of a segment would say of that beginning.
+    damaged: Bytes between what could be read; an incomplete record at the end is `torn`, not damaged.
+    torn: Bytes at the end that are no whole record.
+    whole_bytes: Length of the file's beginning that is without damage, up to the end of a chunk and its indexes.
+    summary: What the end of a segment would say of that beginning.
     """
 
     def __init__(self, path: Path, limit: int | None = None, *, sealed: bool = False) -> None:

@@ -25,12 +25,9 @@ class Link(NamedTuple):
 
     Parameters
     ----------
-    document : SpecificationEntered
-        The document.
-    hash : str
-        Its SHA-256, which the next one names.
-    known_ns : int
-        When the recorder had it, ns UTC; later than the document before it.
+    document: The document.
+    hash: Its SHA-256, which the next one names.
+    known_ns: When the recorder had it, ns UTC; later than the document before it.
     """
 
     document: SpecificationEntered
@@ -67,15 +64,12 @@ def read_chain(store: Store, catalog: Catalog | None = None) -> Chain:
 
     Parameters
     ----------
-    store : Store
-        Which store.
-    catalog : Catalog, optional
-        Its catalogue, if one is open.
+    store: Which store.
+    catalog: Its catalogue, if one is open.
 
     Raises
     ------
-    StoreError
-        If the lake or the log is damaged.
+    StoreError: If the lake or the log is damaged.
     """
     if catalog is None:
         with Catalog(store) as opened:
@@ -133,8 +127,7 @@ def append_document(store: Store, document: SpecificationEntered) -> None:
 
     Raises
     ------
-    StoreError, DeliveryError
-        If it cannot be written.
+    StoreError, DeliveryError: If it cannot be written.
     """
     note(store, [sealed_specification(store, document)], role=_ROLE, place=_PLACE, builds_lake=True)
 

@@ -19,8 +19,7 @@ def write_copy(store: Store, document: SpecificationEntered) -> None:
 
     Raises
     ------
-    StoreError
-        If it cannot be written.
+    StoreError: If it cannot be written.
     """
     path = store.folder / FOLDER / f"{document.name}-{document.revision}.toml"
     fresh = path.with_name(f".{path.name}.{os.getpid()}.part")

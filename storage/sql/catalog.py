@@ -77,31 +77,23 @@ class Catalog:
 
     Parameters
     ----------
-    store : Store
-        Which store.
-    file : Path, optional
-        A DuckDB database that is made with the same views; it can be opened by any DuckDB for as long as the store's
+    store: Which store.
+    file: A DuckDB database that is made with the same views; it can be opened by any DuckDB for as long as the store's
         Parquet files are where they are. By default the views are in memory.
-    told : callable, optional
-        Hears from a layer that is being filled how many of how many parts of its work are done.
-    parts : sequence of Part, optional
-        Parts of the lake that it sees; by default those in force now.
-    kept : Path, optional
-        Folder whose `Layer.folder` holds what layers keep; by default the store's.
-    frozen : bool
-        Layers take what is kept and neither compute nor keep anything: they raise `NotKept` instead.
-    memory_bytes : int, optional
-        What DuckDB may take; by default most of the machine's. Nothing is put on the disk when it does not suffice.
+    told: Hears from a layer that is being filled how many of how many parts of its work are done.
+    parts: Parts of the lake that it sees; by default those in force now.
+    kept: Folder whose `Layer.folder` holds what layers keep; by default the store's.
+    frozen: Layers take what is kept and neither compute nor keep anything: they raise `NotKept` instead.
+    memory_bytes: What DuckDB may take; by default most of the machine's. Nothing is put on the disk when it does not
+        suffice.
 
     Attributes
     ----------
-    parts : tuple of Part
-        Parts of the lake that it sees, in the order of their segments.
+    parts: Parts of the lake that it sees, in the order of their segments.
 
     Raises
     ------
-    StoreError
-        If the lake is damaged.
+    StoreError: If the lake is damaged.
     """
 
     def __init__(
@@ -173,8 +165,7 @@ class Catalog:
 
         Raises
         ------
-        QueryError
-            If one fails.
+        QueryError: If one fails.
         """
         try:
             self._connection.execute(sql)
@@ -212,8 +203,7 @@ class Catalog:
 
         Raises
         ------
-        QueryError
-            If the statement would write, is more than one, or fails.
+        QueryError: If the statement would write, is more than one, or fails.
         """
         self._fill(sql)
         try:
@@ -235,10 +225,8 @@ class Catalog:
 
         Raises
         ------
-        QueryError
-            If it would do more than read the views, is more than one, or cannot be parsed.
-        NotKept
-            If the catalogue is frozen and a table would have to be computed.
+        QueryError: If it would do more than read the views, is more than one, or cannot be parsed.
+        NotKept: If the catalogue is frozen and a table would have to be computed.
         """
         macros = {"adev", *(table for layer in layers() for table in layer.tables)}
         try:
@@ -254,8 +242,7 @@ class Catalog:
 
         Raises
         ------
-        QueryError
-            If it would do more than read the views, is more than one, or fails.
+        QueryError: If it would do more than read the views, is more than one, or fails.
         """
         self.prepare(sql)
         try:
@@ -270,8 +257,7 @@ class Catalog:
 
         Raises
         ------
-        QueryError
-            If the statement fails on its way.
+        QueryError: If the statement fails on its way.
         """
         try:
             yield from reader

@@ -35,12 +35,9 @@ class QueryLimits(NamedTuple):
 
     Parameters
     ----------
-    time_s : float
-        Computing time by the clock; the time in which its result waits to be read does not count.
-    memory_bytes : int
-        Memory.
-    rows : int
-        Rows of its result.
+    time_s: Computing time by the clock; the time in which its result waits to be read does not count.
+    memory_bytes: Memory.
+    rows: Rows of its result.
     """
 
     time_s: float = 60.0
@@ -53,10 +50,8 @@ class Result:
 
     Parameters
     ----------
-    schema : Schema
-        Its columns.
-    batches : generator of RecordBatch
-        Its rows; what goes wrong on the way is a `QueryError`.
+    schema: Its columns.
+    batches: Its rows; what goes wrong on the way is a `QueryError`.
     """
 
     def __init__(self, schema: "pa.Schema", batches: "Generator[pa.RecordBatch, None, None]") -> None:
@@ -75,22 +70,17 @@ class SqlDoor:
 
     Parameters
     ----------
-    store : Store
-        Which store.
-    limits : QueryLimits
-        Of each statement.
-    landlock : bool
-        Whether the kernel is asked to enforce that nothing is written; without it the other guards stand alone.
+    store: Which store.
+    limits: Of each statement.
+    landlock: Whether the kernel is asked to enforce that nothing is written; without it the other guards stand alone.
 
     Attributes
     ----------
-    is_enforced : bool or None
-        Whether the kernel does; None until the first statement.
+    is_enforced: Whether the kernel does; None until the first statement.
 
     Raises
     ------
-    StoreError
-        If the lake is damaged.
+    StoreError: If the lake is damaged.
 
     Examples
     --------
@@ -113,8 +103,7 @@ class SqlDoor:
 
         Raises
         ------
-        QueryError
-            If it would do more than read, fails, or takes more than its limits allow.
+        QueryError: If it would do more than read, fails, or takes more than its limits allow.
         """
         for attempt in range(_ATTEMPTS):
             process = self._process or self._started()

@@ -40,8 +40,7 @@ def read_frame(file: IO[bytes]) -> tuple[Kind, bytes]:
 
     Raises
     ------
-    Closed
-        If the other side has ended.
+    Closed: If the other side has ended.
     """
     kind, length = _HEAD.unpack(_exactly(file, _HEAD.size))
     return Kind(kind), _exactly(file, length)

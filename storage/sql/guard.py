@@ -35,17 +35,13 @@ def check_statement(connection: duckdb.DuckDBPyConnection, sql: str, macros: Col
 
     Parameters
     ----------
-    connection : DuckDBPyConnection
-        Whose parser judges; nothing is run on it but that.
-    sql : str
-        The statement.
-    macros : collection of str
-        Table macros that are the store's own.
+    connection: Whose parser judges; nothing is run on it but that.
+    sql: The statement.
+    macros: Table macros that are the store's own.
 
     Raises
     ------
-    QueryError
-        If it is refused, or cannot be parsed.
+    QueryError: If it is refused, or cannot be parsed.
 
     Examples
     --------

@@ -38,8 +38,7 @@ def allow_reading_only(paths: Iterable[Path]) -> bool:
 
     Parameters
     ----------
-    paths : iterable of Path
-        Folders and files; those that do not exist are passed over.
+    paths: Folders and files; those that do not exist are passed over.
 
     Returns
     -------
@@ -48,8 +47,7 @@ def allow_reading_only(paths: Iterable[Path]) -> bool:
 
     Raises
     ------
-    OSError
-        If the kernel refuses.
+    OSError: If the kernel refuses.
     """
     version = landlock_version()
     if version == 0:

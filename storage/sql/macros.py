@@ -16,8 +16,7 @@ def conversion_macros(units: Iterable[str]) -> str:
 
     Parameters
     ----------
-    units : iterable of str
-        Units of measure that occur in the store.
+    units: Units of measure that occur in the store.
 
     Examples
     --------

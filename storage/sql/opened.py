@@ -18,8 +18,7 @@ class Answer:
 
     Parameters
     ----------
-    table : Table
-        It.
+    table: It.
     """
 
     def __init__(self, table: pa.Table) -> None:
@@ -47,15 +46,12 @@ class OpenedStore:
 
     Parameters
     ----------
-    folder : path
-        Of the store.
-    limits : QueryLimits, optional
-        Time, memory and rows that one statement may take.
+    folder: Of the store.
+    limits: Time, memory and rows that one statement may take.
 
     Raises
     ------
-    StoreError
-        If it is none.
+    StoreError: If it is none.
 
     Examples
     --------
@@ -72,8 +68,7 @@ class OpenedStore:
 
         Raises
         ------
-        QueryError
-            If it would do more than read the store, fails, or takes more than the limits allow.
+        QueryError: If it would do more than read the store, fails, or takes more than the limits allow.
         """
         return Answer(self.door.ask(statement, parameters).read_all())
 

@@ -39,19 +39,14 @@ def find_signal(
 
     Parameters
     ----------
-    catalog : Catalog
-        The store.
-    unit, signal : str
-        Which signal.
-    run : str, optional
-        Of which run. A run of unknown date counts as measured when it was recorded.
-    at_least_s : float
-        Where no run is named, one with so long a record comes before shorter ones.
+    catalog: The store.
+    unit, signal: Which signal.
+    run: Of which run. A run of unknown date counts as measured when it was recorded.
+    at_least_s: Where no run is named, one with so long a record comes before shorter ones.
 
     Raises
     ------
-    NotFound
-        If the store does not hold it; the message lists what it does hold.
+    NotFound: If the store does not hold it; the message lists what it does hold.
     """
     _check_held(catalog, "unit", unit, "", {})
     _check_held(catalog, "signal", signal, f" of unit {unit}", {"unit": unit})
@@ -83,10 +78,8 @@ def read_signal(catalog: Catalog, record: SignalRecord) -> Iterator[SampleBatch]
 
     Raises
     ------
-    NotFound
-        If raw rows of it were dropped: a part of a signal is not the signal.
-    StoreError
-        If a file of the lake is damaged.
+    NotFound: If raw rows of it were dropped: a part of a signal is not the signal.
+    StoreError: If a file of the lake is damaged.
     """
     if record.kept_raw is not None and record.kept_raw < record.samples:
         raise _gone(catalog, record.unit, record.signal, record.run, record.samples - record.kept_raw, record.samples)
@@ -175,8 +168,7 @@ def stored_between(
 
     Raises
     ------
-    NotFound
-        If raw rows of that time were dropped.
+    NotFound: If raw rows of that time were dropped.
     """
     where: dict[str, Any] = {"unit": unit, "signal": signal, "run": run, "first": first_ns, "last": last_ns}
     (dropped,) = catalog.rows(

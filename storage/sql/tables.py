@@ -48,8 +48,7 @@ def columns_of(catalog: Catalog, name: str) -> list[dict[str, object]]:
 
     Raises
     ------
-    NotFound
-        If there is no such table.
+    NotFound: If there is no such table.
     """
     if name not in known_tables():
         raise NotFound(f"there is no table {name!r}; tables are {', '.join(known_tables())}")
@@ -66,8 +65,7 @@ def export_catalogue(store: Store, path: Path) -> None:
 
     Raises
     ------
-    BadInput
-        If the file cannot be written.
+    BadInput: If the file cannot be written.
     """
     fresh = path.with_name(path.name + ".part")
     fresh.unlink(missing_ok=True)

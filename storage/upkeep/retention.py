@@ -59,8 +59,7 @@ def parse_age(text: str) -> float:
 
     Raises
     ------
-    BadInput
-        If it is none.
+    BadInput: If it is none.
 
     Examples
     --------
@@ -81,8 +80,7 @@ def parse_size(text: str) -> int:
 
     Raises
     ------
-    BadInput
-        If it is none.
+    BadInput: If it is none.
 
     Examples
     --------
@@ -126,18 +124,14 @@ def apply_rule(lake: Lake, rule: Rule, *, now_ns: int | None = None) -> Dropped:
 
     Parameters
     ----------
-    lake : Lake
-        Whose raw rows.
-    rule : Rule
-        Which.
-    now_ns : int, optional
-        The moment that ages count from.
+    lake: Whose raw rows.
+    rule: Which.
+    now_ns: The moment that ages count from.
 
     Raises
     ------
-    GyrofleetError
-        If the document cannot be brought into the log, or the clock cannot be believed where ages count; then nothing
-        is let go of.
+    GyrofleetError: If the document cannot be brought into the log, or the clock cannot be believed where ages count;
+        then nothing is let go of.
     """
     now_ns = time.time_ns() if now_ns is None else now_ns
     if rule.older_than_s is not None:
@@ -162,8 +156,8 @@ def restore_raw(lake: Lake) -> Dropped:
 
     Raises
     ------
-    GyrofleetError
-        If the document that says so cannot be brought into the log, or a segment is damaged; the rest comes back.
+    GyrofleetError: If the document that says so cannot be brought into the log, or a segment is damaged; the rest comes
+        back.
     """
     there = {
         segment: document

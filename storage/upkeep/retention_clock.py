@@ -39,9 +39,8 @@ def check_clock(store: Store, manifest: Manifest, now_ns: int) -> None:
 
     Raises
     ------
-    RetentionPaused
-        If it cannot be right: it has leapt beside the clock of the machine, went back, or went on by more than 30 days
-        in which neither was anything recorded nor was it looked at. It is then not remembered.
+    RetentionPaused: If it cannot be right: it has leapt beside the clock of the machine, went back, or went on by more
+        than 30 days in which neither was anything recorded nor was it looked at. It is then not remembered.
     """
     last = _read(store)
     reason = _doubt(manifest, last, now_ns)

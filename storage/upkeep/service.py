@@ -37,14 +37,10 @@ class LakeService:
 
     Parameters
     ----------
-    store : Store
-        Whose; the caller holds `builder_lock`.
-    tell : callable
-        Says what was done.
-    rule : Rule, optional
-        Which raw rows to let go of.
-    grace_s : float
-        How long what is out of force stays for its readers.
+    store: Whose; the caller holds `builder_lock`.
+    tell: Says what was done.
+    rule: Which raw rows to let go of.
+    grace_s: How long what is out of force stays for its readers.
     """
 
     def __init__(self, store: Store, *, tell: Tell, rule: Rule | None = None, grace_s: float = 3600.0) -> None:

@@ -62,20 +62,14 @@ class DurablePublisher:
 
     Parameters
     ----------
-    bus : Bus
-        Where to send.
-    window_bytes : int
-        How much may be unacknowledged in memory. Beyond it `send_batch` waits, or, with a spool, leaves it on disk.
-        It bounds the memory of the source and of the recorder's queue alike.
-    resend_after_s : float
-        Silence of a stream after which the recorder is asked; doubled each time, up to 10 s.
-    timeout_s : float
-        Silence after which waiting is given up with an error. A recorder that says why it pauses is not silent.
-    only_store : str, optional
-        Identity of the store that has to have it; by default that of the first recorder that has taken something.
-        What recorders of others answer is not heard.
-    spool : Spool, optional
-        Keeps messages on disk. What it holds from before is sent first. The caller closes it after the publisher.
+    bus: Where to send.
+    window_bytes: How much may be unacknowledged in memory. Beyond it `send_batch` waits, or, with a spool, leaves it on
+        disk. It bounds the memory of the source and of the recorder's queue alike.
+    resend_after_s: Silence of a stream after which the recorder is asked; doubled each time, up to 10 s.
+    timeout_s: Silence after which waiting is given up with an error. A recorder that says why it pauses is not silent.
+    only_store: Identity of the store that has to have it; by default that of the first recorder that has taken
+        something. What recorders of others answer is not heard.
+    spool: Keeps messages on disk. What it holds from before is sent first. The caller closes it after the publisher.
     """
 
     def __init__(
@@ -141,10 +135,8 @@ class DurablePublisher:
 
         Raises
         ------
-        DeliveryError
-            If nothing is acknowledged for `timeout_s`.
-        WireError
-            If the batch or the key is larger than a recorder takes.
+        DeliveryError: If nothing is acknowledged for `timeout_s`.
+        WireError: If the batch or the key is larger than a recorder takes.
         """
         stream = self._by_key.get(key)
         if stream is None or (stream.epoch is not batch.epoch and stream.epoch != batch.epoch):
@@ -164,8 +156,7 @@ class DurablePublisher:
 
         Raises
         ------
-        WireError
-            If no recorder would take it: it makes no sense, or a number in it is beyond its bounds.
+        WireError: If no recorder would take it: it makes no sense, or a number in it is beyond its bounds.
         """
         try:
             decode_received(encode_event(document, self._epoch, 0))
@@ -187,8 +178,7 @@ class DurablePublisher:
 
         Raises
         ------
-        DeliveryError
-            If nothing is acknowledged for `timeout_s`; the message says what is outstanding.
+        DeliveryError: If nothing is acknowledged for `timeout_s`; the message says what is outstanding.
         """
         began = time.monotonic()
         while not given_up():
@@ -209,8 +199,7 @@ class DurablePublisher:
 
         Raises
         ------
-        DeliveryError
-            If something is, and no error has said so before; `drain` waits for it.
+        DeliveryError: If something is, and no error has said so before; `drain` waits for it.
         """
         self._stop()
         if (self._out.bytes or self._is_spooled()) and not self._is_told:

@@ -70,8 +70,7 @@ class Identities:
 
     Parameters
     ----------
-    uids : iterable of str
-        Those that there are.
+    uids: Those that there are.
 
     Examples
     --------

@@ -47,19 +47,14 @@ class Spool:
 
     Parameters
     ----------
-    folder : Path
-        Where; made if it is missing. One process at a time.
-    max_bytes : int
-        How much may wait there.
-    file_bytes : int
-        Size of a file; at most a quarter of `max_bytes`.
-    sync_interval_s : float
-        How often files are brought to the disk, and acknowledgements written down.
+    folder: Where; made if it is missing. One process at a time.
+    max_bytes: How much may wait there.
+    file_bytes: Size of a file; at most a quarter of `max_bytes`.
+    sync_interval_s: How often files are brought to the disk, and acknowledgements written down.
 
     Raises
     ------
-    SpoolError
-        If it cannot be opened, or another process has it.
+    SpoolError: If it cannot be opened, or another process has it.
 
     Examples
     --------
@@ -146,10 +141,8 @@ class Spool:
 
         Raises
         ------
-        SpoolFull
-            If there is no room; there is when more has been acknowledged.
-        SpoolError
-            If it cannot be written. It is then not kept; a second later a new file is tried.
+        SpoolFull: If there is no room; there is when more has been acknowledged.
+        SpoolError: If it cannot be written. It is then not kept; a second later a new file is tried.
         """
         with self._lock:
             if self.failure is not None and time.monotonic() - self._failed_at < _RETRY_S:
@@ -201,8 +194,7 @@ class Spool:
 
         Raises
         ------
-        SpoolError
-            If they cannot be read.
+        SpoolError: If they cannot be read.
         """
         found: list[SpooledMessage] = []
         size = 0

@@ -53,11 +53,9 @@ def parse_frames(data: bytes, *, is_end: bool) -> Parsed:
 
     Parameters
     ----------
-    data : bytes
-        The piece; it begins with a frame.
-    is_end : bool
-        Whether it reaches to the end of the file. If not, it is left at the first frame that is not whole, be it cut
-        off or damaged: `used` says where.
+    data: The piece; it begins with a frame.
+    is_end: Whether it reaches to the end of the file. If not, it is left at the first frame that is not whole, be it
+        cut off or damaged: `used` says where.
 
     Examples
     --------

@@ -40,8 +40,7 @@ def scan(folder: Path) -> Scanned:
 
     Raises
     ------
-    OSError
-        If one cannot be read.
+    OSError: If one cannot be read.
     """
     found = Scanned()
     for path in sorted(folder.glob(f"*{SUFFIX}")):
@@ -70,8 +69,7 @@ def held_messages(folder: Path) -> int:
 
     Raises
     ------
-    SpoolError
-        If it cannot be read.
+    SpoolError: If it cannot be read.
     """
     try:
         found = scan(folder)

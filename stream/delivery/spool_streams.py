@@ -15,18 +15,12 @@ class StreamState:
 
     Parameters
     ----------
-    id : StreamId
-        The stream.
-    number : int
-        What its frames carry.
-    appended : int
-        Number after its last message.
-    acknowledged : int
-        Number after the last message that a recorder has.
-    base : int
-        From this number on it is sent under another epoch, because what was before it is lost; 0 where nothing is.
-    lost : list of (first, next)
-        Spans of numbers that cannot be read any more.
+    id: The stream.
+    number: What its frames carry.
+    appended: Number after its last message.
+    acknowledged: Number after the last message that a recorder has.
+    base: From this number on it is sent under another epoch, because what was before it is lost; 0 where nothing is.
+    lost: Spans of numbers that cannot be read any more.
     """
 
     id: StreamId

@@ -24,13 +24,11 @@ class AllanDeviation(Estimator):
 
     Parameters
     ----------
-    points_per_octave : int
-        1, 2, 4 or 8 averaging times in an octave.
+    points_per_octave: 1, 2, 4 or 8 averaging times in an octave.
 
     Raises
     ------
-    EstimatorError
-        If `points_per_octave` is another number.
+    EstimatorError: If `points_per_octave` is another number.
 
     Notes
     -----
@@ -151,10 +149,8 @@ def overlapping_allan_variance(values: FloatArray, averaging_factor: int) -> flo
 
     Parameters
     ----------
-    values : ndarray of float, shape (n,)
-        Samples on a grid without gaps.
-    averaging_factor : int
-        tau over the sample interval, k below.
+    values: shape (n,); samples on a grid without gaps.
+    averaging_factor: tau over the sample interval, k below.
 
     Returns
     -------
@@ -163,8 +159,7 @@ def overlapping_allan_variance(values: FloatArray, averaging_factor: int) -> flo
 
     Raises
     ------
-    EstimatorError
-        If there are fewer than 2 k samples.
+    EstimatorError: If there are fewer than 2 k samples.
 
     Notes
     -----

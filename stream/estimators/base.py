@@ -40,8 +40,7 @@ class Estimator(Follower):
 
     Attributes
     ----------
-    variants : tuple of dict
-        Arguments of the instances that every signal is given by default.
+    variants: Arguments of the instances that every signal is given by default.
     """
 
     variants: ClassVar[tuple[dict[str, Any], ...]] = ({},)

@@ -41,16 +41,14 @@ class BiasStability(Estimator):
 
     Parameters
     ----------
-    average_s : float
-        Averaging time P in seconds, at least one sample interval; read to the nanosecond. 0 for the raw samples.
-    window_s : float
-        Length of the window that rolls with the last sample, seconds, a multiple of `average_s`; 0 for the whole
+    average_s: Averaging time P in seconds, at least one sample interval; read to the nanosecond. 0 for the raw samples.
+    window_s: Length of the window that rolls with the last sample, seconds, a multiple of `average_s`; 0 for the whole
         record.
 
     Raises
     ------
-    EstimatorError
-        If `average_s` is neither 0 nor between 1 ns and 1e9 s, or the window is not of 2 to 1,000,000 averages.
+    EstimatorError: If `average_s` is neither 0 nor between 1 ns and 1e9 s, or the window is not of 2 to 1,000,000
+        averages.
 
     Notes
     -----

@@ -22,13 +22,11 @@ class BlockMeans:
 
     Parameters
     ----------
-    block_s : float
-        Length of a block in seconds, not shorter than the nominal sample interval.
+    block_s: Length of a block in seconds, not shorter than the nominal sample interval.
 
     Raises
     ------
-    BadInput
-        If the length is no positive number.
+    BadInput: If the length is no positive number.
 
     Examples
     --------
@@ -63,8 +61,7 @@ class BlockMeans:
 
         Raises
         ------
-        BadInput
-            If the blocks are shorter than the nominal sample interval.
+        BadInput: If the blocks are shorter than the nominal sample interval.
         """
         if batch.dt_ns > self._block_ns:
             raise BadInput(

@@ -100,16 +100,12 @@ def edf(alpha: int, d: int, averaging_factor: int, windows: int, stride_per_tau:
 
     Parameters
     ----------
-    alpha : int
-        Noise exponent, +2 .. -2, with alpha + 2 d > 1.
-    d : int
-        Order of the difference: 2 for the Allan variance, 3 for Hadamard's.
-    averaging_factor : int
-        tau over the sample interval.
-    windows : int
-        How many squares were averaged, at least 1: as many as there truly were, not those of a record without gaps.
-    stride_per_tau : int
-        tau over the distance of neighbouring windows: the averaging factor for a full overlap, 1 for none.
+    alpha: Noise exponent, +2 .. -2, with alpha + 2 d > 1.
+    d: Order of the difference: 2 for the Allan variance, 3 for Hadamard's.
+    averaging_factor: tau over the sample interval.
+    windows: How many squares were averaged, at least 1: as many as there truly were, not those of a record without
+        gaps.
+    stride_per_tau: tau over the distance of neighbouring windows: the averaging factor for a full overlap, 1 for none.
 
     Notes
     -----
@@ -146,12 +142,9 @@ def deviation_limits(value: float, edf: float, confidence: float) -> tuple[float
 
     Parameters
     ----------
-    value : float
-        The deviation, in any unit.
-    edf : float
-        Equivalent degrees of freedom, at least 1.
-    confidence : float
-        Probability that the true deviation lies between the limits.
+    value: The deviation, in any unit.
+    edf: Equivalent degrees of freedom, at least 1.
+    confidence: Probability that the true deviation lies between the limits.
 
     Notes
     -----

@@ -43,12 +43,9 @@ class Follower(ABC):
 
     Attributes
     ----------
-    key : str
-        Its name in key expressions and files.
-    names : Mapping
-        Its names for people, by language: ``en`` and ``zh``.
-    confidence : float
-        Confidence level of the limits of what it says.
+    key: Its name in key expressions and files.
+    names: Its names for people, by language: ``en`` and ``zh``.
+    confidence: Confidence level of the limits of what it says.
     """
 
     key: str
@@ -114,8 +111,7 @@ class Follower(ABC):
 
         Raises
         ------
-        EstimatorError
-            If the arrays have other shapes or types than this estimator's.
+        EstimatorError: If the arrays have other shapes or types than this estimator's.
         """
         room = self._room_for(state.arrays)
         mine, theirs = (", ".join(f"{each.dtype} {each.shape}" for each in arrays) for arrays in (room, state.arrays))
@@ -157,8 +153,8 @@ class Follower(ABC):
 
         Raises
         ------
-        EstimatorError
-            If `later` is of another kind, signal or setting, or was not begun by `successor` of what this one is now.
+        EstimatorError: If `later` is of another kind, signal or setting, or was not begun by `successor` of what this
+            one is now.
         """
         if type(later) is not type(self) or later.arguments != self.arguments:
             raise EstimatorError(
@@ -194,8 +190,7 @@ class Follower(ABC):
 
         Raises
         ------
-        EstimatorError
-            If the batch is of another signal, unit of measure or sample interval than those before it.
+        EstimatorError: If the batch is of another signal, unit of measure or sample interval than those before it.
         """
         signal = (batch.unit, batch.signal, batch.unit_of_measure)
         if signal != self._signal:

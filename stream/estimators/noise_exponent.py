@@ -37,12 +37,9 @@ class Identified(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    exponent : int
-        The exponent alpha of S_y(f) ~ f**alpha that agrees best with the curve, 2 .. -2 as in `confidence`.
-    plausible : tuple of int
-        Those that agree, from 2 down, without holes; `exponent` is one of them.
-    edf : float
-        Least equivalent degrees of freedom that a plausible exponent gives.
+    exponent: The exponent alpha of S_y(f) ~ f**alpha that agrees best with the curve, 2 .. -2 as in `confidence`.
+    plausible: Those that agree, from 2 down, without holes; `exponent` is one of them.
+    edf: Least equivalent degrees of freedom that a plausible exponent gives.
     """
 
     exponent: int
@@ -69,14 +66,10 @@ def identify(factors: IntArray, variances: FloatArray, windows: IntArray, stride
 
     Parameters
     ----------
-    factors : ndarray of int, shape (n,)
-        Averaging times over the sample interval, ascending.
-    variances : ndarray of float, shape (n,)
-        Overlapping Allan variances in any unit.
-    windows : ndarray of int, shape (n,)
-        How many squares each averages, at least 1.
-    strides : ndarray of int, shape (n,)
-        Averaging time over the distance of neighbouring windows.
+    factors: shape (n,); averaging times over the sample interval, ascending.
+    variances: shape (n,); overlapping Allan variances in any unit.
+    windows: shape (n,); how many squares each averages, at least 1.
+    strides: shape (n,); averaging time over the distance of neighbouring windows.
 
     Returns
     -------
@@ -85,8 +78,7 @@ def identify(factors: IntArray, variances: FloatArray, windows: IntArray, stride
 
     Raises
     ------
-    EstimatorError
-        If the arrays differ in length or the factors do not ascend.
+    EstimatorError: If the arrays differ in length or the factors do not ascend.
 
     Notes
     -----

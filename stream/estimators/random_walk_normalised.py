@@ -23,12 +23,10 @@ class NormalisedRandomWalk(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    coefficient : Coefficient
-        RWC in deg/sqrt(h).
-    taus_s, bias_stability_deg_per_h : tuple of float
-        The curve that the standard plots: averaging times t0, 2 t0, 4 t0, ... and 1 s, and the bias stability at each.
-    pieces : int
-        Pieces of the record that were used.
+    coefficient: RWC in deg/sqrt(h).
+    taus_s, bias_stability_deg_per_h: The curve that the standard plots: averaging times t0, 2 t0, 4 t0, ... and 1 s,
+        and the bias stability at each.
+    pieces: Pieces of the record that were used.
     """
 
     coefficient: Coefficient
@@ -44,19 +42,14 @@ def angle_random_walk_normalised(
 
     Parameters
     ----------
-    rates_deg_per_h : ndarray of float, shape (n,)
-        Samples on a grid, NaN where one is missing.
-    sample_interval_s : float
-        Interval t0 of the grid, read to the nanosecond.
-    piece_s : float
-        Length of the pieces that a longer record is cut into, at least 10 s; a rest shorter than that is left out.
-    confidence : float
-        Level of the limits.
+    rates_deg_per_h: shape (n,); samples on a grid, NaN where one is missing.
+    sample_interval_s: Interval t0 of the grid, read to the nanosecond.
+    piece_s: Length of the pieces that a longer record is cut into, at least 10 s; a rest shorter than that is left out.
+    confidence: Level of the limits.
 
     Raises
     ------
-    EstimatorError
-        If `sample_interval_s` is below 1 ns, `piece_s` below 10 s, or `confidence` not between 0 and 1.
+    EstimatorError: If `sample_interval_s` is below 1 ns, `piece_s` below 10 s, or `confidence` not between 0 and 1.
 
     Notes
     -----

@@ -37,16 +37,13 @@ class RollingWindow:
 
     Parameters
     ----------
-    make : callable
-        Makes an estimator, as those of `default_estimators`.
-    window_s, step_s : float
-        Length of the window and by how much it moves on, in the signal's own time since its first sample; the window is
-        a whole number of steps.
+    make: Makes an estimator, as those of `default_estimators`.
+    window_s, step_s: Length of the window and by how much it moves on, in the signal's own time since its first sample;
+        the window is a whole number of steps.
 
     Raises
     ------
-    EstimatorError
-        If the window is not of 1 to 100,000 steps.
+    EstimatorError: If the window is not of 1 to 100,000 steps.
 
     Notes
     -----
@@ -97,8 +94,7 @@ class RollingWindow:
 
         Raises
         ------
-        EstimatorError
-            As the estimator does.
+        EstimatorError: As the estimator does.
         """
         times_ns = np.maximum.accumulate(batch.time_array)
         if self._first_ns is None:

@@ -64,8 +64,7 @@ def restore(snapshot: bytes) -> "Follower":
 
     Raises
     ------
-    EstimatorError
-        If the bytes are no snapshot, are damaged, or were written by a newer gyrofleet.
+    EstimatorError: If the bytes are no snapshot, are damaged, or were written by a newer gyrofleet.
     """
     from stream.estimators.base import EstimatorState, follower_classes
 

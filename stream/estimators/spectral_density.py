@@ -33,15 +33,12 @@ class SpectralDensity(Follower):
 
     Parameters
     ----------
-    segment_samples : int
-        Samples N of a segment, a power of two from 128 to 2**20. The bins lie 1/(N dt) apart.
-    confidence : float
-        Confidence level of all limits.
+    segment_samples: Samples N of a segment, a power of two from 128 to 2**20. The bins lie 1/(N dt) apart.
+    confidence: Confidence level of all limits.
 
     Raises
     ------
-    EstimatorError
-        If a parameter is outside its range.
+    EstimatorError: If a parameter is outside its range.
 
     Notes
     -----
@@ -166,13 +163,11 @@ class SpectralDensity(Follower):
 
         Parameters
         ----------
-        false_alarm_probability : float
-            Most probability that a spectrum without any line shows one, over all its bins.
+        false_alarm_probability: Most probability that a spectrum without any line shows one, over all its bins.
 
         Raises
         ------
-        EstimatorError
-            If the probability is not between 0 and 1.
+        EstimatorError: If the probability is not between 0 and 1.
 
         Notes
         -----

@@ -37,15 +37,12 @@ class ZenohBus:
 
     Parameters
     ----------
-    listen : sequence of str
-        Endpoints to listen on, such as ``tcp/127.0.0.1:7447``. None by default: the bus is inside the process.
-    connect : sequence of str
-        Endpoints to connect to.
+    listen: Endpoints to listen on, such as ``tcp/127.0.0.1:7447``. None by default: the bus is inside the process.
+    connect: Endpoints to connect to.
 
     Raises
     ------
-    BusError
-        If an endpoint cannot be listened on or reached.
+    BusError: If an endpoint cannot be listened on or reached.
 
     Examples
     --------
@@ -98,8 +95,7 @@ class ZenohBus:
 
         Raises
         ------
-        BusError
-            If the session is closed.
+        BusError: If the session is closed.
         """
         try:
             # a publisher of its own for each key takes 0.3 ms to declare, and every message twice as long

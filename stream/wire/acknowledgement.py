@@ -55,8 +55,7 @@ def decode_acknowledgement(payload: bytes) -> Acknowledgement:
 
     Raises
     ------
-    WireError
-        If it is none.
+    WireError: If it is none.
     """
     try:
         return _decoder.decode(payload)

@@ -104,17 +104,13 @@ def read_batch_head(payload: bytes, *, bounded: bool = True) -> BatchHead:
 
     Parameters
     ----------
-    payload : bytes
-        The message.
-    bounded : bool
-        Whether numbers beyond their bounds are refused too. A log may hold such from before there were bounds.
+    payload: The message.
+    bounded: Whether numbers beyond their bounds are refused too. A log may hold such from before there were bounds.
 
     Raises
     ------
-    NewerSchema
-        If it was written by a newer gyrofleet.
-    WireError
-        If it is not a batch, or not a whole one.
+    NewerSchema: If it was written by a newer gyrofleet.
+    WireError: If it is not a batch, or not a whole one.
 
     Examples
     --------
@@ -143,10 +139,8 @@ def read_wire_batch(payload: bytes) -> WireBatch:
 
     Raises
     ------
-    NewerSchema
-        If it was written by a newer gyrofleet.
-    WireError
-        If it is not a batch, or not a whole one.
+    NewerSchema: If it was written by a newer gyrofleet.
+    WireError: If it is not a batch, or not a whole one.
     """
     message, last_ns = _checked(payload)
     seq, counts = message.seq, _counts(message)
@@ -177,10 +171,8 @@ def decode_batch(payload: bytes) -> SampleBatch:
 
     Raises
     ------
-    NewerSchema
-        If it was written by a newer gyrofleet.
-    WireError
-        If it is not a batch, or not a whole one.
+    NewerSchema: If it was written by a newer gyrofleet.
+    WireError: If it is not a batch, or not a whole one.
     """
     message, _ = _checked(payload)
     values, times_ns, flags = message.values, message.times_ns, message.flags

@@ -18,8 +18,7 @@ def split_counts(counts: CountArray) -> bytes:
 
     Parameters
     ----------
-    counts : array of int32, shape (n,)
-        At least one.
+    counts: shape (n,); at least one.
 
     Returns
     -------

@@ -28,8 +28,7 @@ def decode_received(payload: bytes) -> EventMessage:
 
     Raises
     ------
-    WireError
-        If it is none, or makes no sense.
+    WireError: If it is none, or makes no sense.
 
     Examples
     --------

@@ -107,8 +107,7 @@ def decode_request(payload: bytes) -> Request:
 
     Raises
     ------
-    WireError
-        If it is none.
+    WireError: If it is none.
     """
     request: Request = _decoded(_request_decoder, payload)
     return request
@@ -119,8 +118,7 @@ def decode_reply(payload: bytes) -> Reply:
 
     Raises
     ------
-    WireError
-        If it is none.
+    WireError: If it is none.
     """
     reply: Reply = _decoded(_reply_decoder, payload)
     return reply

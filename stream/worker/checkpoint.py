@@ -27,18 +27,12 @@ class Checkpoint(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    store : str
-        Identity of the store whose log goes on where the checkpoint ends.
-    positions : list of (key, epoch, next number)
-        How far every stream was taken in.
-    ended : list of str
-        Runs whose messages beyond those positions are left out.
-    limits : list of LimitsApplied
-        Those of the runs that go on.
-    signals : list of SignalState
-        The signals of the runs that go on.
-    compensated : list of CompensationStarted
-        Which of them are compensated, whose samples the end of a run waits for.
+    store: Identity of the store whose log goes on where the checkpoint ends.
+    positions: How far every stream was taken in.
+    ended: Runs whose messages beyond those positions are left out.
+    limits: Those of the runs that go on.
+    signals: The signals of the runs that go on.
+    compensated: Which of them are compensated, whose samples the end of a run waits for.
     """
 
     store: str
@@ -68,8 +62,7 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
 
     Raises
     ------
-    EstimatorError
-        If it cannot be written; those before are then still there.
+    EstimatorError: If it cannot be written; those before are then still there.
     """
     content = msgspec.msgpack.encode(checkpoint)
     head = _HEAD.pack(_MARK, CHECKPOINT_VERSION, _digest(CHECKPOINT_VERSION, content))
@@ -101,10 +94,8 @@ def read_checkpoint(path: Path) -> Checkpoint | None:
 
     Raises
     ------
-    CheckpointDamaged
-        If it is not what was written, or of an older version.
-    EstimatorError
-        If it cannot be read, or is of a newer version.
+    CheckpointDamaged: If it is not what was written, or of an older version.
+    EstimatorError: If it cannot be read, or is of a newer version.
     """
     try:
         content = path.read_bytes()
@@ -137,8 +128,7 @@ def keep_aside(path: Path) -> Path:
 
     Raises
     ------
-    EstimatorError
-        If it cannot be moved.
+    EstimatorError: If it cannot be moved.
     """
     aside = path.with_name(f"{path.name}.damaged-{time.time_ns()}")
     try:

@@ -77,8 +77,7 @@ class EarlyDecisions:
 
     Parameters
     ----------
-    signal : str
-        Which signal.
+    signal: Which signal.
     """
 
     def __init__(self, signal: str) -> None:

@@ -17,12 +17,9 @@ class EstimatedSignals(NamedTuple):
 
     Parameters
     ----------
-    names : frozenset of str
-        Signals that are estimated whatever they measure.
-    rates : bool
-        Whether angular rates are estimated, and signals named ``rate`` or ``rate_*`` in other units, such as counts.
-    everything : bool
-        Whether every signal is estimated.
+    names: Signals that are estimated whatever they measure.
+    rates: Whether angular rates are estimated, and signals named ``rate`` or ``rate_*`` in other units, such as counts.
+    everything: Whether every signal is estimated.
 
     Examples
     --------

@@ -37,32 +37,22 @@ class Estimation:
 
     Parameters
     ----------
-    every_ns : int
-        Interval between estimates in a signal's time, nanoseconds; a signal keeps the one that it was begun with.
-    factories : mapping of callables
-        Each makes one estimator of a signal.
-    publish : callable
-        Given the key expression and the document.
-    fill : callable, optional
-        Given a stream and a number: it takes in what is missing before that number, if a log has it soon. A message
+    every_ns: Interval between estimates in a signal's time, nanoseconds; a signal keeps the one that it was begun with.
+    factories: Each makes one estimator of a signal.
+    publish: Given the key expression and the document.
+    fill: Given a stream and a number: it takes in what is missing before that number, if a log has it soon. A message
         that comes before it can be had is left out, and comes again out of the log; and the end of a run waits for all
         its samples. Without one, what is missing is passed over, and a stream may be joined in its middle.
 
-    spectrum : bool
-        Whether a spectral density is kept as well.
-    estimated : EstimatedSignals
-        Which signals are estimated; those that limits of a run are on always are.
+    spectrum: Whether a spectral density is kept as well.
+    estimated: Which signals are estimated; those that limits of a run are on always are.
 
     Attributes
     ----------
-    positions : dict of StreamId to int
-        Number that is expected next of every stream.
-    catching_up : bool
-        Set while messages come out of the log, where nothing is missing between them.
-    ended : frozenset of str
-        Runs to be left out.
-    left_out : bool
-        Set when something is left to be taken out of the log.
+    positions: Number that is expected next of every stream.
+    catching_up: Set while messages come out of the log, where nothing is missing between them.
+    ended: Runs to be left out.
+    left_out: Set when something is left to be taken out of the log.
     """
 
     def __init__(
@@ -95,8 +85,7 @@ class Estimation:
 
         Raises
         ------
-        GyrofleetError
-            From publishing.
+        GyrofleetError: From publishing.
         """
         try:
             parsed = _parse(key)
@@ -123,8 +112,7 @@ class Estimation:
 
         Raises
         ------
-        EstimatorError
-            If a snapshot in it is damaged or of another version; nothing is taken over then.
+        EstimatorError: If a snapshot in it is damaged or of another version; nothing is taken over then.
         """
         analyses = [SignalAnalysis.from_state(state) for state in checkpoint.signals]
         self._signals = {(each.run, each.unit, each.signal): each for each in analyses}
@@ -140,8 +128,7 @@ class Estimation:
 
         Parameters
         ----------
-        is_last : bool
-            Nothing comes any more.
+        is_last: Nothing comes any more.
         """
         for stream in self._held.streams:
             while (waiting := self._held.first(stream)) is not None:

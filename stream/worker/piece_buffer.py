@@ -53,10 +53,8 @@ class PieceBuffer:
 
     Parameters
     ----------
-    name : tuple of str
-        Unit, signal and run.
-    every_ns : int
-        How often documents are due in the signal's own time from its first sample on, nanoseconds.
+    name: Unit, signal and run.
+    every_ns: How often documents are due in the signal's own time from its first sample on, nanoseconds.
 
     Examples
     --------

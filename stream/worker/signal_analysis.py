@@ -56,14 +56,10 @@ class SignalAnalysis:
 
     Parameters
     ----------
-    place : Place
-        Where the signal comes from.
-    name : tuple of str
-        Unit, signal and run.
-    every_ns : int
-        Interval between documents in the signal's own time, nanoseconds.
-    followers : sequence of Follower
-        Estimators and the spectral density.
+    place: Where the signal comes from.
+    name: Unit, signal and run.
+    every_ns: Interval between documents in the signal's own time, nanoseconds.
+    followers: Estimators and the spectral density.
     """
 
     def __init__(self, place: Place, name: tuple[str, str, str], every_ns: int, followers: Sequence[Follower]) -> None:
@@ -193,8 +189,7 @@ class SignalAnalysis:
 
         Raises
         ------
-        EstimatorError
-            If a snapshot in it is damaged or of another version.
+        EstimatorError: If a snapshot in it is damaged or of another version.
         """
         followers = [restore(snapshot) for snapshot in state.snapshots]
         analysis = cls(Place(*state.place), state.gathering.name, state.gathering.every_ns, followers)

@@ -49,38 +49,25 @@ class EstimationWorker:
 
     Parameters
     ----------
-    bus : Bus
-        Where samples come from.
-    publisher : DocumentSender
-        What the estimates are sent with.
-    every_s : float
-        Interval between estimates in the signal's time, seconds; signals in a checkpoint keep theirs.
-    estimators : mapping of callables, optional
-        Each makes one estimator of a signal; by default those of `default_estimators`.
-    on_document : callable, optional
-        Called with every document that is published, in the worker's thread.
-    log : RecordedLog, optional
-        The log of the store that is recorded to.
-    checkpoint : Path, optional
-        File of the checkpoint, beside which the one before it is kept; it needs the log.
-    checkpoint_every_s : float
-        Interval between checkpoints, seconds.
-    spectrum : bool
-        Whether a spectral density of each signal is kept as well, for its lines; it is a third of the work.
-    estimated : EstimatedSignals
-        Which signals are estimated; by default angular rates, and those that limits of a run are on.
+    bus: Where samples come from.
+    publisher: What the estimates are sent with.
+    every_s: Interval between estimates in the signal's time, seconds; signals in a checkpoint keep theirs.
+    estimators: Each makes one estimator of a signal; by default those of `default_estimators`.
+    on_document: Called with every document that is published, in the worker's thread.
+    log: The log of the store that is recorded to.
+    checkpoint: File of the checkpoint, beside which the one before it is kept; it needs the log.
+    checkpoint_every_s: Interval between checkpoints, seconds.
+    spectrum: Whether a spectral density of each signal is kept as well, for its lines; it is a third of the work.
+    estimated: Which signals are estimated; by default angular rates, and those that limits of a run are on.
 
     Raises
     ------
-    EstimatorError
-        If the checkpoint cannot be read or is of a newer gyrofleet; the message says what to do.
+    EstimatorError: If the checkpoint cannot be read or is of a newer gyrofleet; the message says what to do.
 
     Attributes
     ----------
-    resumed : bool
-        Whether it goes on from a checkpoint.
-    warnings : list of str
-        What was found amiss and did not stop it.
+    resumed: Whether it goes on from a checkpoint.
+    warnings: What was found amiss and did not stop it.
     """
 
     def __init__(
@@ -140,8 +127,7 @@ class EstimationWorker:
 
         Raises
         ------
-        GyrofleetError
-            If the worker had stopped before.
+        GyrofleetError: If the worker had stopped before.
         """
         with self._state:
             self._closing = True

@@ -16,12 +16,9 @@ class AngleBlocks:
 
     Parameters
     ----------
-    grid : Grid
-        Where the blocks lie.
-    block_ns : int
-        Length of a block, ns.
-    factor_deg : float
-        Degrees in the angle's own unit.
+    grid: Where the blocks lie.
+    block_ns: Length of a block, ns.
+    factor_deg: Degrees in the angle's own unit.
 
     Examples
     --------
@@ -86,14 +83,10 @@ def polled_angle(
 
     Parameters
     ----------
-    slot : array of int
-        Blocks that are asked for.
-    block_s : float
-        Length of a block, seconds.
-    t_s, degrees : array of shape (readings,)
-        The readings; they may wrap.
-    rate_deg_per_s : array of shape (readings,)
-        Mean rate about each reading; NaN where it is not known.
+    slot: Blocks that are asked for.
+    block_s: Length of a block, seconds.
+    t_s, degrees: shape (readings,); the readings; they may wrap.
+    rate_deg_per_s: shape (readings,); mean rate about each reading; NaN where it is not known.
 
     Returns
     -------

@@ -23,16 +23,11 @@ class Note:
 
     Parameters
     ----------
-    what : str
-        In one word, such as ``constant`` or ``copy``.
-    text : str
-        As a sentence.
-    channel : str, optional
-        Which channel.
-    runs : tuple of str
-        In which runs.
-    is_limit : bool
-        Whether it limits what can be concluded from the record.
+    what: In one word, such as ``constant`` or ``copy``.
+    text: As a sentence.
+    channel: Which channel.
+    runs: In which runs.
+    is_limit: Whether it limits what can be concluded from the record.
     """
 
     what: str
@@ -175,12 +170,9 @@ def check_clocks(
 
     Parameters
     ----------
-    offsets : mapping
-        See `clock_offsets`.
-    unit, signal : str
-        Whose clock is compared.
-    instruments : sequence of (run, instrument)
-        With which.
+    offsets: See `clock_offsets`.
+    unit, signal: Whose clock is compared.
+    instruments: With which.
     """
     apart: dict[str, dict[str, float]] = {}
     for run, instrument in instruments:

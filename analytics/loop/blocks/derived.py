@@ -68,16 +68,11 @@ def with_motion(
 
     Parameters
     ----------
-    run : RunBlocks
-        With the channels that were recorded.
-    blocks : Blocks
-        When the samples of each block were taken.
-    steps : sequence of Step
-        Of the unit in the run.
-    turns : float or None
-        Component of the table's axis along the input axis where positions do not tell; None where it is not known.
-    numbers : mapping of str to float
-        Number by which the channel ``position`` stands for a word.
+    run: With the channels that were recorded.
+    blocks: When the samples of each block were taken.
+    steps: Of the unit in the run.
+    turns: Component of the table's axis along the input axis where positions do not tell; None where it is not known.
+    numbers: Number by which the channel ``position`` stands for a word.
     """
     channels = dict(run.channels)
     none = np.zeros(len(run))
@@ -165,16 +160,13 @@ def unresolved(
 
     Parameters
     ----------
-    run : RunBlocks
-        With ``input_rate``.
-    changes : array of shape (blocks,)
-        By how much the reference changes from the last reading before each block to the first after it, in its unit.
-    interval_s : float
-        Between readings, seconds.
-    commanded : array of shape (blocks,)
-        Rate that a step commanded throughout the block, deg/s, else NaN; a block that has it is kept.
-    gone : array of bool, shape (blocks,)
-        Blocks that count for nothing.
+    run: With ``input_rate``.
+    changes: shape (blocks,); by how much the reference changes from the last reading before each block to the first
+        after it, in its unit.
+    interval_s: Between readings, seconds.
+    commanded: shape (blocks,); rate that a step commanded throughout the block, deg/s, else NaN; a block that has it is
+        kept.
+    gone: shape (blocks,); blocks that count for nothing.
 
     Notes
     -----
@@ -220,12 +212,9 @@ def is_followed(value: FloatArray, reference: FloatArray, edges: FloatArray, row
 
     Parameters
     ----------
-    value, reference : array of shape (blocks,)
-        In one unit.
-    edges : array of shape (blocks,)
-        By how much the reference changes about each block.
-    rows : array of bool, shape (blocks,)
-        Blocks across edges.
+    value, reference: shape (blocks,); in one unit.
+    edges: shape (blocks,); by how much the reference changes about each block.
+    rows: shape (blocks,); blocks across edges.
 
     Examples
     --------

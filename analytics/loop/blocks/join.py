@@ -37,14 +37,10 @@ class Joined(NamedTuple):
 
     Parameters
     ----------
-    channel, with_far : Channel
-        Without and with the readings that lie far outside.
-    is_far : array of bool, shape (blocks,)
-        Blocks in which such readings are.
-    far, farthest : int, float
-        How many there are, blocks or readings, and the farthest in the stored unit.
-    reading : array of shape (blocks,), optional
-        The far reading of each block in the stored unit.
+    channel, with_far: Without and with the readings that lie far outside.
+    is_far: shape (blocks,); blocks in which such readings are.
+    far, farthest: How many there are, blocks or readings, and the farthest in the stored unit.
+    reading: shape (blocks,); the far reading of each block in the stored unit.
     """
 
     channel: Channel
@@ -60,13 +56,10 @@ class ChannelJoiner:
 
     Parameters
     ----------
-    catalog : Catalog
-        The store.
-    block_s : float
-        Length of a block, seconds.
-    tolerance_s : float, optional
-        How far from a reading a channel is still believed; by default a block, or the channel's own interval where that
-        is longer.
+    catalog: The store.
+    block_s: Length of a block, seconds.
+    tolerance_s: How far from a reading a channel is still believed; by default a block, or the channel's own interval
+        where that is longer.
     """
 
     def __init__(self, catalog: Catalog, block_s: float, tolerance_s: float | None = None) -> None:
@@ -89,10 +82,8 @@ class ChannelJoiner:
 
         Parameters
         ----------
-        sources, grids : mapping
-            By run: the channels, and where the blocks lie.
-        sampled : mapping of str to (float, int)
-            By run: interval of the signal's samples in seconds, and the moment of the first.
+        sources, grids: By run: the channels, and where the blocks lie.
+        sampled: By run: interval of the signal's samples in seconds, and the moment of the first.
         """
         self._sampled.update(sampled)
         wanted: dict[tuple[str, str, bool], dict[str, Grid]] = {}
@@ -126,12 +117,9 @@ class ChannelJoiner:
 
         Parameters
         ----------
-        sources : sequence of Source
-            The channels.
-        signal, grid : Blocks, Grid
-            The blocks.
-        own : RateSeries, optional
-            The signal, where it is an angular rate.
+        sources: The channels.
+        signal, grid: The blocks.
+        own: The signal, where it is an angular rate.
         """
         joined = {each.name: self._joined(each, signal, grid) for each in sources}
         rates = {

@@ -21,14 +21,10 @@ class LeftOut(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    what : str
-        Blocks, runs of a kind, a step, or a channel's excitation.
-    share : float
-        Part of it that was left out, 0 to 1.
-    why : str
-        As a sentence.
-    is_grave : bool
-        Whether what remains cannot show that nothing is missing.
+    what: Blocks, runs of a kind, a step, or a channel's excitation.
+    share: Part of it that was left out, 0 to 1.
+    why: As a sentence.
+    is_grave: Whether what remains cannot show that nothing is missing.
     """
 
     what: str
@@ -51,10 +47,8 @@ class Loss(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    why : str
-        The reason.
-    rows : mapping of str to array of bool
-        Blocks of each run that were left out for it, by the name of the run; a run that lost none may be missing.
+    why: The reason.
+    rows: Blocks of each run that were left out for it, by the name of the run; a run that lost none may be missing.
     """
 
     why: str
@@ -68,12 +62,9 @@ def left_out(
 
     Parameters
     ----------
-    runs : sequence of RunBlocks
-        All blocks, those that were left out included.
-    losses : sequence of Loss
-        Why, and which; a block that is in several counts for the first.
-    steps : mapping, optional
-        By run and name of a step, the blocks that lie in it.
+    runs: All blocks, those that were left out included.
+    losses: Why, and which; a block that is in several counts for the first.
+    steps: By run and name of a step, the blocks that lie in it.
     """
     gone = _total(runs, losses)
     blocks = sum(map(len, runs))

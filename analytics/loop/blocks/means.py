@@ -25,23 +25,15 @@ class Blocks:
 
     Parameters
     ----------
-    slot : array of int
-        Numbers of the blocks, increasing.
-    n : array of int
-        Samples in each.
-    mean, spread : array
-        Mean and standard deviation of the samples in each.
-    centre_s, first_s, last_s : array
-        Mean, first and last moment of the samples, seconds from the beginning of slot 0; from rollups as of samples
-        that are spread evenly from a whole second on.
-    white_variance : array
-        Of each mean, by the scatter within the block; NaN where nothing tells.
-    is_far : array of bool
-        Whether a reading in it lies far outside: then the mean is that of no measurement.
-    far_reading : array
-        That reading; NaN where there is none.
-    farthest : float
-        The reading of the run that lies farthest outside; 0 where none does.
+    slot: Numbers of the blocks, increasing.
+    n: Samples in each.
+    mean, spread: Mean and standard deviation of the samples in each.
+    centre_s, first_s, last_s: Mean, first and last moment of the samples, seconds from the beginning of slot 0; from
+        rollups as of samples that are spread evenly from a whole second on.
+    white_variance: Of each mean, by the scatter within the block; NaN where nothing tells.
+    is_far: Whether a reading in it lies far outside: then the mean is that of no measurement.
+    far_reading: That reading; NaN where there is none.
+    farthest: The reading of the run that lies farthest outside; 0 where none does.
     """
 
     slot: IntArray

@@ -20,12 +20,9 @@ class RateSeries(NamedTuple):
 
     Parameters
     ----------
-    value : array of shape (blocks,)
-        deg/s, readings that lie far outside included.
-    is_far : array of bool, shape (blocks,)
-        Blocks that hold such a reading.
-    reading : array of shape (blocks,)
-        The far reading itself, in the unit in which it was stored; NaN where there is none.
+    value: shape (blocks,); deg/s, readings that lie far outside included.
+    is_far: shape (blocks,); blocks that hold such a reading.
+    reading: shape (blocks,); the far reading itself, in the unit in which it was stored; NaN where there is none.
     """
 
     value: FloatArray

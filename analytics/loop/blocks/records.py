@@ -53,10 +53,8 @@ def records_of(catalog: Catalog, unit: str, signal: str, runs: Iterable[str] | N
 
     Raises
     ------
-    NotFound
-        If the store does not have the signal, or not one of the runs that were named.
-    BadInput
-        If the runs have it in units of measure that cannot be brought together.
+    NotFound: If the store does not have the signal, or not one of the runs that were named.
+    BadInput: If the runs have it in units of measure that cannot be brought together.
     """
     rows = catalog.rows(
         "select s.run, s.t_first_ns, s.t_last_ns, s.samples, s.kept_raw, coalesce(s.sample_interval_s, 0), "

@@ -55,12 +55,9 @@ class Reduction:
 
     Parameters
     ----------
-    runs : tuple of RunBlocks
-        In the order of time.
-    notes : tuple of Note
-        What was left out, converted, supposed or looks wrong.
-    left_out : tuple of LeftOut
-        What was left out, with its share of blocks, runs, steps and excitation.
+    runs: In the order of time.
+    notes: What was left out, converted, supposed or looks wrong.
+    left_out: What was left out, with its share of blocks, runs, steps and excitation.
     """
 
     runs: tuple[RunBlocks, ...]
@@ -99,26 +96,18 @@ class BlockReducer:
 
     Parameters
     ----------
-    catalog : Catalog
-        The store.
-    signal : str
-        Which signal; an angular rate comes out in deg/h, another in its own unit.
-    block_s : float
-        Length of a block, seconds. Whole seconds are read from rollups, others from the samples.
-    runs : collection of str, optional
-        Which runs; all that have the signal where none are named.
-    since_ns, until_ns : int, optional
-        Only samples from one moment to another.
-    tolerance_s : float, optional
-        How far from a reading a channel is still believed; by default a block, or the channel's own interval where that
-        is longer.
-    channels : collection of str
-        Other outputs of the units that are to be channels all the same.
+    catalog: The store.
+    signal: Which signal; an angular rate comes out in deg/h, another in its own unit.
+    block_s: Length of a block, seconds. Whole seconds are read from rollups, others from the samples.
+    runs: Which runs; all that have the signal where none are named.
+    since_ns, until_ns: Only samples from one moment to another.
+    tolerance_s: How far from a reading a channel is still believed; by default a block, or the channel's own interval
+        where that is longer.
+    channels: Other outputs of the units that are to be channels all the same.
 
     Raises
     ------
-    BadInput
-        If the length of a block or the tolerance is no positive number.
+    BadInput: If the length of a block or the tolerance is no positive number.
 
     Notes
     -----
@@ -158,10 +147,8 @@ class BlockReducer:
 
         Raises
         ------
-        NotFound
-            If the store has nothing of the signal in that time, or not the runs.
-        BadInput
-            If the runs have the signal in units of measure that cannot be brought together.
+        NotFound: If the store has nothing of the signal in that time, or not the runs.
+        BadInput: If the runs have the signal in units of measure that cannot be brought together.
         """
         records = records_of(self._catalog, unit, self._signal, self._wanted)
         found = self._means(unit, records)

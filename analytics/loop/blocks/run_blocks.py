@@ -26,14 +26,12 @@ class Channel:
 
     Parameters
     ----------
-    mean : array of shape (blocks,)
-        Mean of each block; NaN where the channel has no reading near it.
-    spread : array of shape (blocks,)
-        Standard deviation of the readings within the block (not of their mean); 0 where it cannot be known.
-    unit_of_measure : str
-        Of both.
-    phasors : array of shape (harmonics, blocks), complex, optional
-        For an angle: mean of exp(1j*k*angle) within the block for k = 1, 2, ... `HARMONICS`; `mean` is then unwrapped.
+    mean: shape (blocks,); mean of each block; NaN where the channel has no reading near it.
+    spread: shape (blocks,); standard deviation of the readings within the block (not of their mean); 0 where it cannot
+        be known.
+    unit_of_measure: Of both.
+    phasors: shape (harmonics, blocks); for an angle: mean of exp(1j*k*angle) within the block for k = 1, 2, ...
+        `HARMONICS`; `mean` is then unwrapped.
     """
 
     mean: FloatArray
@@ -48,30 +46,19 @@ class RunBlocks:
 
     Parameters
     ----------
-    unit, run : str
-        Whose it is. A segment of a run that replicates within a run is called ``RUN#2`` and so on.
-    signal : str
-        Name of the signal.
-    slot : array of int, shape (blocks,)
-        Number of each block on the run's grid: block b covers [slot*block_s, (slot + 1)*block_s) s from `t0_ns` on.
-        Increasing; where it leaps there is a gap.
-    block_s : float
-        Length of a block in seconds.
-    t0_ns : int
-        Moment from which slots count, ns, UTC.
-    value : array of shape (blocks,)
-        Mean of the signal in each block, in `unit_of_measure`, finite.
-    n : array of int, shape (blocks,)
-        Samples behind each mean.
-    white_variance : array of shape (blocks,)
-        Variance of each block mean as the scatter of the samples inside the block tells it (white noise); NaN where a
-        block has too few samples to tell.
-    unit_of_measure : str
-        Of the signal, in its result unit (deg/h for an angular rate).
-    channels : mapping
-        By standard name, or by their own; any may be missing.
-    is_date_known : bool
-        Whether `t0_ns` is a true moment.
+    unit, run: Whose it is. A segment of a run that replicates within a run is called ``RUN#2`` and so on.
+    signal: Name of the signal.
+    slot: shape (blocks,); number of each block on the run's grid: block b covers [slot*block_s, (slot + 1)*block_s) s
+        from `t0_ns` on. Increasing; where it leaps there is a gap.
+    block_s: Length of a block in seconds.
+    t0_ns: Moment from which slots count, ns, UTC.
+    value: shape (blocks,); mean of the signal in each block, in `unit_of_measure`, finite.
+    n: shape (blocks,); samples behind each mean.
+    white_variance: shape (blocks,); variance of each block mean as the scatter of the samples inside the block tells it
+        (white noise); NaN where a block has too few samples to tell.
+    unit_of_measure: Of the signal, in its result unit (deg/h for an angular rate).
+    channels: By standard name, or by their own; any may be missing.
+    is_date_known: Whether `t0_ns` is a true moment.
 
     Examples
     --------

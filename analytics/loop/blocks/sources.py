@@ -17,18 +17,12 @@ class Source(NamedTuple):
 
     Parameters
     ----------
-    name : str
-        Of the channel.
-    unit, signal, run : str
-        What is stored.
-    unit_of_measure : str
-        Of the stored values.
-    interval_s : float
-        Between readings, seconds.
-    samples, kept_raw : int
-        Readings, and how many of them are still there one by one.
-    first_ns : int
-        Moment of the first one.
+    name: Of the channel.
+    unit, signal, run: What is stored.
+    unit_of_measure: Of the stored values.
+    interval_s: Between readings, seconds.
+    samples, kept_raw: Readings, and how many of them are still there one by one.
+    first_ns: Moment of the first one.
     """
 
     name: str

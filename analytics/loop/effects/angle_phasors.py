@@ -15,8 +15,7 @@ def radians_per_unit(channel: Channel) -> float:
 
     Raises
     ------
-    BadInput
-        If the unit is that of no angle, such as counts of an encoder.
+    BadInput: If the unit is that of no angle, such as counts of an encoder.
 
     Examples
     --------

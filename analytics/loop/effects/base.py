@@ -46,14 +46,11 @@ class ShapeParameter:
 
     Parameters
     ----------
-    name, unit_of_measure : str
-        Such as ``time_constant`` in ``s``.
-    grid : tuple of float
-        The values that are tried; of a parameter with `relative_to` in parts of that channel's range.
-    en, zh : str
-        Its name.
-    relative_to : str
-        Channel whose range over all runs scales the grid, so that it fits a channel in any unit; empty: absolute.
+    name, unit_of_measure: Such as ``time_constant`` in ``s``.
+    grid: The values that are tried; of a parameter with `relative_to` in parts of that channel's range.
+    en, zh: Its name.
+    relative_to: Channel whose range over all runs scales the grid, so that it fits a channel in any unit; empty:
+        absolute.
     """
 
     name: str
@@ -162,14 +159,10 @@ class Effect(ABC):
 
         Parameters
         ----------
-        time_s : array of shape (n,)
-            Instants, evenly spaced, seconds from the run's start.
-        channels : mapping of str to array of shape (n,)
-            What truly acts on the gyro at these instants.
-        coefficients : sequence of float
-            One for each column.
-        shape : mapping
-            Values of the shape parameters, within their grids or between.
+        time_s: shape (n,); instants, evenly spaced, seconds from the run's start.
+        channels: shape (n,); what truly acts on the gyro at these instants.
+        coefficients: One for each column.
+        shape: Values of the shape parameters, within their grids or between.
 
         Returns
         -------

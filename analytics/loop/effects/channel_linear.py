@@ -14,8 +14,7 @@ class ChannelLinear(Monomial):
 
     Parameters
     ----------
-    channel : str
-        Name of the channel in the record.
+    channel: Name of the channel in the record.
 
     Examples
     --------

@@ -22,10 +22,8 @@ class FunctionOfChannel(Effect):
 
     Parameters
     ----------
-    channel : str
-        Standard channel.
-    parts : tuple of float
-        Where the knots lie, in parts of the channel's range over all runs.
+    channel: Standard channel.
+    parts: Where the knots lie, in parts of the channel's range over all runs.
     """
 
     kind = Kind.FUNCTION

@@ -21,8 +21,7 @@ class ProductOfChannels(Monomial):
 
     Parameters
     ----------
-    first, second : str
-        Standard channels.
+    first, second: Standard channels.
     """
 
     kind = Kind.SECOND_TIER

@@ -38,8 +38,7 @@ def effect(name: str) -> Effect:
 
     Raises
     ------
-    BadInput
-        If there is none; the message names those that look alike.
+    BadInput: If there is none; the message names those that look alike.
 
     Examples
     --------

@@ -19,8 +19,7 @@ class TableAngleHarmonic(Effect):
 
     Parameters
     ----------
-    harmonic : int
-        Periods in one turn of the table, from 1 to 4.
+    harmonic: Periods in one turn of the table, from 1 to 4.
 
     Examples
     --------

@@ -16,10 +16,8 @@ class CompensatingSender:
 
     Parameters
     ----------
-    sender : Sender
-        Where to send, such as an EmbeddedPipeline.
-    compensator : LiveCompensator
-        What compensates.
+    sender: Where to send, such as an EmbeddedPipeline.
+    compensator: What compensates.
     """
 
     def __init__(self, sender: Sender, compensator: LiveCompensator) -> None:

@@ -35,12 +35,9 @@ class CompensationWorker:
 
     Parameters
     ----------
-    store : Store
-        Which store.
-    publisher : DurablePublisher
-        Connected to the recorder that writes it.
-    on_document : callable, optional
-        Hears every document that is sent.
+    store: Which store.
+    publisher: Connected to the recorder that writes it.
+    on_document: Hears every document that is sent.
     """
 
     pause_s = 2.0
@@ -77,8 +74,7 @@ class CompensationWorker:
 
         Raises
         ------
-        GyrofleetError
-            If the log or a model cannot be read, or the recorder does not acknowledge.
+        GyrofleetError: If the log or a model cannot be read, or the recorder does not acknowledge.
         """
         for message in self._log.since(dict(self._positions)):
             if given_up():

@@ -46,10 +46,8 @@ class ChannelBlocks:
 
     Parameters
     ----------
-    name : str
-        Of the channel.
-    t0_ns : int
-        Where the first block begins.
+    name: Of the channel.
+    t0_ns: Where the first block begins.
     """
 
     def __init__(self, name: str, t0_ns: int) -> None:
@@ -66,8 +64,7 @@ class ChannelBlocks:
 
         Raises
         ------
-        BadInput
-            If they are in another unit of measure than those before.
+        BadInput: If they are in another unit of measure than those before.
         """
         unit, factor, offset = standard_unit(self._name, batch.unit_of_measure)
         if self.unit_of_measure not in ("", unit):
@@ -118,12 +115,9 @@ class EpochCompensation:
 
     Parameters
     ----------
-    version : ModelVersion
-        The model.
-    first : SampleBatch
-        The first raw samples of the power-on in the run; they are still to be taken.
-    power_on_ns : int, optional
-        When the unit was powered on; by default at its first sample.
+    version: The model.
+    first: The first raw samples of the power-on in the run; they are still to be taken.
+    power_on_ns: When the unit was powered on; by default at its first sample.
     """
 
     def __init__(self, version: ModelVersion, first: SampleBatch, power_on_ns: int | None = None) -> None:
@@ -204,8 +198,7 @@ class EpochCompensation:
 
         Parameters
         ----------
-        is_last : bool
-            Nothing comes any more.
+        is_last: Nothing comes any more.
         """
         if self.lacking:
             return []

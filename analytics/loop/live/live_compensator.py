@@ -58,12 +58,9 @@ class LiveCompensator:
 
     Parameters
     ----------
-    registry : ModelRegistry
-        Where the versions are.
-    uses : mapping
-        What is in use, by unit and signal; later activations are heard as documents.
-    begun : mapping, optional
-        Hash of the model by which a signal of a power-on in a run is compensated already, by run, unit, signal and
+    registry: Where the versions are.
+    uses: What is in use, by unit and signal; later activations are heard as documents.
+    begun: Hash of the model by which a signal of a power-on in a run is compensated already, by run, unit, signal and
         epoch (in hexadecimal digits).
 
     Notes

@@ -40,14 +40,10 @@ class Stretch(NamedTuple):
 
     Parameters
     ----------
-    number : int
-        From 0 on, counted from the beginning of the run.
-    end_ns : int
-        Where its last block ends.
-    blocks : int
-        How many blocks it has.
-    gain : float
-        Log-likelihood gained against the model before.
+    number: From 0 on, counted from the beginning of the run.
+    end_ns: Where its last block ends.
+    blocks: How many blocks it has.
+    gain: Log-likelihood gained against the model before.
     """
 
     number: int
@@ -64,8 +60,7 @@ def gains(version: ModelVersion, run: RunBlocks) -> FloatArray:
 
     Raises
     ------
-    BadInput
-        If the run lacks a channel, or is in another unit of measure.
+    BadInput: If the run lacks a channel, or is in another unit of measure.
     """
     known = np.isfinite(version.model.predict(run)) & np.isfinite(version.before.predict(run))
     both = replace(run, value=np.where(known, run.value, np.nan))
@@ -81,8 +76,7 @@ def stretches(version: ModelVersion, run: RunBlocks, *, is_ended: bool) -> list[
 
     Raises
     ------
-    BadInput
-        As `gains`.
+    BadInput: As `gains`.
     """
     gain = gains(version, run)
     number = (run.slot * run.block_s // STRETCH_S).astype(np.int64)
@@ -115,8 +109,7 @@ def watch_store(store: Store) -> list[AnyDocument]:
 
     Raises
     ------
-    GyrofleetError
-        If the store cannot be read, or the recorder does not acknowledge.
+    GyrofleetError: If the store cannot be read, or the recorder does not acknowledge.
     """
     told = logged_documents(store, (ModelActivated, ResidualWatched))
     uses = uses_of(told)

@@ -30,12 +30,9 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
 
     Parameters
     ----------
-    catalog : Catalog
-        The store, which has the fit of every finished run.
-    runs : sequence of RunBlocks
-        Of one unit; runs in which the unit was powered on anew count with the fit of the whole.
-    model : ErrorModel
-        Declared; what it leaves tells the turn-on scatter.
+    catalog: The store, which has the fit of every finished run.
+    runs: Of one unit; runs in which the unit was powered on anew count with the fit of the whole.
+    model: Declared; what it leaves tells the turn-on scatter.
 
     Notes
     -----

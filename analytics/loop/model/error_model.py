@@ -34,8 +34,7 @@ class ModelTerm(msgspec.Struct, frozen=True, omit_defaults=True):
 
         Raises
         ------
-        BadInput
-            If the run lacks a channel that the effect needs.
+        BadInput: If the run lacks a channel that the effect needs.
         """
         if self.name == BIAS:
             return np.ones((len(run), 1))
@@ -72,20 +71,13 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     Parameters
     ----------
-    terms : tuple of ModelTerm
-        Each at most once.
-    signal : str, optional
-        Name of the signal that it is a model of.
-    unit_of_measure : str, optional
-        Of what it predicts.
-    coefficients : tuple of float
-        One for each column; empty while the model is only declared.
-    units : tuple of str
-        Units of measure of the coefficients.
-    covariance : tuple of tuple of float
-        Of the coefficients.
-    noise : mapping of str to float
-        What is left, such as ``{"N": 0.005, "B": 0.02, "K": 0.01, "turn_on": 0.3}`` in deg/sqrt(h), deg/h,
+    terms: Each at most once.
+    signal: Name of the signal that it is a model of.
+    unit_of_measure: Of what it predicts.
+    coefficients: One for each column; empty while the model is only declared.
+    units: Units of measure of the coefficients.
+    covariance: Of the coefficients.
+    noise: What is left, such as ``{"N": 0.005, "B": 0.02, "K": 0.01, "turn_on": 0.3}`` in deg/sqrt(h), deg/h,
         deg/h/sqrt(h), deg/h.
 
     Examples
@@ -124,15 +116,12 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
         Parameters
         ----------
-        text : str
-            Such as ``rate = bias + scale_factor*input_rate + warm_up(time_constant=1800)``.
-        channels : collection of str
-            Names of channels that may stand as linear terms of their own.
+        text: Such as ``rate = bias + scale_factor*input_rate + warm_up(time_constant=1800)``.
+        channels: Names of channels that may stand as linear terms of their own.
 
         Raises
         ------
-        BadInput
-            If a term is not known; the message names those that look alike.
+        BadInput: If a term is not known; the message names those that look alike.
         """
         signal, parsed = parse_model(text, channels)
         return cls(signal=signal, terms=tuple(ModelTerm(each.name, dict(each.shape)) for each in parsed))
@@ -143,8 +132,7 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
         Raises
         ------
-        BadInput
-            If it is not one, or has terms that this gyrofleet does not know.
+        BadInput: If it is not one, or has terms that this gyrofleet does not know.
         """
         try:
             model = msgspec.json.decode(document, type=cls)
@@ -222,8 +210,7 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
         Raises
         ------
-        BadInput
-            If the model has no coefficients, or is of another unit of measure than the run.
+        BadInput: If the model has no coefficients, or is of another unit of measure than the run.
         """
         if not self.is_fitted:
             raise BadInput(f"error model '{self}' has no coefficients yet: fit it first")

@@ -76,8 +76,7 @@ def check_live(unit: str, model: ErrorModel) -> None:
 
     Raises
     ------
-    BadInput
-        If there is one, or if nothing is to be taken off; the message says what can be done.
+    BadInput: If there is one, or if nothing is to be taken off; the message says what can be done.
     """
     part = live_part(model)
     if not part.terms:

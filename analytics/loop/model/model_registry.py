@@ -27,42 +27,24 @@ class ModelVersion(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    unit, signal : str
-        Whose.
-    version : int
-        From 1 on, for each unit.
-    parent : str, optional
-        Hash of the version that was in use when it was made.
-    text : str
-        The model as people write it.
-    model : ErrorModel
-        Terms, coefficients, covariance, noise.
-    before : ErrorModel
-        The model that it takes the place of, fitted to the same runs.
-    noise : NoiseCoefficients
-        What `model` leaves.
-    block_s : float
-        Length of the blocks that it was fitted to, seconds.
-    longest_s : float
-        Length of the longest run among them, seconds.
-    runs : mapping of str to str
-        Each run that it was fitted to or confirmed by, with a hash of what the store held of it.
-    training_runs : tuple of str
-        Those that it was fitted to.
-    verdict : str
-        Of the trace that it comes from.
-    added : tuple of str
-        Effects that the declared model lacked.
-    holdout : mapping, optional
-        What the runs said that were held out.
-    made_ns : int
-        When, ns UTC.
-    by : str
-        Who made it.
-    note : str
-        Free words.
-    confounded : tuple of str
-        Effects that explain the training runs as well as the added ones.
+    unit, signal: Whose.
+    version: From 1 on, for each unit.
+    parent: Hash of the version that was in use when it was made.
+    text: The model as people write it.
+    model: Terms, coefficients, covariance, noise.
+    before: The model that it takes the place of, fitted to the same runs.
+    noise: What `model` leaves.
+    block_s: Length of the blocks that it was fitted to, seconds.
+    longest_s: Length of the longest run among them, seconds.
+    runs: Each run that it was fitted to or confirmed by, with a hash of what the store held of it.
+    training_runs: Those that it was fitted to.
+    verdict: Of the trace that it comes from.
+    added: Effects that the declared model lacked.
+    holdout: What the runs said that were held out.
+    made_ns: When, ns UTC.
+    by: Who made it.
+    note: Free words.
+    confounded: Effects that explain the training runs as well as the added ones.
     """
 
     unit: str
@@ -133,8 +115,7 @@ class ModelRegistry:
 
     Parameters
     ----------
-    store : Store
-        Which store.
+    store: Which store.
     """
 
     def __init__(self, store: Store) -> None:
@@ -156,8 +137,7 @@ class ModelRegistry:
 
         Raises
         ------
-        StoreError
-            If one is damaged.
+        StoreError: If one is damaged.
         """
         return [self._read(path) for path in _files(self._folder / check_name("unit", unit))]
 
@@ -177,10 +157,8 @@ class ModelRegistry:
 
         Raises
         ------
-        NotFound
-            If there is none; the message says which there are.
-        StoreError
-            If it is damaged.
+        NotFound: If there is none; the message says which there are.
+        StoreError: If it is damaged.
         """
         paths = {_number(path): path for path in _files(self._folder / check_name("unit", unit))}
         if number not in paths:
@@ -211,8 +189,7 @@ class ModelRegistry:
 
         Raises
         ------
-        StoreError
-            If it cannot be written, or another process writes one at this moment.
+        StoreError: If it cannot be written, or another process writes one at this moment.
         """
         folder = self._folder / check_name("unit", version.unit)
         try:

@@ -33,8 +33,7 @@ def parse_model(text: str, channels: Collection[str] = ()) -> tuple[str | None, 
 
     Raises
     ------
-    BadInput
-        If it cannot be read, or a term is neither an effect nor a channel.
+    BadInput: If it cannot be read, or a term is neither an effect nor a channel.
 
     Examples
     --------

@@ -36,10 +36,8 @@ class InUse:
 
     Parameters
     ----------
-    live, shadow : ModelActivated, optional
-        The document that put the version to use; None where there is none.
-    before : tuple of ModelActivated
-        Live versions in whose place the live one came, the last one last.
+    live, shadow: The document that put the version to use; None where there is none.
+    before: Live versions in whose place the live one came, the last one last.
     """
 
     live: ModelActivated | None = None
@@ -96,8 +94,7 @@ def logged_documents(store: Store, kinds: Iterable[type[AnyDocument]]) -> list[A
 
     Raises
     ------
-    StoreError
-        If the lake or the log is damaged.
+    StoreError: If the lake or the log is damaged.
     """
     wanted = tuple(kinds)
     in_lake = read_manifest(store).segments
@@ -138,8 +135,7 @@ def activation(version: ModelVersion, stage: Stage, reason: str, by: str, *, aft
 
     Raises
     ------
-    BadInput
-        If the version adds what the held-out runs have not confirmed, and is to go live.
+    BadInput: If the version adds what the held-out runs have not confirmed, and is to go live.
     """
     if stage is Stage.LIVE and not version.is_confirmed:
         raise BadInput(
@@ -165,8 +161,7 @@ def activate(store: Store, version: ModelVersion, stage: Stage, *, reason: str, 
 
     Raises
     ------
-    BadInput
-        If it is so already, or must not go live.
+    BadInput: If it is so already, or must not go live.
     """
     use = read_uses(store).get((version.unit, version.signal), InUse())
     if use.stage(version.hash) is stage:
@@ -188,8 +183,7 @@ def rollback_documents(
 
     Raises
     ------
-    BadInput
-        If none is in use at that stage.
+    BadInput: If none is in use at that stage.
     """
     taken = use.live if stage is Stage.LIVE else use.shadow
     if taken is None:

@@ -8,14 +8,10 @@ class NoiseCoefficients(msgspec.Struct, frozen=True, omit_defaults=True):
 
     Parameters
     ----------
-    N : float
-        White noise, u*sqrt(h) (angle random walk, deg/sqrt(h)).
-    B : float
-        Flicker: bias instability, u (deg/h); 0 where there is none.
-    K : float
-        Random walk, u/sqrt(h) (rate random walk, deg/h/sqrt(h)); 0 where there is none.
-    turn_on : float
-        Standard deviation of the bias from run to run, u (deg/h).
+    N: White noise, u*sqrt(h) (angle random walk, deg/sqrt(h)).
+    B: Flicker: bias instability, u (deg/h); 0 where there is none.
+    K: Random walk, u/sqrt(h) (rate random walk, deg/h/sqrt(h)); 0 where there is none.
+    turn_on: Standard deviation of the bias from run to run, u (deg/h).
 
     Examples
     --------

@@ -69,17 +69,13 @@ def write_report(found: UnitsDiagnosis, path: Path, language: Language) -> None:
 
     Parameters
     ----------
-    found : UnitsDiagnosis
-        Of one unit or several; of several, those without a finding come with their tables, not with pictures.
-    path : Path
-        Where to.
-    language : {"en", "zh"}
-        Of the text. What the reduction and the search remark stays English.
+    found: Of one unit or several; of several, those without a finding come with their tables, not with pictures.
+    path: Where to.
+    language: Of the text. What the reduction and the search remark stays English.
 
     Raises
     ------
-    BadInput
-        If the file cannot be written.
+    BadInput: If the file cannot be written.
     """
     try:
         path.write_text(report_html(found, language), encoding="utf-8")

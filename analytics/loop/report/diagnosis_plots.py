@@ -65,8 +65,7 @@ def write_figures(found: UnitDiagnosis, folder: Path, words: Wording) -> list[Pa
 
     Raises
     ------
-    BadInput
-        If they cannot be written there.
+    BadInput: If they cannot be written there.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -26,16 +26,11 @@ class Drawn:
 
     Parameters
     ----------
-    driver : array of shape (n,)
-        Of each block.
-    label : str
-        Name and unit of the driver.
-    predicted : array of shape (n,)
-        What the effect adds to each block.
-    partial : array of shape (n,)
-        What is left without this effect, each run freed of its own constant.
-    held_out : array of bool, shape (n,)
-        Blocks that took no part in the fit.
+    driver: shape (n,); of each block.
+    label: Name and unit of the driver.
+    predicted: shape (n,); what the effect adds to each block.
+    partial: shape (n,); what is left without this effect, each run freed of its own constant.
+    held_out: shape (n,); blocks that took no part in the fit.
     """
 
     driver: FloatArray

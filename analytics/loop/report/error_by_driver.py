@@ -24,14 +24,10 @@ class ErrorInClass:
 
     Parameters
     ----------
-    lo, hi : float
-        Least and largest value of the driver in this class.
-    blocks : int
-        How many blocks are in it.
-    before, after : float
-        With the declared model and with the model found.
-    floor : float
-        Standard deviation that noise alone would give it, turn-on scatter included.
+    lo, hi: Least and largest value of the driver in this class.
+    blocks: How many blocks are in it.
+    before, after: With the declared model and with the model found.
+    floor: Standard deviation that noise alone would give it, turn-on scatter included.
     """
 
     lo: float
@@ -48,12 +44,9 @@ class ErrorOverDriver:
 
     Parameters
     ----------
-    channel, channel_unit : str
-        The driver.
-    unit_of_measure : str
-        Of the errors.
-    classes : tuple of ErrorInClass
-        In the order of the driver.
+    channel, channel_unit: The driver.
+    unit_of_measure: Of the errors.
+    classes: In the order of the driver.
     """
 
     channel: str

@@ -21,12 +21,9 @@ class TextTable:
 
     Parameters
     ----------
-    title : str
-        What it shows.
-    columns : tuple of str
-        Heads.
-    rows : tuple of tuple of str
-        Cells; the first is a name or a class.
+    title: What it shows.
+    columns: Heads.
+    rows: Cells; the first is a name or a class.
     """
 
     title: str

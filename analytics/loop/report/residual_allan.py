@@ -18,16 +18,11 @@ class DeviationAt:
 
     Parameters
     ----------
-    tau_s : float
-        Averaging time, seconds.
-    before, after : float
-        With the declared model and with the model found.
-    lo, hi : float
-        95 % limits of `after`, by the least degrees of freedom of the plausible noises.
-    floor : float
-        What the fitted noise alone gives.
-    differences : int
-        How many overlapping differences there are.
+    tau_s: Averaging time, seconds.
+    before, after: With the declared model and with the model found.
+    lo, hi: 95 % limits of `after`, by the least degrees of freedom of the plausible noises.
+    floor: What the fitted noise alone gives.
+    differences: How many overlapping differences there are.
     """
 
     tau_s: float

@@ -21,14 +21,10 @@ class Residuals:
 
     Parameters
     ----------
-    record : Record
-        The blocks, training and held out.
-    noise : NoiseCoefficients
-        As fitted with the model found.
-    before, after : array of shape (n,)
-        Residual of the declared model, and of the model found; coefficients of the training.
-    held_out : array of bool, shape (n,)
-        Blocks that took no part in the fit; none where no runs were held out.
+    record: The blocks, training and held out.
+    noise: As fitted with the model found.
+    before, after: shape (n,); residual of the declared model, and of the model found; coefficients of the training.
+    held_out: shape (n,); blocks that took no part in the fit; none where no runs were held out.
     """
 
     record: Record

@@ -19,12 +19,10 @@ class WhitenedSpectrum:
 
     Parameters
     ----------
-    frequency_hz : array of shape (bins,)
-        Middle of each bin.
-    before, after : array of shape (bins,)
-        Of the residual of the declared model and of the model found; both whitened by the noise fitted with the latter.
-    lo, hi : array of shape (bins,)
-        Between them 95 % of the bins lie where only that noise is left.
+    frequency_hz: shape (bins,); middle of each bin.
+    before, after: shape (bins,); of the residual of the declared model and of the model found; both whitened by the
+        noise fitted with the latter.
+    lo, hi: shape (bins,); between them 95 % of the bins lie where only that noise is left.
     """
 
     frequency_hz: FloatArray

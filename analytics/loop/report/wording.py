@@ -58,10 +58,8 @@ class Wording:
 
     Parameters
     ----------
-    language : {"en", "zh"}
-        Which.
-    run : RunBlocks, optional
-        Whose channels give the units of shape parameters.
+    language: Which.
+    run: Whose channels give the units of shape parameters.
     """
 
     def __init__(self, language: Language, run: RunBlocks | None = None) -> None:

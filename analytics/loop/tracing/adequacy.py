@@ -29,10 +29,8 @@ class Homogeneity:
 
     Parameters
     ----------
-    p_value : float
-        Of the test that it is the same in all.
-    by_replicate : mapping of str to (float, float)
-        Coefficient and standard error in each replicate that tells something of it.
+    p_value: Of the test that it is the same in all.
+    by_replicate: Coefficient and standard error in each replicate that tells something of it.
     """
 
     p_value: float
@@ -84,10 +82,8 @@ class NoiseExcess:
 
     Parameters
     ----------
-    ratio, least_ratio : float
-        Largest and least ratio of their variances at averages of 300 and 3600 s.
-    p_value : float
-        Of the test that the noise is as declared.
+    ratio, least_ratio: Largest and least ratio of their variances at averages of 300 and 3600 s.
+    p_value: Of the test that the noise is as declared.
     """
 
     ratio: float

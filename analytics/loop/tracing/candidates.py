@@ -25,12 +25,9 @@ class Candidate:
 
     Parameters
     ----------
-    effect : Effect
-        The effect.
-    shape : Shape
-        Values of its shape parameters.
-    start, width : int
-        Its columns among all.
+    effect: The effect.
+    shape: Values of its shape parameters.
+    start, width: Its columns among all.
     """
 
     effect: Effect
@@ -50,14 +47,10 @@ class Candidates:
 
     Parameters
     ----------
-    records : tuple of Record
-        On which it is tried.
-    items : tuple of Candidate
-        Every effect with every shape; those of one effect stand together.
-    scale : array of shape (columns,)
-        By which columns are divided, so that each has a spread of one.
-    not_tested : mapping of str to str
-        Effects that could not be tried, and why.
+    records: On which it is tried.
+    items: Every effect with every shape; those of one effect stand together.
+    scale: shape (columns,); by which columns are divided, so that each has a spread of one.
+    not_tested: Effects that could not be tried, and why.
     """
 
     records: tuple[Record, ...]
@@ -104,16 +97,11 @@ def candidates_for(
 
     Parameters
     ----------
-    records : sequence of Record
-        One for each unit.
-    effects : mapping
-        Effects by name, all of which find their channels.
-    model : ErrorModel
-        The declared model: what it has is not tried.
-    kinds : sequence of Kind
-        Which kinds to try.
-    lost_channels : mapping of str to str
-        Channels that cannot take part, and why.
+    records: One for each unit.
+    effects: Effects by name, all of which find their channels.
+    model: The declared model: what it has is not tried.
+    kinds: Which kinds to try.
+    lost_channels: Channels that cannot take part, and why.
     """
     not_tested: dict[str, str] = {}
     items: list[Candidate] = []

@@ -19,8 +19,7 @@ def channel_limits(record: Record) -> tuple[str, ...]:
 
     Parameters
     ----------
-    record : Record
-        The blocks.
+    record: The blocks.
     """
     names = sorted(set.intersection(*(set(run.channels) for run in record.stack.runs)))
     values = {name: record.stack.column(lambda run, name=name: run.mean(name)) for name in names}  # type: ignore[misc]

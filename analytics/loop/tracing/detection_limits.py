@@ -28,14 +28,10 @@ def detection_limits(
 
     Parameters
     ----------
-    candidates : Candidates
-        What was tried.
-    joint : JointFit
-        The model that was found.
-    taken : sequence of str
-        Effects in it.
-    tests : float
-        Effective number of tests of the screening.
+    candidates: What was tried.
+    joint: The model that was found.
+    taken: Effects in it.
+    tests: Effective number of tests of the screening.
     """
     normal, right, before = pooled(candidates, joint.hypothesis.designs, joint.noises)
     least_z = max(float(np.sqrt(PRICE)), float(stats.norm.isf(ALPHA / tests / 2)))

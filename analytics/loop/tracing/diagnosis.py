@@ -62,16 +62,11 @@ class Case:
 
     Parameters
     ----------
-    stack : Stack
-        All its blocks.
-    report : StackReport
-        What happened when they were stacked.
-    replication : "runs" or "within_run"
-        What its replicates are.
-    held_out : tuple of str
-        Replicates that are held out; none where there are too few.
-    training : Record
-        The others.
+    stack: All its blocks.
+    report: What happened when they were stacked.
+    replication: What its replicates are.
+    held_out: Replicates that are held out; none where there are too few.
+    training: The others.
     """
 
     stack: Stack
@@ -96,28 +91,20 @@ def diagnose(
 
     Parameters
     ----------
-    runs : sequence of RunBlocks
-        Runs of one signal of one unit.
-    model : ErrorModel
-        The declared model.
-    effects : mapping of str to Effect, optional
-        What to look for; by default all effects that find their channels.
-    declared_noise : NoiseCoefficients, optional
-        What the unit's noise is known to be; else it is guessed from the runs, and an excess of noise cannot be told.
-    holdout : sequence of str, optional
-        Runs that are held out; by default the last third. None are held out where it is empty.
-    left_out : sequence of LeftOut
-        What the reduction left out of the record.
-    seed : int
-        Of the draws that give the number of independent tests.
-    turn_on_is_declared : bool, optional
-        Whether the turn-on scatter of `declared_noise` is known from elsewhere, and not estimated from these runs; by
-        default it is known where noise is declared.
+    runs: Runs of one signal of one unit.
+    model: The declared model.
+    effects: What to look for; by default all effects that find their channels.
+    declared_noise: What the unit's noise is known to be; else it is guessed from the runs, and an excess of noise
+        cannot be told.
+    holdout: Runs that are held out; by default the last third. None are held out where it is empty.
+    left_out: What the reduction left out of the record.
+    seed: Of the draws that give the number of independent tests.
+    turn_on_is_declared: Whether the turn-on scatter of `declared_noise` is known from elsewhere, and not estimated from
+        these runs; by default it is known where noise is declared.
 
     Raises
     ------
-    BadInput
-        If the runs are not of one signal of one unit on one grid, or a run of `holdout` is not among them.
+    BadInput: If the runs are not of one signal of one unit on one grid, or a run of `holdout` is not among them.
     """
     _check(runs, holdout)
     known = declared_noise is not None if turn_on_is_declared is None else turn_on_is_declared

@@ -15,10 +15,8 @@ def error_gain(before: FloatArray, after: FloatArray, run: IntArray) -> ErrorGai
 
     Parameters
     ----------
-    before, after : array of shape (averages,)
-        Error of each average with the declared model and with the model found.
-    run : array of int, shape (averages,)
-        Which run each average belongs to.
+    before, after: shape (averages,); error of each average with the declared model and with the model found.
+    run: shape (averages,); which run each average belongs to.
 
     Notes
     -----

@@ -10,12 +10,9 @@ class ErrorGain(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    fraction : float
-        1 - MSE after / MSE before; less than 0 where the error rises.
-    lo, hi : float, optional
-        Limits, the runs being the sample; None of one run.
-    runs : int
-        How many runs there are.
+    fraction: 1 - MSE after / MSE before; less than 0 where the error rises.
+    lo, hi: Limits, the runs being the sample; None of one run.
+    runs: How many runs there are.
     """
 
     fraction: float
@@ -39,21 +36,14 @@ class ErrorAt(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    averaging_s : float
-        Seconds.
-    before, after : float
-        With the declared model and with the model found, coefficients from the training runs.
-    floor : float
-        What the fitted noise alone would leave, the error of the estimated declared coefficients included.
-    excited_before, excited_after : float, optional
-        The same over the averages in which the effect is excited; None without an effect.
-    averages : int
-        How many averages there are.
-    before_within, after_within, floor_within : float
-        The same with the mean of each run taken off, so that turn-on scatter is in none of them; the floor is what the
-        fitted noise without turn-on scatter leaves.
-    gain, gain_within : ErrorGain, optional
-        Of the raw error and of that within the runs; None where nothing was found.
+    averaging_s: Seconds.
+    before, after: With the declared model and with the model found, coefficients from the training runs.
+    floor: What the fitted noise alone would leave, the error of the estimated declared coefficients included.
+    excited_before, excited_after: The same over the averages in which the effect is excited; None without an effect.
+    averages: How many averages there are.
+    before_within, after_within, floor_within: The same with the mean of each run taken off, so that turn-on scatter is
+        in none of them; the floor is what the fitted noise without turn-on scatter leaves.
+    gain, gain_within: Of the raw error and of that within the runs; None where nothing was found.
     """
 
     averaging_s: float
@@ -76,19 +66,13 @@ class ErrorTable(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    runs : tuple of str
-        Where it was measured.
-    is_held_out : bool
-        Whether those runs took no part in the fit.
-    unit_of_measure : str
-        Of the RMS values.
-    rows : tuple of ErrorAt
-        For the block and for 300, 1800 and 3600 s, as far as runs are long enough.
-    achievable_fraction : float, optional
-        (MSE before - MSE after) / (MSE before - MSE floor) at 1800 s; None where nothing was found or nothing is above
-        the floor.
-    achievable_fraction_excited : float, optional
-        The same over averages in which the effect is excited.
+    runs: Where it was measured.
+    is_held_out: Whether those runs took no part in the fit.
+    unit_of_measure: Of the RMS values.
+    rows: For the block and for 300, 1800 and 3600 s, as far as runs are long enough.
+    achievable_fraction: (MSE before - MSE after) / (MSE before - MSE floor) at 1800 s; None where nothing was found or
+        nothing is above the floor.
+    achievable_fraction_excited: The same over averages in which the effect is excited.
     """
 
     runs: tuple[str, ...]

@@ -48,8 +48,7 @@ class Replication:
 
     Parameters
     ----------
-    gains : array of shape (replicates,)
-        Logarithm of the likelihood ratio of each replicate, nats.
+    gains: shape (replicates,); logarithm of the likelihood ratio of each replicate, nats.
     """
 
     gains: FloatArray
@@ -79,12 +78,9 @@ def leave_one_out(joint: JointFit, replicates: Sequence[IntArray], tried: int) -
 
     Parameters
     ----------
-    joint : JointFit
-        Fit with them.
-    replicates : sequence of array of int
-        For each record, which replicate each block belongs to.
-    tried : int
-        How many of the common columns, counted from the end, are tried.
+    joint: Fit with them.
+    replicates: For each record, which replicate each block belongs to.
+    tried: How many of the common columns, counted from the end, are tried.
     """
     grams = [_grams(whitened, number) for whitened, number in zip(joint.whitened, replicates, strict=True)]
     owns = [each.shape[1] for each in joint.hypothesis.own]

@@ -49,32 +49,20 @@ class FittedCandidate:
 
     Parameters
     ----------
-    name : str
-        Of the effect.
-    kind : Kind
-        How it came into the search.
-    role : Role
-        Of its channels.
-    parameters : mapping
-        Values of the shape parameters.
-    candidate : Candidate, optional
-        None for a line or a jump.
-    columns : sequence of array
-        On each record, in natural units.
-    joint : JointFit
-        Fit with it.
-    likelihood_ratio : float
-        Twice the gain in log likelihood, noise fitted with and without it, over the inflation of the noise at its pace.
-    degrees : int
-        Of freedom.
-    evidence : float
-        On the common scale.
-    replication : Replication, optional
-        None for a jump, which happens once.
-    replicates : bool
-        Whether it counts as seen more than once.
-    at_most : float, optional
-        Evidence before noise at its pace was taken back; None where nothing was.
+    name: Of the effect.
+    kind: How it came into the search.
+    role: Of its channels.
+    parameters: Values of the shape parameters.
+    candidate: None for a line or a jump.
+    columns: On each record, in natural units.
+    joint: Fit with it.
+    likelihood_ratio: Twice the gain in log likelihood, noise fitted with and without it, over the inflation of the
+        noise at its pace.
+    degrees: Of freedom.
+    evidence: On the common scale.
+    replication: None for a jump, which happens once.
+    replicates: Whether it counts as seen more than once.
+    at_most: Evidence before noise at its pace was taken back; None where nothing was.
     """
 
     name: str
@@ -160,16 +148,11 @@ def fitted_candidates(
 
     Parameters
     ----------
-    records, candidates
-        The blocks, and what is tried on them.
-    base : JointFit
-        The model so far.
-    rng : numpy Generator
-        For the screening.
-    taken : sequence of str
-        Effects that are in the model so far.
-    with_events : bool
-        Whether to scan for lines and jumps.
+    records, candidates: The blocks, and what is tried on them.
+    base: The model so far.
+    rng: For the screening.
+    taken: Effects that are in the model so far.
+    with_events: Whether to scan for lines and jumps.
     """
     first = screen(candidates, base.hypothesis.designs, base.noises, rng, taken)
     found = []

@@ -35,14 +35,10 @@ class UnitCoefficient(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    unit : str
-        The unit.
-    coefficient, se : float
-        Its own first coefficient and the standard error.
-    p_value : float
-        Of the test that it is that of the other units.
-    differs : bool
-        Whether it is not, by Benjamini and Hochberg over all units.
+    unit: The unit.
+    coefficient, se: Its own first coefficient and the standard error.
+    p_value: Of the test that it is that of the other units.
+    differs: Whether it is not, by Benjamini and Hochberg over all units.
     """
 
     unit: str
@@ -57,23 +53,15 @@ class FleetDiagnosis(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    verdict : Verdict
-        Of what all units have in common.
-    effects : tuple of FoundEffect
-        What all units lack, confirmed by the held-out runs of all.
-    unreplicated : tuple of FoundEffect
-        What the held-out runs refused, and jumps, which are of one run of one unit.
-    holdout : Holdout, optional
-        What they say.
-    by_unit : mapping
-        Each common effect in each unit, by the name of the effect.
-    units : mapping
-        The trace of each unit alone.
-    own_findings : mapping of str to tuple of str
-        Units in which a trace of that unit alone finds something that stands among so many units (Benjamini and
-        Hochberg), and what.
-    limits : tuple of str
-        What the reader has to know.
+    verdict: Of what all units have in common.
+    effects: What all units lack, confirmed by the held-out runs of all.
+    unreplicated: What the held-out runs refused, and jumps, which are of one run of one unit.
+    holdout: What they say.
+    by_unit: Each common effect in each unit, by the name of the effect.
+    units: The trace of each unit alone.
+    own_findings: Units in which a trace of that unit alone finds something that stands among so many units (Benjamini
+        and Hochberg), and what.
+    limits: What the reader has to know.
     """
 
     verdict: Verdict
@@ -118,22 +106,14 @@ def diagnose_fleet(
 
     Parameters
     ----------
-    units : mapping of str to sequence of RunBlocks
-        Runs of the same signal, by unit.
-    model : ErrorModel
-        The declared model; each unit has coefficients of its own.
-    effects : mapping of str to Effect, optional
-        What to look for; by default all effects that find their channels in all units.
-    declared_noise : mapping of str to NoiseCoefficients, optional
-        Noise of the units.
-    holdout : mapping of str to sequence of str, optional
-        Runs of each unit that are held out; by default, and of a unit that is not named, the last third.
-    left_out : mapping of str to sequence of LeftOut, optional
-        What the reduction left out of each unit's record.
-    seed : int
-        Of the draws that give the number of independent tests.
-    told : callable, optional
-        Called with a sentence on each stage.
+    units: Runs of the same signal, by unit.
+    model: The declared model; each unit has coefficients of its own.
+    effects: What to look for; by default all effects that find their channels in all units.
+    declared_noise: Noise of the units.
+    holdout: Runs of each unit that are held out; by default, and of a unit that is not named, the last third.
+    left_out: What the reduction left out of each unit's record.
+    seed: Of the draws that give the number of independent tests.
+    told: Called with a sentence on each stage.
     """
     noises, held_out, losses = declared_noise or {}, holdout or {}, left_out or {}
     alone: dict[str, Diagnosis] = {}

@@ -15,12 +15,9 @@ def with_causes(found: FoundEffect, runs: Sequence[RunBlocks], declared: Collect
 
     Parameters
     ----------
-    found : FoundEffect
-        The finding.
-    runs : sequence of RunBlocks
-        Which tell what is recorded.
-    declared : collection of str
-        Effects of the declared model, which are taken off already.
+    found: The finding.
+    runs: Which tell what is recorded.
+    declared: Effects of the declared model, which are taken off already.
     """
     own = effect(found.name)
     if own.role is not Role.PROXY:

@@ -24,12 +24,9 @@ class GappedChannels:
 
     Parameters
     ----------
-    channels : tuple of str
-        The channels.
-    share : float
-        Part of the blocks in which they have no value.
-    runs : tuple of RunBlocks
-        All runs, without other channels with gaps.
+    channels: The channels.
+    share: Part of the blocks in which they have no value.
+    runs: All runs, without other channels with gaps.
     """
 
     channels: tuple[str, ...]
@@ -54,10 +51,8 @@ def gapped_channels(runs: Sequence[RunBlocks], model: ErrorModel) -> tuple[tuple
 
     Parameters
     ----------
-    runs : sequence of RunBlocks
-        All runs.
-    model : ErrorModel
-        The declared model.
+    runs: All runs.
+    model: The declared model.
     """
     needed = {channel for name in model.effects for channel in effect(name).needs}
     blocks = sum(map(len, runs))
@@ -85,12 +80,9 @@ def joined(
 
     Parameters
     ----------
-    runs : sequence of RunBlocks
-        With all channels.
-    some : sequence of GappedChannels
-        Those to be joined.
-    every : sequence of GappedChannels
-        All that have gaps.
+    runs: With all channels.
+    some: Those to be joined.
+    every: All that have gaps.
     """
     names = tuple(name for each in some for name in each.channels)
     known = sum(int(np.logical_and.reduce([known_blocks(run.channels[name]) for name in names]).sum()) for run in runs)
@@ -105,12 +97,9 @@ def untried(
 
     Parameters
     ----------
-    runs : sequence of RunBlocks
-        With all channels.
-    traced : sequence of sequence of RunBlocks
-        The runs of each trace.
-    gapped : sequence of GappedChannels
-        All channels with gaps.
+    runs: With all channels.
+    traced: The runs of each trace.
+    gapped: All channels with gaps.
     """
     looked_for = {name for each in traced for name in effects_for(each)}
     names = {name for each in gapped for name in each.channels}

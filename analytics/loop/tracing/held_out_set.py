@@ -39,20 +39,14 @@ class HeldOutSet:
 
     Parameters
     ----------
-    record : Record
-        All blocks of the unit, the training included, so that the filter knows what was before.
-    held_out : array of bool, shape (n,)
-        Which of them were held out.
-    declared : array of shape (p,)
-        Coefficients of the declared model.
-    before : array of shape (n,)
-        Its residual.
-    predictions : array of shape (n, effects)
-        What each common effect adds, less what the declared model would have taken of it.
-    covariance : array of shape (p, p)
-        Of the declared coefficients.
-    whitened : array of shape (held out, 1 + effects + p)
-        Residual, predictions and the declared columns, whitened by the noise of the training.
+    record: All blocks of the unit, the training included, so that the filter knows what was before.
+    held_out: shape (n,); which of them were held out.
+    declared: shape (p,); coefficients of the declared model.
+    before: shape (n,); its residual.
+    predictions: shape (n, effects); what each common effect adds, less what the declared model would have taken of it.
+    covariance: shape (p, p); of the declared coefficients.
+    whitened: shape (held out, 1 + effects + p); residual, predictions and the declared columns, whitened by the noise
+        of the training.
     """
 
     record: Record
@@ -104,16 +98,11 @@ def open_held_out_set(
 
     Parameters
     ----------
-    stack : Stack
-        All blocks of the unit.
-    held_out : array of bool
-        Which of them were held out.
-    training : Record
-        The others.
-    found : Search
-        What the training came to.
-    number : int
-        Which of its records the training is.
+    stack: All blocks of the unit.
+    held_out: Which of them were held out.
+    training: The others.
+    found: What the training came to.
+    number: Which of its records the training is.
     """
     common = [each for each in found.selected if each.is_common]
     effects = [_columns_on(stack, each) for each in common]

@@ -22,10 +22,8 @@ class Hypothesis:
 
     Parameters
     ----------
-    own : sequence of array
-        For each record: columns whose coefficients are its own; the declared model, lines and jumps.
-    common : sequence of array
-        For each record: columns whose coefficients all units share.
+    own: For each record: columns whose coefficients are its own; the declared model, lines and jumps.
+    common: For each record: columns whose coefficients all units share.
     """
 
     own: Sequence[FloatArray]
@@ -58,18 +56,12 @@ class JointFit:
 
     Parameters
     ----------
-    records : tuple of Record
-        To which.
-    hypothesis : Hypothesis
-        Which.
-    noises : tuple of NoiseCoefficients
-        Of each record.
-    log_likelihood : float
-        Of all records, with the priors of the noise.
-    common : Solution
-        Coefficients that all units share.
-    own : tuple of Solution
-        Coefficients of each unit, given the common ones.
+    records: To which.
+    hypothesis: Which.
+    noises: Of each record.
+    log_likelihood: Of all records, with the priors of the noise.
+    common: Coefficients that all units share.
+    own: Coefficients of each unit, given the common ones.
     """
 
     records: tuple[Record, ...]
@@ -108,14 +100,10 @@ def fit_jointly(
 
     Parameters
     ----------
-    records : sequence of Record
-        One for each unit.
-    hypothesis : Hypothesis
-        What is fitted.
-    start : sequence of NoiseCoefficients, optional
-        Where the noise of each record starts.
-    restricted : bool
-        By restricted likelihood: for the numbers that are given out, not for comparing hypotheses.
+    records: One for each unit.
+    hypothesis: What is fitted.
+    start: Where the noise of each record starts.
+    restricted: By restricted likelihood: for the numbers that are given out, not for comparing hypotheses.
     """
     begin: Sequence[NoiseCoefficients | None] = [None] * len(records) if start is None else start
     if len(records) == 1:

@@ -27,12 +27,9 @@ class Jump:
 
     Parameters
     ----------
-    record, run, row : int
-        Where: record, run of the record, first block behind the jump among the record's blocks.
-    z : float
-        Its size over its uncertainty at the noise that was given.
-    family_p_value : float
-        Chance that the best of all positions is as good.
+    record, run, row: Where: record, run of the record, first block behind the jump among the record's blocks.
+    z: Its size over its uncertainty at the noise that was given.
+    family_p_value: Chance that the best of all positions is as good.
     """
 
     record: int

@@ -81,12 +81,9 @@ class Projected(NamedTuple):
 
     Parameters
     ----------
-    normal : array of shape (k, k)
-        Of the columns.
-    right : array of shape (k,)
-        Their products with the values.
-    before : array of shape (k,)
-        Squared norms of the columns before the others were taken out.
+    normal: shape (k, k); of the columns.
+    right: shape (k,); their products with the values.
+    before: shape (k,); squared norms of the columns before the others were taken out.
     """
 
     normal: FloatArray
@@ -99,10 +96,8 @@ def project(gram: FloatArray, taken_out: int) -> Projected:
 
     Parameters
     ----------
-    gram : array of shape (1 + p + k, 1 + p + k)
-        Products of the whitened value, the p columns that are taken out, and k others.
-    taken_out : int
-        p.
+    gram: shape (1 + p + k, 1 + p + k); products of the whitened value, the p columns that are taken out, and k others.
+    taken_out: p.
     """
     out, rest = slice(1, 1 + taken_out), slice(1 + taken_out, None)
     inverse = solve(gram[out, out], gram[out, 0]).covariance

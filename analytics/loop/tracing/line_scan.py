@@ -21,12 +21,9 @@ class Line:
 
     Parameters
     ----------
-    frequency_hz : float
-        Its frequency.
-    p_value, family_p_value : float
-        Of this frequency alone, and of the best of all frequencies.
-    powers : array of shape (runs,)
-        Periodogram of each run at this frequency, mean 2 in white noise.
+    frequency_hz: Its frequency.
+    p_value, family_p_value: Of this frequency alone, and of the best of all frequencies.
+    powers: shape (runs,); periodogram of each run at this frequency, mean 2 in white noise.
     """
 
     frequency_hz: float
@@ -46,10 +43,8 @@ def scan_lines(records: Sequence[Record], residuals: Sequence[FloatArray]) -> Li
 
     Parameters
     ----------
-    records : sequence of Record
-        The blocks.
-    residuals : sequence of array
-        Whitened residual of each record.
+    records: The blocks.
+    residuals: Whitened residual of each record.
     """
     pieces = [piece for record, residual in zip(records, residuals, strict=True) for piece in _by_run(record, residual)]
     longest = max(piece.size for piece, _ in pieces)
@@ -87,8 +82,7 @@ def amplitude_of(values: FloatArray, variance: FloatArray) -> tuple[float, float
 
     Parameters
     ----------
-    values, variance : array of shape (2 * runs,)
-        Cosines and sines, and the variance of each.
+    values, variance: shape (2 * runs,); cosines and sines, and the variance of each.
     """
     runs = values.size / 2
     return (

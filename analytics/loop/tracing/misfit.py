@@ -24,12 +24,9 @@ def noise_inflation(joint: JointFit, replicates: Sequence[IntArray], runs: Seque
 
     Parameters
     ----------
-    joint : JointFit
-        Fit with them.
-    replicates, runs : sequence of array of int
-        For each record, which replicate and which run each block belongs to.
-    tried : int
-        How many of the common columns, counted from the end, are tried.
+    joint: Fit with them.
+    replicates, runs: For each record, which replicate and which run each block belongs to.
+    tried: How many of the common columns, counted from the end, are tried.
     """
     alone = [_alone(whitened, tried) for whitened in joint.whitened]
     return max(_disagreement(alone, replicates), redness([driver for driver, _ in alone], joint.residuals, runs))

@@ -32,12 +32,9 @@ def disagreements(
 
     Parameters
     ----------
-    declared, measured : NoiseCoefficients
-        As declared, and as these runs show it.
-    excess : NoiseExcess
-        Test of the noise at averages of 300 to 3600 s.
-    scatter : RunScatter, optional
-        Means of the runs; None where turn-on scatter was not declared.
+    declared, measured: As declared, and as these runs show it.
+    excess: Test of the noise at averages of 300 to 3600 s.
+    scatter: Means of the runs; None where turn-on scatter was not declared.
     """
     told = []
     ratio = measured.N / declared.N

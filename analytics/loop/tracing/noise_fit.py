@@ -22,14 +22,10 @@ class NoiseFit:
 
     Parameters
     ----------
-    noise : NoiseCoefficients
-        As fitted.
-    log_likelihood : float
-        Its logarithm, with the prior of the noise; the regression at its best.
-    solution : Solution
-        Coefficients of the columns.
-    whitened : array of shape (n, 1 + columns)
-        Value and columns, whitened by the fitted noise.
+    noise: As fitted.
+    log_likelihood: Its logarithm, with the prior of the noise; the regression at its best.
+    solution: Coefficients of the columns.
+    whitened: shape (n, 1 + columns); value and columns, whitened by the fitted noise.
     """
 
     noise: NoiseCoefficients
@@ -67,15 +63,11 @@ def fit_noise(
 
     Parameters
     ----------
-    record : Record
-        The blocks and what is known of their noise.
-    columns : array of shape (n, k)
-        All columns of the regression.
-    start : NoiseCoefficients, optional
-        Where to start; by default where the prior has its centre.
-    restricted : bool
-        Whether the likelihood is that of what the columns cannot explain (REML): its noise is not too small, but
-        likelihoods of different columns do not compare.
+    record: The blocks and what is known of their noise.
+    columns: shape (n, k); all columns of the regression.
+    start: Where to start; by default where the prior has its centre.
+    restricted: Whether the likelihood is that of what the columns cannot explain (REML): its noise is not too small,
+        but likelihoods of different columns do not compare.
     """
     data = _Data(record, np.column_stack([record.value, columns]), restricted)
     active = np.flatnonzero(record.prior.values > 0).astype(np.int64)

@@ -24,8 +24,7 @@ class Averages:
 
     Parameters
     ----------
-    rows : tuple of array of int
-        Blocks of each average.
+    rows: Blocks of each average.
     """
 
     rows: tuple[IntArray, ...]
@@ -44,12 +43,9 @@ def averages_of(record: Record, blocks: int, within: IntArray) -> Averages:
 
     Parameters
     ----------
-    record : Record
-        The blocks.
-    blocks : int
-        Length of an average.
-    within : array of int
-        Rows that may take part.
+    record: The blocks.
+    blocks: Length of an average.
+    within: Rows that may take part.
     """
     number = record.stack.run_number[within]
     slot = record.stack.slot[within]
@@ -68,14 +64,10 @@ def correlated_variance(record: Record, noise: NoiseCoefficients, of_run: BoolAr
 
     Parameters
     ----------
-    record : Record
-        The blocks.
-    noise : NoiseCoefficients
-        The noise.
-    of_run : array of bool
-        Which blocks are those of the run.
-    weights : array of shape (n,)
-        Of all blocks.
+    record: The blocks.
+    noise: The noise.
+    of_run: Which blocks are those of the run.
+    weights: shape (n,); of all blocks.
     """
     space = record.noise_model.space(noise)
     slot = record.stack.slot[of_run]

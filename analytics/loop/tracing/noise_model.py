@@ -18,14 +18,10 @@ class StateSpace:
 
     Parameters
     ----------
-    white : float
-        Variance of the white noise of a block mean.
-    start : float
-        Variance of the walking state at the start of a run.
-    walk : float
-        Variance that it gains per block.
-    decay, variance : array of shape (states,)
-        Per block, and stationary, of each Ornstein-Uhlenbeck state.
+    white: Variance of the white noise of a block mean.
+    start: Variance of the walking state at the start of a run.
+    walk: Variance that it gains per block.
+    decay, variance: shape (states,); per block, and stationary, of each Ornstein-Uhlenbeck state.
     """
 
     white: float
@@ -44,10 +40,8 @@ class NoiseModel:
 
     Parameters
     ----------
-    block_s : float
-        Length of a block, seconds.
-    longest_s : float
-        Length of the longest run, seconds.
+    block_s: Length of a block, seconds.
+    longest_s: Length of the longest run, seconds.
 
     Examples
     --------
@@ -103,12 +97,9 @@ class NoiseModel:
 
         Parameters
         ----------
-        noise : NoiseCoefficients
-            The noise.
-        slot : array of shape (n,)
-            Numbers of the blocks.
-        white : array of shape (n,)
-            White variance of each, relative to that of `noise`.
+        noise: The noise.
+        slot: shape (n,); numbers of the blocks.
+        white: shape (n,); white variance of each, relative to that of `noise`.
         """
         space = self.space(noise)
         since_start = slot - slot[0]

@@ -38,12 +38,9 @@ def best_pair(
 
     Parameters
     ----------
-    records, candidates
-        The blocks, and what is tried on them.
-    base : JointFit
-        The model so far.
-    tests : callable
-        Returns the effective number of independent tests of single effects; called only if a pair is worth a fit.
+    records, candidates: The blocks, and what is tried on them.
+    base: The model so far.
+    tests: Returns the effective number of independent tests of single effects; called only if a pair is worth a fit.
     """
     found: list[tuple[float, list[FittedCandidate]]] = []
     worth = _worth_fitting(candidates, base, least_noises(records, base.noises))

@@ -22,12 +22,9 @@ class PartialChannels:
 
     Parameters
     ----------
-    channels : tuple of str
-        Those that some run lacks.
-    runs : tuple of RunBlocks
-        The runs that have all of them.
-    lacking : tuple of str
-        Names of the others.
+    channels: Those that some run lacks.
+    runs: The runs that have all of them.
+    lacking: Names of the others.
     """
 
     channels: tuple[str, ...]
@@ -54,10 +51,8 @@ def partial_channels(runs: Sequence[RunBlocks], kept: Collection[str] | None = N
 
     Parameters
     ----------
-    runs : sequence of RunBlocks
-        All runs.
-    kept : collection of str, optional
-        Runs that must stay, as those that are to be held out.
+    runs: All runs.
+    kept: Runs that must stay, as those that are to be held out.
     """
     count = len(runs)
     names = sorted(set[str]().union(*(run.channels for run in runs)))
@@ -92,14 +87,10 @@ def with_gapped(
 
     Parameters
     ----------
-    found : Diagnosis
-        Of `whole`.
-    runs, whole : sequence of RunBlocks
-        With all channels, and without those that have gaps.
-    gapped : sequence of GappedChannels
-        The channels.
-    trace : callable
-        Diagnoses runs in which some channels must have values.
+    found: Of `whole`.
+    runs, whole: With all channels, and without those that have gaps.
+    gapped: The channels.
+    trace: Diagnoses runs in which some channels must have values.
     """
     tried = gapped[:MOST_GROUPS]
     traces = [(each, trace(each.runs, each.channels)) for each in tried]
@@ -145,12 +136,9 @@ def with_rest(found: Diagnosis, again: Diagnosis, some: PartialChannels | Gapped
 
     Parameters
     ----------
-    found : Diagnosis
-        Of all runs and blocks, without the channels.
-    again : Diagnosis
-        Of the rest, with them.
-    some : PartialChannels or GappedChannels
-        The channels.
+    found: Of all runs and blocks, without the channels.
+    again: Of the rest, with them.
+    some: The channels.
     """
     if _explains(some, again):
         named = {name for each in again.effects for name in _names_meant(each)}

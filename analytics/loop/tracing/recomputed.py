@@ -15,10 +15,8 @@ class Recomputed(Sequence[FloatArray]):
 
     Parameters
     ----------
-    make : callable
-        Makes the array of a record, by its number.
-    records : int
-        How many records there are.
+    make: Makes the array of a record, by its number.
+    records: How many records there are.
 
     Examples
     --------

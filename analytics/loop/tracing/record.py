@@ -24,10 +24,8 @@ class NoisePrior:
 
     Parameters
     ----------
-    center : NoiseCoefficients
-        As declared, or as guessed from the data.
-    spread : array of shape (4,)
-        Standard deviations of the logarithms.
+    center: As declared, or as guessed from the data.
+    spread: shape (4,); standard deviations of the logarithms.
     """
 
     center: NoiseCoefficients
@@ -62,20 +60,13 @@ class Record:
 
     Parameters
     ----------
-    stack : Stack
-        The blocks.
-    value : array of shape (n,)
-        The signal.
-    design : array of shape (n, p)
-        The declared model.
-    steps : array of int, shape (n,)
-        For the filter.
-    noise_model : NoiseModel
-        How noise acts on them.
-    prior : NoisePrior
-        What is known of the noise.
-    white : array of shape (n,)
-        White variance of each block relative to that of `prior.center`.
+    stack: The blocks.
+    value: shape (n,); the signal.
+    design: shape (n, p); the declared model.
+    steps: shape (n,); for the filter.
+    noise_model: How noise acts on them.
+    prior: What is known of the noise.
+    white: shape (n,); white variance of each block relative to that of `prior.center`.
     """
 
     stack: Stack

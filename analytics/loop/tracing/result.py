@@ -51,25 +51,16 @@ class ConfoundedEffect(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    name : str
-        Of the effect.
-    parameters : mapping
-        Values of its shape parameters.
-    evidence_behind : float, optional
-        By how much its evidence is less than that of the named effect, in units of chi-square; None where it was not
-        compared, as of a cause that is not recorded.
-    role : str
-        cause, proxy or alias.
-    separating_test, separating_test_zh : str
-        The measurement that would tell them apart.
-    recorded : bool
-        Whether its channels are in the record; what is not recorded cannot be excluded.
-    coefficient : float, optional
-        Its first coefficient, where it was fitted.
-    implied, most : float, optional
-        Of a clock's error: how large it would have to be, at least, and the most that clocks are off.
-    implied_unit : str
-        Unit of measure of both.
+    name: Of the effect.
+    parameters: Values of its shape parameters.
+    evidence_behind: By how much its evidence is less than that of the named effect, in units of chi-square; None where
+        it was not compared, as of a cause that is not recorded.
+    role: cause, proxy or alias.
+    separating_test, separating_test_zh: The measurement that would tell them apart.
+    recorded: Whether its channels are in the record; what is not recorded cannot be excluded.
+    coefficient: Its first coefficient, where it was fitted.
+    implied, most: Of a clock's error: how large it would have to be, at least, and the most that clocks are off.
+    implied_unit: Unit of measure of both.
     """
 
     name: str
@@ -95,18 +86,13 @@ class HoldoutSlope(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    effect : str
-        Whose prediction; ``all`` for the sum.
-    slope, slope_se : float
-        The slope and its standard error.
-    training_se : float
-        Relative standard error of the coefficient that was frozen.
-    accepted : bool
-        1.64*SE < 1 and slope - 1.64*SE > 0, and either abs(slope - 1) < 3.29*sqrt(SE^2 + training_se^2) or, of a large
-        effect, the prediction as it is wins at least 0.9 of what it would win at its right size:
-        (slope - 1)^2 < 0.1*slope^2.
-    answer : Answer
-        Confirmed if accepted; no power if 1.64*SE > 1 and the slope agrees with one, even if it is far from zero by
+    effect: Whose prediction; ``all`` for the sum.
+    slope, slope_se: The slope and its standard error.
+    training_se: Relative standard error of the coefficient that was frozen.
+    accepted: 1.64*SE < 1 and slope - 1.64*SE > 0, and either abs(slope - 1) < 3.29*sqrt(SE^2 + training_se^2) or, of a
+        large effect, the prediction as it is wins at least 0.9 of what it would win at its right size: (slope - 1)^2 <
+        0.1*slope^2.
+    answer: Confirmed if accepted; no power if 1.64*SE > 1 and the slope agrees with one, even if it is far from zero by
         luck, or if 2.48*SE > 1 and it agrees with zero and with one; else refused.
     """
 
@@ -123,12 +109,9 @@ class Holdout(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    runs : tuple of str
-        The runs, or the segments of the run.
-    total : HoldoutSlope
-        Of all found effects together.
-    effects : tuple of HoldoutSlope
-        Of each.
+    runs: The runs, or the segments of the run.
+    total: Of all found effects together.
+    effects: Of each.
     """
 
     runs: tuple[str, ...]
@@ -162,34 +145,22 @@ class FoundEffect(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    name, parameters
-        The effect and the values of its shape parameters.
-    coefficients : tuple of Coefficient
-        As fitted to the training runs.
-    significance : float
-        Of the effect as a whole, as the z of a test with one degree of freedom, noise re-fitted with and without it.
-    evidence : float
-        Chi-square of one degree less the multiplicity penalty.
-    roles : mapping of str to str
-        Part that each of its channels plays: cause, proxy or alias.
-    confounded : tuple of ConfoundedEffect
-        Others that the data cannot tell from it.
-    companions : tuple of str
-        Proxies that follow it.
-    unknown_function_of : tuple of str
-        Channels on which the residual depends in another way than this effect says; empty where its form fits.
-    form_p_value : float
-        Of the test of that.
-    heterogeneity_p_value : float
-        Of the test that the coefficient is the same in all runs.
-    largest_share : float
-        Share of the leave-one-run-out gain that the best run alone gives.
-    replicates : bool
-        Whether runs that were not used to fit it are predicted better with it.
-    confirmed : bool, optional
-        What the held-out runs say; None where they could not be asked.
-    by_run : mapping of str to (float, float)
-        First coefficient and its standard error in each run that excites it.
+    name, parameters: The effect and the values of its shape parameters.
+    coefficients: As fitted to the training runs.
+    significance: Of the effect as a whole, as the z of a test with one degree of freedom, noise re-fitted with and
+        without it.
+    evidence: Chi-square of one degree less the multiplicity penalty.
+    roles: Part that each of its channels plays: cause, proxy or alias.
+    confounded: Others that the data cannot tell from it.
+    companions: Proxies that follow it.
+    unknown_function_of: Channels on which the residual depends in another way than this effect says; empty where its
+        form fits.
+    form_p_value: Of the test of that.
+    heterogeneity_p_value: Of the test that the coefficient is the same in all runs.
+    largest_share: Share of the leave-one-run-out gain that the best run alone gives.
+    replicates: Whether runs that were not used to fit it are predicted better with it.
+    confirmed: What the held-out runs say; None where they could not be asked.
+    by_run: First coefficient and its standard error in each run that excites it.
     """
 
     name: str
@@ -239,12 +210,9 @@ class DetectionLimit(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    coefficient : float
-        Smallest coefficient that would have been found with a probability of 90 %.
-    absent_above : float
-        A coefficient larger than this is excluded at 95 %.
-    unit_of_measure : str
-        Of both.
+    coefficient: Smallest coefficient that would have been found with a probability of 90 %.
+    absent_above: A coefficient larger than this is excluded at 95 %.
+    unit_of_measure: Of both.
     """
 
     coefficient: float
@@ -257,45 +225,27 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    verdict : Verdict
-        In one word.
-    units, signal : tuple of str, str
-        Of which units and signal.
-    effects : tuple of FoundEffect
-        What is missing, largest evidence first; confirmed by the held-out runs where there are any.
-    unreplicated : tuple of FoundEffect
-        What was seen but does not repeat in other runs, or was refused by the held-out runs.
-    holdout : Holdout, optional
-        None where no held-out set was possible or nothing was found.
-    error : ErrorTable, optional
-        Before, after, floor.
-    noise : NoiseCoefficients
-        As fitted with the model found.
-    declared_noise : NoiseCoefficients, optional
-        As declared, None where it was estimated from these data.
-    noise_excess : float
-        Largest ratio of fitted to declared noise variance at averages of 300 and 3600 s.
-    detection_limits : mapping
-        By name of the effects that were looked for and not found.
-    not_tested : mapping of str to str
-        Effects that could not be looked for, and why.
-    limits : tuple of str
-        What the reader has to know of this verdict.
-    replication : "runs" or "within_run"
-        What was left out and predicted: runs, or contiguous segments of one run.
-    training_runs, runs : tuple of str
-        Runs that were fitted; all runs.
-    declared, model : ErrorModel
-        The declared model and the model with what was found, both fitted to the training runs, each with its own noise.
-    judged : ErrorModel
-        The declared model as `error` judges it: fitted with the noise of the model found or by plain least squares,
+    verdict: In one word.
+    units, signal: Of which units and signal.
+    effects: What is missing, largest evidence first; confirmed by the held-out runs where there are any.
+    unreplicated: What was seen but does not repeat in other runs, or was refused by the held-out runs.
+    holdout: None where no held-out set was possible or nothing was found.
+    error: Before, after, floor.
+    noise: As fitted with the model found.
+    declared_noise: As declared, None where it was estimated from these data.
+    noise_excess: Largest ratio of fitted to declared noise variance at averages of 300 and 3600 s.
+    detection_limits: By name of the effects that were looked for and not found.
+    not_tested: Effects that could not be looked for, and why.
+    limits: What the reader has to know of this verdict.
+    replication: What was left out and predicted: runs, or contiguous segments of one run.
+    training_runs, runs: Runs that were fitted; all runs.
+    declared, model: The declared model and the model with what was found, both fitted to the training runs, each with
+        its own noise.
+    judged: The declared model as `error` judges it: fitted with the noise of the model found or by plain least squares,
         whichever predicts the held-out runs better.
-    missing : tuple of str
-        What is missing where the verdict is not_enough_data.
-    left_out : tuple of LeftOut
-        What was left out of the record, with its share and why; the worst first.
-    unexplained : str, optional
-        By how much the error of the model found exceeds the noise in the held-out runs, where that is far.
+    missing: What is missing where the verdict is not_enough_data.
+    left_out: What was left out of the record, with its share and why; the worst first.
+    unexplained: By how much the error of the model found exceeds the noise in the held-out runs, where that is far.
     """
 
     verdict: Verdict

@@ -40,10 +40,8 @@ class RunScatter:
 
     Parameters
     ----------
-    means : array of shape (runs,)
-        Mean residual of each run.
-    within : array of shape (runs,)
-        Standard deviation that the noise within the runs, without turn-on scatter, gives to each.
+    means: shape (runs,); mean residual of each run.
+    within: shape (runs,); standard deviation that the noise within the runs, without turn-on scatter, gives to each.
     """
 
     means: FloatArray
@@ -81,10 +79,8 @@ def run_scatter(record: Record, noise: NoiseCoefficients) -> RunScatter:
 
     Parameters
     ----------
-    record : Record
-        All blocks of the unit.
-    noise : NoiseCoefficients
-        As fitted.
+    record: All blocks of the unit.
+    noise: As fitted.
     """
     quiet = msgspec.structs.replace(noise, turn_on=0.0)
     white = record.noise_model.space(quiet).white
@@ -107,14 +103,10 @@ def scatter_finding(
 
     Parameters
     ----------
-    record : Record
-        All blocks of the unit.
-    scatter : RunScatter
-        Its runs.
-    declared : collection of str
-        Effects of the declared model.
-    available : mapping of str to Effect
-        Effects whose channels these runs have.
+    record: All blocks of the unit.
+    scatter: Its runs.
+    declared: Effects of the declared model.
+    available: Effects whose channels these runs have.
     """
     runs = record.stack.runs
     if not 2 <= len(runs) <= MOST_RUNS or scatter.ratio < FAR:

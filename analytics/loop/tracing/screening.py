@@ -24,14 +24,10 @@ class Screened:
 
     Parameters
     ----------
-    candidate : Candidate
-        Which.
-    statistic : float
-        Chi-square of its columns.
-    degrees : int
-        Of freedom.
-    p_value : float
-        Of this test alone.
+    candidate: Which.
+    statistic: Chi-square of its columns.
+    degrees: Of freedom.
+    p_value: Of this test alone.
     """
 
     candidate: Candidate
@@ -46,12 +42,9 @@ class Screen:
 
     Parameters
     ----------
-    results : tuple of Screened
-        Those that can be told from the model.
-    tests : float
-        Effective number of independent tests.
-    blind : tuple of str
-        Effects no shape of which can be told from the model.
+    results: Those that can be told from the model.
+    tests: Effective number of independent tests.
+    blind: Effects no shape of which can be told from the model.
     """
 
     results: tuple[Screened, ...]
@@ -92,16 +85,11 @@ def screen(
 
     Parameters
     ----------
-    candidates : Candidates
-        What is tried.
-    designs : sequence of array
-        Columns of the model so far, one array for each record.
-    noises : sequence of NoiseCoefficients
-        Noise of each record.
-    rng : numpy Generator
-        For the draws that give the number of tests.
-    without : sequence of str
-        Effects that are in the model already.
+    candidates: What is tried.
+    designs: Columns of the model so far, one array for each record.
+    noises: Noise of each record.
+    rng: For the draws that give the number of tests.
+    without: Effects that are in the model already.
     """
     total = pooled(candidates, designs, noises)
     left = _left(total)

@@ -25,14 +25,11 @@ class Selected:
 
     Parameters
     ----------
-    fitted_candidate : FittedCandidate
-        The effect.
-    confounded : tuple of FittedCandidate
-        Others that it does not lead by 12, or 3 %, of evidence.
-    companions : tuple of str
-        Proxies of which the same is true.
-    leading_proxy : str, optional
-        A proxy that explains far more than this cause: then the cause acts in another way than its form says.
+    fitted_candidate: The effect.
+    confounded: Others that it does not lead by 12, or 3 %, of evidence.
+    companions: Proxies of which the same is true.
+    leading_proxy: A proxy that explains far more than this cause: then the cause acts in another way than its form
+        says.
     """
 
     fitted_candidate: FittedCandidate
@@ -52,12 +49,9 @@ class Search:
 
     Parameters
     ----------
-    selected : tuple of Selected
-        In the order in which they were found.
-    null, joint : JointFit
-        The declared model alone, and with all that was selected.
-    unreplicated : tuple of FittedCandidate
-        What had evidence in the first round, but from one run alone.
+    selected: In the order in which they were found.
+    null, joint: The declared model alone, and with all that was selected.
+    unreplicated: What had evidence in the first round, but from one run alone.
     """
 
     selected: tuple[Selected, ...]
@@ -102,12 +96,9 @@ def search(records: Sequence[Record], candidates: Candidates, rng: np.random.Gen
 
     Parameters
     ----------
-    records : sequence of Record
-        One for each unit.
-    candidates : Candidates
-        What is tried beside lines and jumps.
-    rng : numpy Generator
-        For the screening.
+    records: One for each unit.
+    candidates: What is tried beside lines and jumps.
+    rng: For the screening.
     """
     null = fit_jointly(records, nothing_more(records))
     joint = null

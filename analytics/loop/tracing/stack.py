@@ -25,16 +25,11 @@ class Stack:
 
     Parameters
     ----------
-    runs : tuple of RunBlocks
-        The runs, in the order of time.
-    rows : tuple of array of int
-        Which blocks of each run take part.
-    replicate : array of int, shape (n,)
-        Which replicate each block belongs to: its run, or a segment of the only run.
-    replicates : tuple of str
-        Names of the replicates.
-    design : array of shape (n, p)
-        Columns of the declared model.
+    runs: The runs, in the order of time.
+    rows: Which blocks of each run take part.
+    replicate: shape (n,); which replicate each block belongs to: its run, or a segment of the only run.
+    replicates: Names of the replicates.
+    design: shape (n, p); columns of the declared model.
     """
 
     runs: tuple[RunBlocks, ...]

@@ -31,12 +31,9 @@ def record_of(stack: Stack, declared: NoiseCoefficients | None, beside: FloatArr
 
     Parameters
     ----------
-    stack : Stack
-        The blocks.
-    declared : NoiseCoefficients, optional
-        Their noise; else it is guessed from the blocks.
-    beside : array of shape (n, columns), optional
-        Effects: what they can explain is no outlier.
+    stack: The blocks.
+    declared: Their noise; else it is guessed from the blocks.
+    beside: shape (n, columns); effects: what they can explain is no outlier.
     """
     residual = _ordinary_residual(stack)
     steps, noise_model = stack.steps, stack.noise_model

@@ -17,14 +17,10 @@ def whitened_residual(
 
     Parameters
     ----------
-    model : ErrorModel
-        With coefficients.
-    run : RunBlocks
-        The run.
-    noise : NoiseCoefficients
-        Of the signal. A block whose own scatter tells another white variance keeps that one.
-    longest_s : float, optional
-        Length of the longest run that the noise was fitted to, seconds; by default of this run.
+    model: With coefficients.
+    run: The run.
+    noise: Of the signal. A block whose own scatter tells another white variance keeps that one.
+    longest_s: Length of the longest run that the noise was fitted to, seconds; by default of this run.
 
     Examples
     --------

@@ -20,14 +20,10 @@ class Whitener:
 
     Parameters
     ----------
-    steps : array of int, shape (n,)
-        Blocks from the one before it; 0 at the first block of each run.
-    decay : array of shape (states,)
-        Of each correlated state per block.
-    gain : array of shape (n, states + 1)
-        Kalman gains.
-    innovation : array of shape (n,)
-        Variance of each block given those before it in its run.
+    steps: shape (n,); blocks from the one before it; 0 at the first block of each run.
+    decay: shape (states,); of each correlated state per block.
+    gain: shape (n, states + 1); kalman gains.
+    innovation: shape (n,); variance of each block given those before it in its run.
     """
 
     steps: IntArray

@@ -20,10 +20,8 @@ class Backlog:
 
     Parameters
     ----------
-    most_waiting : int
-        Frames that may wait; those beyond are not kept.
-    block : int
-        Frames that are worth decoding without waiting for more.
+    most_waiting: Frames that may wait; those beyond are not kept.
+    block: Frames that are worth decoding without waiting for more.
     """
 
     def __init__(self, most_waiting: int, block: int) -> None:

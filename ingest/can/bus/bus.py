@@ -48,24 +48,15 @@ class CanBus:
 
     Parameters
     ----------
-    options : CanBusOptions
-        Which bus.
-    clock : StationClock
-        The station's clock.
-    decoder : Decoder
-        Makes samples of the frames. Used by this bus alone.
-    deliver : callable
-        Called with every batch, in the decoding thread. While it waits, frames wait, as many as fit.
-    report : callable
-        Called with a sentence for people, in either thread.
-    wanted : collection of int, optional
-        Identifiers that are mapped, bit 31 set where of 29 bits; by default all.
-    block_s : float
-        How long frames are gathered before they are decoded, seconds.
-    most_waiting : int
-        Frames that may wait to be decoded; those beyond are lost, counted and reported.
-    reopen_s : tuple of float
-        First and longest pause before a lost interface is opened again, seconds.
+    options: Which bus.
+    clock: The station's clock.
+    decoder: Makes samples of the frames. Used by this bus alone.
+    deliver: Called with every batch, in the decoding thread. While it waits, frames wait, as many as fit.
+    report: Called with a sentence for people, in either thread.
+    wanted: Identifiers that are mapped, bit 31 set where of 29 bits; by default all.
+    block_s: How long frames are gathered before they are decoded, seconds.
+    most_waiting: Frames that may wait to be decoded; those beyond are lost, counted and reported.
+    reopen_s: First and longest pause before a lost interface is opened again, seconds.
 
     Examples
     --------
@@ -140,8 +131,7 @@ class CanBus:
 
         Raises
         ------
-        InstrumentError
-            If it cannot be opened, or was started before.
+        InstrumentError: If it cannot be opened, or was started before.
         """
         if self._intake is not None or self._stopping.is_set():
             raise InstrumentError(f"{self.options.name} was started before; make a new one for another run")

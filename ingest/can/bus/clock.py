@@ -22,15 +22,12 @@ class ReceiveClock:
 
     Parameters
     ----------
-    clock : StationClock
-        The station's clock.
-    tell : callable
-        Called with a sentence when the stamps had to be set anew.
+    clock: The station's clock.
+    tell: Called with a sentence when the stamps had to be set anew.
 
     Attributes
     ----------
-    source : str
-        Where the receive times come from.
+    source: Where the receive times come from.
 
     Examples
     --------
@@ -54,10 +51,8 @@ class ReceiveClock:
 
         Parameters
         ----------
-        stamps_s : ndarray of float64, shape (n,)
-            Stamps of the interface, seconds; 0 or not a number where it has none.
-        read_s : float
-            When the last of them was read, see `now_s`.
+        stamps_s: shape (n,); stamps of the interface, seconds; 0 or not a number where it has none.
+        read_s: When the last of them was read, see `now_s`.
         """
         is_stamped = np.isfinite(stamps_s) & (stamps_s > 0.0)
         moments_s = np.full(len(stamps_s), read_s)

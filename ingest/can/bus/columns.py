@@ -32,16 +32,11 @@ class Columns:
 
     Attributes
     ----------
-    stamps_s : ndarray of float64, shape (n,)
-        As the interface stamps, seconds.
-    arbitration_id, length, data : ndarray
-        As in `FrameBlock`.
-    error_frames, remote_frames, malformed : int
-        What came beside data frames.
-    overflows : int
-        Error frames that tell of a controller which lost frames.
-    is_off, is_passive : bool or None
-        What error frames told last about the controller; None if they told nothing.
+    stamps_s: shape (n,); as the interface stamps, seconds.
+    arbitration_id, length, data: As in `FrameBlock`.
+    error_frames, remote_frames, malformed: What came beside data frames.
+    overflows: Error frames that tell of a controller which lost frames.
+    is_off, is_passive: What error frames told last about the controller; None if they told nothing.
     """
 
     stamps_s: FloatArray
@@ -64,12 +59,9 @@ def message_columns(messages: Sequence[Any], most_bytes: int, stamps_s: FloatArr
 
     Parameters
     ----------
-    messages : sequence
-        As received.
-    most_bytes : int
-        Most data of a frame on this bus, bytes: 8, or 64 with CAN FD. Frames with more are malformed.
-    stamps_s : ndarray of float64, shape (n,), optional
-        Where given, instead of the messages' own stamps.
+    messages: As received.
+    most_bytes: Most data of a frame on this bus, bytes: 8, or 64 with CAN FD. Frames with more are malformed.
+    stamps_s: shape (n,); where given, instead of the messages' own stamps.
 
     Examples
     --------

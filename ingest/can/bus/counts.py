@@ -9,28 +9,18 @@ class CanBusCounts:
 
     Attributes
     ----------
-    received : int
-        Everything that was read from the interface: data, remote and error frames, and what is no frame.
-    decoded : int
-        Data frames that the decoder has taken.
-    unknown : int
-        Of these, frames of identifiers that are not mapped. An interface that filters does not give them.
-    remote_frames, error_frames : int
-        Frames that carry no samples.
-    malformed : int
-        What is no frame of this bus: too long, an impossible identifier, a datagram of somebody else.
-    undecoded : int
-        Data frames on which the decoder failed.
-    overrun : int
-        Frames that were read and not kept, because decoding or delivery was too far behind.
-    interface_overrun : int
-        Frames that the operating system dropped, and times at which a controller said that it dropped some.
-    undelivered : int
-        Samples whose delivery failed.
-    bus_off, error_passive : int
-        Times at which the controller went there.
-    outages : int
-        Times at which the interface was lost.
+    received: Everything that was read from the interface: data, remote and error frames, and what is no frame.
+    decoded: Data frames that the decoder has taken.
+    unknown: Of these, frames of identifiers that are not mapped. An interface that filters does not give them.
+    remote_frames, error_frames: Frames that carry no samples.
+    malformed: What is no frame of this bus: too long, an impossible identifier, a datagram of somebody else.
+    undecoded: Data frames on which the decoder failed.
+    overrun: Frames that were read and not kept, because decoding or delivery was too far behind.
+    interface_overrun: Frames that the operating system dropped, and times at which a controller said that it dropped
+        some.
+    undelivered: Samples whose delivery failed.
+    bus_off, error_passive: Times at which the controller went there.
+    outages: Times at which the interface was lost.
     """
 
     received: int = 0

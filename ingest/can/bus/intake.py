@@ -33,16 +33,11 @@ class Intake(ABC):
 
     Attributes
     ----------
-    clock : ReceiveClock
-        Of the frames of this interface.
-    is_off, is_passive : bool
-        State of the controller, as far as the frames or the interface tell.
-    is_told_passive : bool
-        Whether people know that it is passive.
-    gives_data : bool
-        Whether data frames have come, since it was last off the bus.
-    reopens : bool
-        Whether a controller that is off the bus gets back by being opened again.
+    clock: Of the frames of this interface.
+    is_off, is_passive: State of the controller, as far as the frames or the interface tell.
+    is_told_passive: Whether people know that it is passive.
+    gives_data: Whether data frames have come, since it was last off the bus.
+    reopens: Whether a controller that is off the bus gets back by being opened again.
     """
 
     reopens = True
@@ -142,10 +137,8 @@ class SocketIntake(Intake):
 
     Parameters
     ----------
-    receiving : socket.socket
-        A socket of its own, which `close` closes.
-    owner : object
-        What has opened it, with a method `shutdown`.
+    receiving: A socket of its own, which `close` closes.
+    owner: What has opened it, with a method `shutdown`.
     """
 
     reopens = False  # the kernel restarts a controller, or a person does; the socket lives on meanwhile
@@ -229,8 +222,7 @@ def open_intake(options: CanBusOptions, clock: ReceiveClock) -> tuple[Intake, "B
 
     Raises
     ------
-    InstrumentError
-        If it cannot be opened.
+    InstrumentError: If it cannot be opened.
     """
     if options.interface == "udp_multicast" and hasattr(socket, "CMSG_SPACE"):
         return _open_multicast(options, clock), None

@@ -10,12 +10,9 @@ class Losses:
 
     Parameters
     ----------
-    tell : callable
-        Called with a sentence.
-    what : str
-        What happened to so many frames: ``were lost``.
-    every_s : float
-        Shortest interval between two sentences, seconds.
+    tell: Called with a sentence.
+    what: What happened to so many frames: ``were lost``.
+    every_s: Shortest interval between two sentences, seconds.
 
     Examples
     --------

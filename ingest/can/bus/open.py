@@ -28,22 +28,15 @@ class CanBusOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
     Parameters
     ----------
-    interface : str
-        As python-can calls it: socketcan, kvaser, pcan, vector, slcan, virtual, udp_multicast, ...
-    channel : str or int
-        As the interface calls it: can0, PCAN_USBBUS1, 0, /dev/ttyACM0, 239.74.163.2, ...
-    number : int
-        Channel number that the bus' frames have, for a mapping that tells buses apart.
-    bitrate : int, optional
-        Bits per second. That of socketcan is set with `ip link` instead.
-    fd : bool
-        Whether frames of CAN FD, with up to 64 bytes, are expected.
-    data_bitrate : int, optional
-        Bits per second in the data phase of CAN FD.
-    filter : bool
-        Whether the interface, if it can, is asked for mapped identifiers only. Frames of others are then not counted.
-    options : dict
-        Whatever else python-can takes for this interface.
+    interface: As python-can calls it: socketcan, kvaser, pcan, vector, slcan, virtual, udp_multicast, ...
+    channel: As the interface calls it: can0, PCAN_USBBUS1, 0, /dev/ttyACM0, 239.74.163.2, ...
+    number: Channel number that the bus' frames have, for a mapping that tells buses apart.
+    bitrate: Bits per second. That of socketcan is set with `ip link` instead.
+    fd: Whether frames of CAN FD, with up to 64 bytes, are expected.
+    data_bitrate: Bits per second in the data phase of CAN FD.
+    filter: Whether the interface, if it can, is asked for mapped identifiers only. Frames of others are then not
+        counted.
+    options: Whatever else python-can takes for this interface.
 
     Examples
     --------
@@ -76,8 +69,7 @@ def open_bus(options: CanBusOptions) -> "BusABC":
 
     Raises
     ------
-    InstrumentError
-        If python-can, the interface or its driver is missing, or the interface refuses.
+    InstrumentError: If python-can, the interface or its driver is missing, or the interface refuses.
     """
     try:
         import can

@@ -11,10 +11,8 @@ class Outage:
 
     Parameters
     ----------
-    tell : callable
-        Called with a sentence.
-    shortest_s, longest_s : float
-        First and longest pause before the interface is opened again, seconds.
+    tell: Called with a sentence.
+    shortest_s, longest_s: First and longest pause before the interface is opened again, seconds.
 
     Examples
     --------

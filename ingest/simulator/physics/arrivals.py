@@ -53,10 +53,8 @@ class Staircase:
 
     Parameters
     ----------
-    jumps : iterator of Jump
-        In the order of time.
-    interval_s : float
-        Sample interval; a jump acts from the first sample at or after it.
+    jumps: In the order of time.
+    interval_s: Sample interval; a jump acts from the first sample at or after it.
     """
 
     def __init__(self, jumps: Iterator[Jump], interval_s: float) -> None:
@@ -103,8 +101,7 @@ class StretchMask:
 
     Parameters
     ----------
-    stretches : iterator of Stretch
-        In the order of time, without overlap.
+    stretches: In the order of time, without overlap.
     """
 
     def __init__(self, stretches: Iterator[Stretch]) -> None:

@@ -24,8 +24,7 @@ class WarmUp(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     Parameters
     ----------
-    amplitude_deg_per_h, time_constant_s : float
-        Bias at power-on and its time constant.
+    amplitude_deg_per_h, time_constant_s: Bias at power-on and its time constant.
 
     Notes
     -----
@@ -49,10 +48,8 @@ class Jumps(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     Parameters
     ----------
-    rate_per_h : float
-        How many are expected in an hour.
-    sd_deg_per_h : float
-        Standard deviation of their sizes, normal about 0.
+    rate_per_h: How many are expected in an hour.
+    sd_deg_per_h: Standard deviation of their sizes, normal about 0.
 
     Notes
     -----
@@ -69,8 +66,7 @@ class Line(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     Parameters
     ----------
-    frequency_hz, amplitude_deg_per_h, phase_deg : float
-        Its frequency, amplitude, and phase at power-on.
+    frequency_hz, amplitude_deg_per_h, phase_deg: Its frequency, amplitude, and phase at power-on.
 
     Notes
     -----
@@ -88,26 +84,17 @@ class Bias(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     Parameters
     ----------
-    constant_deg_per_h : float
-        The unit's own.
-    turn_on_deg_per_h, day_deg_per_h : float
-        Standard deviations of what is drawn anew at every power-on and on every day.
-    warm_up : list of WarmUp
-        Exponentials from power-on.
-    acceleration_deg_per_h_per_g, acceleration_squared_deg_per_h_per_g2 : list of 3 floats
-        Sensitivity to the specific force along x, y, z, and to its squares.
-    supply_deg_per_h_per_v, supply_nominal_v : float
-        Sensitivity to the supply voltage above the nominal one.
-    magnetic_deg_per_h_per_gauss : list of 3 floats
-        Sensitivity to the field along x, y, z.
-    ageing_deg_per_h_per_decade, ageing_onset_h : float
-        Drift with the logarithm of the hours of operation.
-    step : list of Step
-        Steps at known times.
-    jumps : Jumps, optional
-        Steps at random times.
-    line : list of Line
-        Sines.
+    constant_deg_per_h: The unit's own.
+    turn_on_deg_per_h, day_deg_per_h: Standard deviations of what is drawn anew at every power-on and on every day.
+    warm_up: Exponentials from power-on.
+    acceleration_deg_per_h_per_g, acceleration_squared_deg_per_h_per_g2: list of 3 floats; sensitivity to the specific
+        force along x, y, z, and to its squares.
+    supply_deg_per_h_per_v, supply_nominal_v: Sensitivity to the supply voltage above the nominal one.
+    magnetic_deg_per_h_per_gauss: list of 3 floats; sensitivity to the field along x, y, z.
+    ageing_deg_per_h_per_decade, ageing_onset_h: Drift with the logarithm of the hours of operation.
+    step: Steps at known times.
+    jumps: Steps at random times.
+    line: Sines.
 
     Notes
     -----
@@ -157,14 +144,10 @@ class BiasEffect:
 
     Parameters
     ----------
-    bias : Bias
-        What is planted.
-    seeds : Seeds
-        Of the power-on.
-    age_h : float
-        Hours of operation before this power-on.
-    interval_s : float
-        Sample interval.
+    bias: What is planted.
+    seeds: Of the power-on.
+    age_h: Hours of operation before this power-on.
+    interval_s: Sample interval.
     """
 
     def __init__(self, bias: Bias, seeds: Seeds, age_h: float, interval_s: float) -> None:

@@ -17,12 +17,9 @@ class DeadZone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     Parameters
     ----------
-    threshold_deg_per_h : float
-        Half width of the zone.
-    slope : float
-        What is left of the scale factor within it, 0 to 1.
-    beyond : str
-        ``full``: the whole rate from the threshold on; ``offset``: continuous, short by (1 - slope) threshold for
+    threshold_deg_per_h: Half width of the zone.
+    slope: What is left of the scale factor within it, 0 to 1.
+    beyond: ``full``: the whole rate from the threshold on; ``offset``: continuous, short by (1 - slope) threshold for
         good; ``lock_in``: sign(Omega) sqrt(Omega^2 - (1 - slope^2) threshold^2), continuous and whole at high rates.
 
     Notes
@@ -42,14 +39,10 @@ class Dynamics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     Parameters
     ----------
-    bandwidth_hz : float, optional
-        Frequency at which the gain is 1/sqrt(2).
-    damping : float
-        Damping ratio of the second-order low-pass.
-    delay_s : float
-        Pure delay, of any fraction of a sample.
-    dead_zone : DeadZone, optional
-        Threshold.
+    bandwidth_hz: Frequency at which the gain is 1/sqrt(2).
+    damping: Damping ratio of the second-order low-pass.
+    delay_s: Pure delay, of any fraction of a sample.
+    dead_zone: Threshold.
 
     Notes
     -----
@@ -97,10 +90,8 @@ class LowPass:
 
     Parameters
     ----------
-    bandwidth_hz, damping : float
-        See `Dynamics`.
-    interval_s : float
-        Sample interval.
+    bandwidth_hz, damping: See `Dynamics`.
+    interval_s: Sample interval.
 
     Notes
     -----

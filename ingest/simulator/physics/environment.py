@@ -63,20 +63,15 @@ class PiecewiseEnvironment:
 
     Parameters
     ----------
-    times_s : sequence of float
-        Times of the knots from `origin_ns`, seconds, not decreasing. Two equal times make a jump, and the later
+    times_s: Times of the knots from `origin_ns`, seconds, not decreasing. Two equal times make a jump, and the later
         knot holds at that time.
-    rates_deg_per_s, specific_force_g, magnetic_field_gauss : sequence, optional
-        Three numbers a knot: x, y, z. Nought by default.
-    temperature_deg_c, supply_v : sequence, optional
-        A number a knot. 25 degC and 5 V by default.
-    origin_ns : int
-        Time of second 0, nanoseconds.
+    rates_deg_per_s, specific_force_g, magnetic_field_gauss: Three numbers a knot: x, y, z. Nought by default.
+    temperature_deg_c, supply_v: A number a knot. 25 degC and 5 V by default.
+    origin_ns: Time of second 0, nanoseconds.
 
     Raises
     ------
-    BadInput
-        If a channel has another number of values, or a value or a time is not finite or out of order.
+    BadInput: If a channel has another number of values, or a value or a time is not finite or out of order.
 
     Examples
     --------
@@ -159,15 +154,12 @@ class StaticEnvironment(PiecewiseEnvironment):
 
     Parameters
     ----------
-    rates_deg_per_s, specific_force_g, magnetic_field_gauss : sequence of 3 floats
-        About or along x, y, z.
-    temperature_deg_c, supply_v : float
-        Temperature and supply voltage.
+    rates_deg_per_s, specific_force_g, magnetic_field_gauss: About or along x, y, z.
+    temperature_deg_c, supply_v: Temperature and supply voltage.
 
     Raises
     ------
-    BadInput
-        If a vector has not three numbers or a number is not finite.
+    BadInput: If a vector has not three numbers or a number is not finite.
 
     Examples
     --------
@@ -199,14 +191,10 @@ class Conditions:
 
     Parameters
     ----------
-    environment : Environment
-        The environment.
-    t_ns : ndarray of int64, shape (n,)
-        Times at which it acts.
-    elapsed_s : ndarray, shape (n,)
-        Times of the samples from power-on, seconds.
-    who : str
-        Whose conditions, for messages.
+    environment: The environment.
+    t_ns: shape (n,); times at which it acts.
+    elapsed_s: shape (n,); times of the samples from power-on, seconds.
+    who: Whose conditions, for messages.
     """
 
     def __init__(self, environment: Environment, t_ns: IntArray, elapsed_s: FloatArray, who: str) -> None:

@@ -26,10 +26,9 @@ class GyroModelParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
 
     Parameters
     ----------
-    sample_interval_ns : int
-        Interval of the samples; 5,000,000 is 200 Hz.
-    scale, bias, thermal, misalignment, noise, dynamics, readout, start_up : optional
-        The groups of effects. Without `scale` a count is 5e-5 deg/s.
+    sample_interval_ns: Interval of the samples; 5,000,000 is 200 Hz.
+    scale, bias, thermal, misalignment, noise, dynamics, readout, start_up: The groups of effects. Without `scale` a
+        count is 5e-5 deg/s.
     """
 
     sample_interval_ns: Annotated[int, msgspec.Meta(ge=1)] = 5_000_000
@@ -48,27 +47,19 @@ class SimulatedGyroModel:
 
     Parameters
     ----------
-    parameters : GyroModelParameters
-        What is planted.
-    seed : int
-        Of the fleet, not negative. The same seed, unit, power-on, day, age, parameters and environment give the same
+    parameters: What is planted.
+    seed: Of the fleet, not negative. The same seed, unit, power-on, day, age, parameters and environment give the same
         samples, in blocks of whatever size.
-    unit : str
-        Serial number.
-    power_on, day : int
-        Number of the power-on, and of the day on which it is, not negative: power-ons of one day share what is drawn
-        by day. The day is the power-on's number by default.
-    age_h : float
-        Hours of operation before this power-on.
-    environment : Environment, optional
-        What acts on it; by default no rate, no force, 25 degC.
-    start_ns : int
-        Time of power-on and of the first sample.
+    unit: Serial number.
+    power_on, day: Number of the power-on, and of the day on which it is, not negative: power-ons of one day share what
+        is drawn by day. The day is the power-on's number by default.
+    age_h: Hours of operation before this power-on.
+    environment: What acts on it; by default no rate, no force, 25 degC.
+    start_ns: Time of power-on and of the first sample.
 
     Raises
     ------
-    BadInput
-        If the seed, a number or the age is negative, or the unit cannot be a name.
+    BadInput: If the seed, a number or the age is negative, or the unit cannot be a name.
 
     Notes
     -----
@@ -153,8 +144,7 @@ class SimulatedGyroModel:
 
         Raises
         ------
-        BadInput
-            If `n` is negative, or the environment gives what is no finite number.
+        BadInput: If `n` is negative, or the environment gives what is no finite number.
         """
         if n < 0:
             raise BadInput(f"simulated gyro {self.unit}: {n} samples are asked for, at least 0 is needed")

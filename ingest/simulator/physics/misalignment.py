@@ -20,10 +20,9 @@ class Misalignment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     Parameters
     ----------
-    y_arcsec, z_arcsec : float
-        Angles by which the input axis leans towards y and z, at most 45 deg each.
-    cross_y_ppm, cross_z_ppm : float
-        Cross-axis sensitivity: what reaches the output of a rate about y and z without the axis being turned.
+    y_arcsec, z_arcsec: Angles by which the input axis leans towards y and z, at most 45 deg each.
+    cross_y_ppm, cross_z_ppm: Cross-axis sensitivity: what reaches the output of a rate about y and z without the axis
+        being turned.
 
     Notes
     -----

@@ -61,25 +61,19 @@ class TableEnvironment:
 
     Parameters
     ----------
-    latitude_deg : float
-        Of the station, -90 to 90.
-    axes_enu : str or 3 x 3 numbers
-        Directions of the gyro's x (input axis), y and z in east, north, up while the table stands at 0 deg; a name
-        of `POSITIONS` or the three rows. The rows are a rotation matrix.
-    table_axis_enu : 3 numbers
-        Direction of the table's axis in east, north, up; a positive rate turns by the right hand about it.
-    rate_deg_per_s, angle_deg, temperature_deg_c : callable, optional
-        The table's rate and angle and the temperature as functions of an int64 array of nanoseconds. Without them
-        the table stands at 0 deg, at 25 degC.
-    supply_v : float
-        Supply voltage.
-    magnetic_field_enu_gauss : 3 numbers
-        Field in east, north, up, gauss.
+    latitude_deg: Of the station, -90 to 90.
+    axes_enu: str or 3 x 3 numbers; directions of the gyro's x (input axis), y and z in east, north, up while the table
+        stands at 0 deg; a name of `POSITIONS` or the three rows. The rows are a rotation matrix.
+    table_axis_enu: 3 numbers; direction of the table's axis in east, north, up; a positive rate turns by the right hand
+        about it.
+    rate_deg_per_s, angle_deg, temperature_deg_c: The table's rate and angle and the temperature as functions of an
+        int64 array of nanoseconds. Without them the table stands at 0 deg, at 25 degC.
+    supply_v: Supply voltage.
+    magnetic_field_enu_gauss: 3 numbers; field in east, north, up, gauss.
 
     Raises
     ------
-    BadInput
-        If the axes are no rotation matrix, the table's axis has no direction, or the latitude is out of range.
+    BadInput: If the axes are no rotation matrix, the table's axis has no direction, or the latitude is out of range.
 
     Notes
     -----

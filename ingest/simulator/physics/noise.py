@@ -25,8 +25,7 @@ class Markov(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     Parameters
     ----------
-    sd_deg_per_h, correlation_s : float
-        Standard deviation and correlation time.
+    sd_deg_per_h, correlation_s: Standard deviation and correlation time.
 
     Notes
     -----
@@ -44,18 +43,12 @@ class Noise(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     Parameters
     ----------
-    angle_quantum_arcsec : float
-        Step of the angle that the gyro counts; Q is the step over sqrt(12).
-    angle_random_walk_deg_per_sqrt_h : float
-        N.
-    bias_instability_deg_per_h : float
-        B; the floor of the Allan deviation is 0.664 B.
-    rate_random_walk_deg_per_h_per_sqrt_h : float
-        K.
-    rate_ramp_deg_per_h_per_h : float
-        R, with its sign; 0 at power-on.
-    markov : list of Markov
-        Markov noises.
+    angle_quantum_arcsec: Step of the angle that the gyro counts; Q is the step over sqrt(12).
+    angle_random_walk_deg_per_sqrt_h: N.
+    bias_instability_deg_per_h: B; the floor of the Allan deviation is 0.664 B.
+    rate_random_walk_deg_per_h_per_sqrt_h: K.
+    rate_ramp_deg_per_h_per_h: R, with its sign; 0 at power-on.
+    markov: Markov noises.
 
     Notes
     -----
@@ -100,10 +93,8 @@ class HeldNoise:
 
     Parameters
     ----------
-    process : GaussMarkovSum
-        The process, of intervals of `hold` samples.
-    hold : int
-        Samples in an interval.
+    process: The process, of intervals of `hold` samples.
+    hold: Samples in an interval.
     """
 
     def __init__(self, process: GaussMarkovSum, hold: int) -> None:
@@ -129,12 +120,9 @@ class NoiseEffect:
 
     Parameters
     ----------
-    noise : Noise
-        What is planted.
-    seeds : Seeds
-        Of the power-on.
-    interval_s : float
-        Sample interval.
+    noise: What is planted.
+    seeds: Of the power-on.
+    interval_s: Sample interval.
     """
 
     def __init__(self, noise: Noise, seeds: Seeds, interval_s: float) -> None:

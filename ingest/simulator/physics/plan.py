@@ -44,14 +44,11 @@ class Plan(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    seed : int
-        Of everything random.
-    power_ons_per_day : int
-        How many power-ons of a unit share a day.
-    hours_per_power_on : float
-        Hours of operation by which a unit is older at its next power-on.
-    parameters : mapping
-        What is planted in each unit, by serial number, with everything drawn that is drawn once for a unit's life.
+    seed: Of everything random.
+    power_ons_per_day: How many power-ons of a unit share a day.
+    hours_per_power_on: Hours of operation by which a unit is older at its next power-on.
+    parameters: What is planted in each unit, by serial number, with everything drawn that is drawn once for a unit's
+        life.
     """
 
     seed: int
@@ -78,21 +75,15 @@ class Plan(msgspec.Struct, frozen=True):
 
         Parameters
         ----------
-        unit : str
-            Serial number.
-        power_on : int
-            Its number, from 1 on.
-        day : int, optional
-            Day that the power-on falls on; by default it follows from `power_ons_per_day`, from 1 on.
-        age_h : float, optional
-            Hours of operation before; by default `hours_per_power_on` for every earlier power-on.
-        environment, start_ns
-            See `SimulatedGyroModel`.
+        unit: Serial number.
+        power_on: Its number, from 1 on.
+        day: Day that the power-on falls on; by default it follows from `power_ons_per_day`, from 1 on.
+        age_h: Hours of operation before; by default `hours_per_power_on` for every earlier power-on.
+        environment, start_ns: See `SimulatedGyroModel`.
 
         Raises
         ------
-        BadInput
-            If the plan has no such unit, or the number is below 1.
+        BadInput: If the plan has no such unit, or the number is below 1.
         """
         if unit not in self.parameters:
             raise BadInput(f"simulated fleet: no unit {unit!r} in the plan; it has {', '.join(self.units) or 'none'}")
@@ -115,8 +106,7 @@ def load_plan(path: Path) -> Plan:
 
     Raises
     ------
-    BadInput
-        If the file cannot be read or is not such a plan.
+    BadInput: If the file cannot be read or is not such a plan.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -137,15 +127,13 @@ def parse_plan(text: str, source: str) -> Plan:
 
     Parameters
     ----------
-    text : str
-        The TOML.
-    source : str
-        Where it comes from, for messages.
+    text: The TOML.
+    source: Where it comes from, for messages.
 
     Raises
     ------
-    BadInput
-        If it is not such a plan; the message names the place, such as ``$.unit.FOG-0231.bias.line[0].frequency_hz``.
+    BadInput: If it is not such a plan; the message names the place, such as
+        ``$.unit.FOG-0231.bias.line[0].frequency_hz``.
 
     Examples
     --------

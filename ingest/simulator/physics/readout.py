@@ -21,10 +21,8 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     Parameters
     ----------
-    probability : float
-        That a stretch begins at a sample, 0 to 1.
-    mean_samples : float
-        Mean of its length, at least 1.
+    probability: That a stretch begins at a sample, 0 to 1.
+    mean_samples: Mean of its length, at least 1.
 
     Notes
     -----
@@ -41,12 +39,10 @@ class StartUp(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     Parameters
     ----------
-    invalid_s : float
-        How long the output is a fixed word.
-    invalid_counts : int
-        That word.
-    transient_deg_per_s, time_constant_s : float
-        Rate that is put out in error when the output begins, and the time constant of its decay.
+    invalid_s: How long the output is a fixed word.
+    invalid_counts: That word.
+    transient_deg_per_s, time_constant_s: Rate that is put out in error when the output begins, and the time constant of
+        its decay.
 
     Notes
     -----
@@ -65,14 +61,10 @@ class Readout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     Parameters
     ----------
-    saturation_deg_per_s : float, optional
-        Rate at which the output stops, to both sides; in any case it stops at the ends of int32.
-    resolution_counts : int
-        Counts are multiples of this.
-    carries_rest : bool
-        Whether what rounding leaves is added to the next sample, as a counter of angle does.
-    dropout, stuck : Fault, optional
-        Samples that never arrive, and samples that repeat the one before.
+    saturation_deg_per_s: Rate at which the output stops, to both sides; in any case it stops at the ends of int32.
+    resolution_counts: Counts are multiples of this.
+    carries_rest: Whether what rounding leaves is added to the next sample, as a counter of angle does.
+    dropout, stuck: Samples that never arrive, and samples that repeat the one before.
 
     Notes
     -----
@@ -130,14 +122,10 @@ class ReadoutEffect:
 
     Parameters
     ----------
-    readout : Readout
-        What is planted.
-    start_up : StartUp, optional
-        The first seconds.
-    counts_per_deg_per_s : float
-        Nominal scale factor.
-    seeds : Seeds
-        Of the power-on.
+    readout: What is planted.
+    start_up: The first seconds.
+    counts_per_deg_per_s: Nominal scale factor.
+    seeds: Of the power-on.
     """
 
     def __init__(self, readout: Readout, start_up: StartUp | None, counts_per_deg_per_s: float, seeds: Seeds) -> None:

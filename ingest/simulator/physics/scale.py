@@ -24,12 +24,9 @@ class Ripple(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     Parameters
     ----------
-    amplitude_ppm : float
-        Of full range.
-    period_deg_per_s : float
-        Period.
-    phase_deg : float
-        Phase at rate 0.
+    amplitude_ppm: Of full range.
+    period_deg_per_s: Period.
+    phase_deg: Phase at rate 0.
 
     Notes
     -----
@@ -47,26 +44,17 @@ class Scale(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     Parameters
     ----------
-    counts_per_deg_per_s : float
-        Nominal scale factor, which the samples carry with them; its reciprocal is deg/s per count.
-    full_range_deg_per_s : float
-        Rate that nonlinearities are relative to.
-    error_ppm : float
-        The unit's deviation from the nominal scale factor at 25 degC.
-    turn_on_ppm, day_ppm : float
-        Standard deviations of what is drawn anew at every power-on and on every day.
-    nonlinearity_ppm : list of up to 4 floats
-        Terms of order 2, 3, 4, 5 of the rate over full range, ppm of full range.
-    ripple : Ripple, optional
-        Sinusoidal nonlinearity.
-    asymmetry_ppm : float
-        (K+ - K-)/K.
-    temperature_ppm_per_deg_c, temperature_ppm_per_deg_c2 : float
-        Change of the scale factor with the temperature of the gyro above 25 degC.
-    acceleration_ppm_per_g : float
-        Change with the specific force along the input axis.
-    ageing_ppm_per_1000_h : float
-        Change with the hours of operation.
+    counts_per_deg_per_s: Nominal scale factor, which the samples carry with them; its reciprocal is deg/s per count.
+    full_range_deg_per_s: Rate that nonlinearities are relative to.
+    error_ppm: The unit's deviation from the nominal scale factor at 25 degC.
+    turn_on_ppm, day_ppm: Standard deviations of what is drawn anew at every power-on and on every day.
+    nonlinearity_ppm: list of up to 4 floats; terms of order 2, 3, 4, 5 of the rate over full range, ppm of full range.
+    ripple: Sinusoidal nonlinearity.
+    asymmetry_ppm: (K+ - K-)/K.
+    temperature_ppm_per_deg_c, temperature_ppm_per_deg_c2: Change of the scale factor with the temperature of the gyro
+        above 25 degC.
+    acceleration_ppm_per_g: Change with the specific force along the input axis.
+    ageing_ppm_per_1000_h: Change with the hours of operation.
 
     Notes
     -----
@@ -112,12 +100,9 @@ class ScaleEffect:
 
     Parameters
     ----------
-    scale : Scale
-        What is planted.
-    seeds : Seeds
-        Of the power-on.
-    age_h : float
-        Hours of operation before this power-on.
+    scale: What is planted.
+    seeds: Of the power-on.
+    age_h: Hours of operation before this power-on.
     """
 
     def __init__(self, scale: Scale, seeds: Seeds, age_h: float) -> None:

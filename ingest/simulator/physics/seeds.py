@@ -10,12 +10,9 @@ class Seeds:
 
     Parameters
     ----------
-    seed : int
-        Of the fleet, not negative.
-    unit : str
-        Serial number.
-    power_on, day : int
-        Number of the power-on and of the day it falls on, not negative.
+    seed: Of the fleet, not negative.
+    unit: Serial number.
+    power_on, day: Number of the power-on and of the day it falls on, not negative.
 
     Examples
     --------

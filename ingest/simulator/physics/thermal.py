@@ -19,10 +19,9 @@ class TemperatureRate(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
     Parameters
     ----------
-    deg_per_h_per_deg_c_per_min : float
-        Bias for every degC/min.
-    time_constant_s : float
-        How fast the gradient in the coil follows; on a ramp the effect has its full size after a few of these.
+    deg_per_h_per_deg_c_per_min: Bias for every degC/min.
+    time_constant_s: How fast the gradient in the coil follows; on a ramp the effect has its full size after a few of
+        these.
 
     Notes
     -----
@@ -41,12 +40,9 @@ class Hysteresis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     Parameters
     ----------
-    half_loop_deg_per_h : float
-        Bias on the warming branch; on the cooling branch it is the negative of it.
-    width_deg_c : float
-        How far the temperature must turn back until the other branch is reached.
-    start : float
-        Where in the loop the gyro stands at power-on: -1 as if cooled before, +1 as if warmed.
+    half_loop_deg_per_h: Bias on the warming branch; on the cooling branch it is the negative of it.
+    width_deg_c: How far the temperature must turn back until the other branch is reached.
+    start: Where in the loop the gyro stands at power-on: -1 as if cooled before, +1 as if warmed.
 
     Notes
     -----
@@ -66,14 +62,11 @@ class Thermal(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     Parameters
     ----------
-    lag_s : float
-        Time constant with which the gyro's own temperature follows that at the housing; 0 is at once.
-    bias_polynomial_deg_per_h : list of floats
-        Bias for every degC above 25 degC, for its square, its cube and so on; the units are deg/h/degC, deg/h/degC^2...
-    rate : TemperatureRate, optional
-        Bias by the rate of temperature.
-    hysteresis : list of Hysteresis
-        Loops.
+    lag_s: Time constant with which the gyro's own temperature follows that at the housing; 0 is at once.
+    bias_polynomial_deg_per_h: Bias for every degC above 25 degC, for its square, its cube and so on; the units are
+        deg/h/degC, deg/h/degC^2...
+    rate: Bias by the rate of temperature.
+    hysteresis: Loops.
 
     Notes
     -----
@@ -124,8 +117,7 @@ class Lag:
 
     Parameters
     ----------
-    time_constant_s, interval_s : float
-        Time constant and sample interval.
+    time_constant_s, interval_s: Time constant and sample interval.
 
     Notes
     -----
@@ -151,10 +143,8 @@ class ThermalEffect:
 
     Parameters
     ----------
-    thermal : Thermal
-        What is planted.
-    interval_s : float
-        Sample interval.
+    thermal: What is planted.
+    interval_s: Sample interval.
     """
 
     def __init__(self, thermal: Thermal, interval_s: float) -> None:

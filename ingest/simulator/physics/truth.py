@@ -60,19 +60,14 @@ def write_truth(path: Path, plan: Plan, *, power_ons: int, duration_s: float) ->
 
     Parameters
     ----------
-    path : Path
-        The file; it is there whole or not at all.
-    plan : Plan
-        The fleet.
-    power_ons : int
-        How many of each unit.
-    duration_s : float
-        How long each lasts.
+    path: The file; it is there whole or not at all.
+    plan: The fleet.
+    power_ons: How many of each unit.
+    duration_s: How long each lasts.
 
     Raises
     ------
-    BadInput
-        If a number is negative or the file cannot be written.
+    BadInput: If a number is negative or the file cannot be written.
     """
     write_lines(path, each_power_on(plan, power_ons), duration_s)
 

@@ -22,16 +22,11 @@ class SimulatedChamber(SimulatedDevice):
 
     Parameters
     ----------
-    clock : StationClock
-        The station's clock.
-    start_deg_c : float
-        Temperature at the start.
-    ramp_deg_c_per_min : float
-        How fast the controller's ramp moves to the temperature that is set.
-    lag_s : float
-        Time constant with which the air follows the ramp.
-    lowest_deg_c, highest_deg_c : float
-        What can be set.
+    clock: The station's clock.
+    start_deg_c: Temperature at the start.
+    ramp_deg_c_per_min: How fast the controller's ramp moves to the temperature that is set.
+    lag_s: Time constant with which the air follows the ramp.
+    lowest_deg_c, highest_deg_c: What can be set.
 
     Notes
     -----

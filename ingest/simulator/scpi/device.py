@@ -34,12 +34,10 @@ class SimulatedDevice:
 
     Parameters
     ----------
-    identity : str
-        Its answer to ``*IDN?``.
-    clock : StationClock
-        The station's clock.
-    settings, queries : mapping
-        Handlers by header, in SCPI's manner: ``TEMPerature:SETPoint`` is TEMP:SETP as well. A setting takes one number.
+    identity: Its answer to ``*IDN?``.
+    clock: The station's clock.
+    settings, queries: Handlers by header, in SCPI's manner: ``TEMPerature:SETPoint`` is TEMP:SETP as well. A setting
+        takes one number.
 
     Examples
     --------
@@ -126,8 +124,7 @@ def within(value: float, low: float, high: float) -> float:
 
     Raises
     ------
-    Refused
-        If it is not.
+    Refused: If it is not.
     """
     if not low <= value <= high:
         raise Refused('-222,"Data out of range"')

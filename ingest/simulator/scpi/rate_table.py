@@ -25,14 +25,10 @@ class SimulatedRateTable(SimulatedDevice):
 
     Parameters
     ----------
-    clock : StationClock
-        The station's clock.
-    max_rate_deg_per_s, acceleration_deg_per_s2 : float
-        What it can do.
-    positioning_rate_deg_per_s : float
-        How fast it turns to a position.
-    ripple_deg_per_s, ripple_hz : float
-        Amplitude and frequency of a sine on the rate while it turns; at rest there is none.
+    clock: The station's clock.
+    max_rate_deg_per_s, acceleration_deg_per_s2: What it can do.
+    positioning_rate_deg_per_s: How fast it turns to a position.
+    ripple_deg_per_s, ripple_hz: Amplitude and frequency of a sine on the rate while it turns; at rest there is none.
 
     Notes
     -----

@@ -17,17 +17,13 @@ class ScpiServer:
 
     Parameters
     ----------
-    devices : mapping of str to SimulatedDevice
-        The instruments by name.
-    host : str
-        Address to listen at.
-    ports : mapping of str to int, optional
-        Port of an instrument; any free one by default.
+    devices: The instruments by name.
+    host: Address to listen at.
+    ports: Port of an instrument; any free one by default.
 
     Raises
     ------
-    BadInput
-        If a port is taken.
+    BadInput: If a port is taken.
 
     Examples
     --------

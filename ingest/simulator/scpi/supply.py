@@ -22,14 +22,10 @@ class SimulatedSupply(SimulatedDevice):
 
     Parameters
     ----------
-    clock : StationClock
-        The station's clock.
-    load_ohm : float
-        What hangs on it.
-    rise_s : float
-        Time constant with which the voltage follows.
-    max_voltage_v, max_current_a : float
-        What can be set.
+    clock: The station's clock.
+    load_ohm: What hangs on it.
+    rise_s: Time constant with which the voltage follows.
+    max_voltage_v, max_current_a: What can be set.
 
     Examples
     --------

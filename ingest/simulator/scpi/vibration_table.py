@@ -26,14 +26,10 @@ class SimulatedVibrationTable(SimulatedDevice):
 
     Parameters
     ----------
-    clock : StationClock
-        The station's clock, which is the trace's.
-    swell_s : float
-        Time constant with which the amplitude follows what is set.
-    trace_hz : float
-        Samples a second of the trace, which holds the last 8192.
-    max_amplitude_deg_per_s, max_frequency_hz : float
-        What can be set.
+    clock: The station's clock, which is the trace's.
+    swell_s: Time constant with which the amplitude follows what is set.
+    trace_hz: Samples a second of the trace, which holds the last 8192.
+    max_amplitude_deg_per_s, max_frequency_hz: What can be set.
 
     Notes
     -----

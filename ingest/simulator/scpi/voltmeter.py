@@ -19,14 +19,10 @@ class SimulatedVoltmeter(SimulatedDevice):
 
     Parameters
     ----------
-    clock : StationClock
-        The station's clock.
-    source_v : callable, optional
-        Voltage at its input at times, V, shape (n,); by default 1 V.
-    noise_v : float
-        Standard deviation of a reading of 1 NPLC, V; it falls with the root of the averaging time.
-    seed : int
-        Of the noise.
+    clock: The station's clock.
+    source_v: Voltage at its input at times, V, shape (n,); by default 1 V.
+    noise_v: Standard deviation of a reading of 1 NPLC, V; it falls with the root of the averaging time.
+    seed: Of the noise.
 
     Examples
     --------

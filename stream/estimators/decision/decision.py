@@ -132,8 +132,7 @@ class AllanDecision(_Looks):
 
     Parameters
     ----------
-    plan : DecisionPlan
-        The plan.
+    plan: The plan.
 
     Notes
     -----
@@ -168,15 +167,12 @@ class AllanDecision(_Looks):
 
         Parameters
         ----------
-        elapsed_s : float
-            Time since the first sample, gaps included, seconds.
-        point : EstimatePoint or None
-            The estimate at the plan's tau; None if there is none.
+        elapsed_s: Time since the first sample, gaps included, seconds.
+        point: The estimate at the plan's tau; None if there is none.
 
         Raises
         ------
-        EstimatorError
-            If time or n run backwards, or do not fit the plan.
+        EstimatorError: If time or n run backwards, or do not fit the plan.
         """
         if self.decision is not None:
             return self.decision
@@ -241,8 +237,7 @@ class BiasStabilityDecision(_Looks):
 
     Parameters
     ----------
-    plan : DecisionPlan
-        The plan; its error probability, looks and windows per tau are not used.
+    plan: The plan; its error probability, looks and windows per tau are not used.
 
     Notes
     -----

@@ -40,10 +40,8 @@ def bounds(final_edf: float, error_probability: float) -> Bounds:
 
     Parameters
     ----------
-    final_edf : float
-        Least equivalent degrees of freedom of the Allan variance when the test is finished.
-    error_probability : float
-        One of `PROMISES`.
+    final_edf: Least equivalent degrees of freedom of the Allan variance when the test is finished.
+    error_probability: One of `PROMISES`.
 
     Notes
     -----
@@ -82,10 +80,8 @@ def simulated_ratios(averages: int, runs: int = RUNS) -> FloatArray:
 
     Parameters
     ----------
-    averages : int
-        T/tau.
-    runs : int
-        Simulated tests; the first of them do not depend on how many follow.
+    averages: T/tau.
+    runs: Simulated tests; the first of them do not depend on how many follow.
 
     Returns
     -------

@@ -37,28 +37,20 @@ class DecisionPlan:
 
     Parameters
     ----------
-    tau_s : float
-        Averaging time at which the limit holds, seconds; one that the estimator has.
-    limit : float
-        Upper limit of the deviation, in the unit of the points.
-    duration_s : float
-        Planned duration of the test, seconds from the first sample, at least 2 tau.
-    error_probability : float
-        Promised probability of a wrong PASS, and of a wrong FAIL, by the bounds: 0.01 or 0.05.
-    looks : tuple of int
-        Planned looks, in 24ths of the duration: hours of a test of 24 h. The end is always one. Fewer
-        looks use the same bounds, which can only lower the error.
-    windows_per_tau : int
-        tau over the distance of neighbouring windows: 16 in `AllanDeviation` at one point per octave from tau = 16
-        sample intervals on, tau over the interval below that.
-    point_decides : bool
-        Whether the finished test holds the point against the limit. Without, it judges the true deviation:
-        a FAIL is then always within the promise, and a test may end UNDECIDED.
+    tau_s: Averaging time at which the limit holds, seconds; one that the estimator has.
+    limit: Upper limit of the deviation, in the unit of the points.
+    duration_s: Planned duration of the test, seconds from the first sample, at least 2 tau.
+    error_probability: Promised probability of a wrong PASS, and of a wrong FAIL, by the bounds: 0.01 or 0.05.
+    looks: Planned looks, in 24ths of the duration: hours of a test of 24 h. The end is always one. Fewer looks use the
+        same bounds, which can only lower the error.
+    windows_per_tau: tau over the distance of neighbouring windows: 16 in `AllanDeviation` at one point per octave from
+        tau = 16 sample intervals on, tau over the interval below that.
+    point_decides: Whether the finished test holds the point against the limit. Without, it judges the true deviation: a
+        FAIL is then always within the promise, and a test may end UNDECIDED.
 
     Raises
     ------
-    EstimatorError
-        If the plan cannot be carried out; the message says why.
+    EstimatorError: If the plan cannot be carried out; the message says why.
     """
 
     tau_s: float
@@ -104,22 +96,15 @@ class Decision:
 
     Attributes
     ----------
-    outcome : Outcome
-        PASS, FAIL or UNDECIDED.
-    reason_en, reason_zh : str
-        Why, for people.
-    error_probability : float
-        Promised probability of a wrong decision per side, in the sense of `rule`; while undecided, that which an
-        early PASS or FAIL to come will promise.
-    looked_at_fraction : float
-        Part of the planned duration that had passed, at most 1.
-    forecast_s : float or None
-        Expected time of the decision, seconds from the start, should the rest of the test show the
-        present deviation; None if that is not before the end, or decided.
-    forecast_latest_s : float or None
-        The same for the less favourable end of the estimate's interval.
-    rule : Rule
-        What the decision rests on.
+    outcome: PASS, FAIL or UNDECIDED.
+    reason_en, reason_zh: Why, for people.
+    error_probability: Promised probability of a wrong decision per side, in the sense of `rule`; while undecided, that
+        which an early PASS or FAIL to come will promise.
+    looked_at_fraction: Part of the planned duration that had passed, at most 1.
+    forecast_s: Expected time of the decision, seconds from the start, should the rest of the test show the present
+        deviation; None if that is not before the end, or decided.
+    forecast_latest_s: The same for the less favourable end of the estimate's interval.
+    rule: What the decision rests on.
     """
 
     outcome: Outcome

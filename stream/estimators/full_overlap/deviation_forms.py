@@ -27,16 +27,11 @@ class Form(NamedTuple):
 
     Attributes
     ----------
-    weights : tuple of float
-        Weights of adjacent means in a difference.
-    norm : float
-        Sum of their squares: the mean square of a difference of uncorrelated means of variance 1.
-    reach : int
-        Averaging times that one term of the sum spans.
-    is_overlapped : bool
-        Whether a term begins at every sample or once an averaging time.
-    name, chinese : str
-        Names for people.
+    weights: Weights of adjacent means in a difference.
+    norm: Sum of their squares: the mean square of a difference of uncorrelated means of variance 1.
+    reach: Averaging times that one term of the sum spans.
+    is_overlapped: Whether a term begins at every sample or once an averaging time.
+    name, chinese: Names for people.
     """
 
     weights: tuple[float, ...]

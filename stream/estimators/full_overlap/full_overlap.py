@@ -31,15 +31,13 @@ class FullOverlap:
 
     Parameters
     ----------
-    folder : Path, optional
-        Where the sums of a record of more than 4 million samples lie while it is evaluated, 8 bytes a sample, and 2
+    folder: Where the sums of a record of more than 4 million samples lie while it is evaluated, 8 bytes a sample, and 2
         more where one is missing nearby; the system's folder for temporary files if none is named. The file has no
         name; `close` or leaving the ``with`` frees it.
 
     Attributes
     ----------
-    confidence : float
-        Confidence level of the limits of a point.
+    confidence: Confidence level of the limits of a point.
 
     Notes
     -----
@@ -133,10 +131,9 @@ class FullOverlap:
 
         Raises
         ------
-        EstimatorError
-            If the batch is of another signal, unit of measure or sample interval than those before it, if far more
-            slots than samples would have to be kept, if there is no room for them, or after `close`. The record is
-            closed by the latter three.
+        EstimatorError: If the batch is of another signal, unit of measure or sample interval than those before it, if
+            far more slots than samples would have to be kept, if there is no room for them, or after `close`. The
+            record is closed by the latter three.
         """
         who = f"run {batch.run}, unit {batch.unit}, signal {batch.signal}"
         if not self._is_open:
@@ -169,18 +166,14 @@ class FullOverlap:
 
         Parameters
         ----------
-        kind : Deviation
-            Which.
-        points_per_octave : int
-            1, 2, 4 or 8 averaging times in an octave, those of `AllanDeviation`.
-        factors : sequence of int, optional
-            Averaging times in sample intervals, instead.
+        kind: Which.
+        points_per_octave: 1, 2, 4 or 8 averaging times in an octave, those of `AllanDeviation`.
+        factors: Averaging times in sample intervals, instead.
 
         Raises
         ------
-        EstimatorError
-            If `points_per_octave` is another number, a factor is less than 1, there is no room on disk, or after
-            `close`.
+        EstimatorError: If `points_per_octave` is another number, a factor is less than 1, there is no room on disk, or
+            after `close`.
         """
         unit, signal, _ = self._signal
         who = f"unit {unit}, signal {signal}"
@@ -275,8 +268,7 @@ def averaging_factors(points_per_octave: int, largest: int) -> list[int]:
 
     Raises
     ------
-    EstimatorError
-        If `points_per_octave` is not 1, 2, 4 or 8.
+    EstimatorError: If `points_per_octave` is not 1, 2, 4 or 8.
 
     Examples
     --------

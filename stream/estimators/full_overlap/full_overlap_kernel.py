@@ -157,16 +157,12 @@ def differences(
 
     Parameters
     ----------
-    record : Record
-        The record.
-    factor : int
-        Slots of a window.
-    weights : ndarray, shape (2,) or (3,)
-        What the means of the windows are multiplied by: -1, 1 for Allan, 1, -2, 1 for Hadamard.
-    share : float
-        A window counts if it holds this share of its samples.
-    first, stop, step : int
-        Slots at which the first window begins.
+    record: The record.
+    factor: Slots of a window.
+    weights: shape (2,) or (3,); what the means of the windows are multiplied by: -1, 1 for Allan, 1, -2, 1 for
+        Hadamard.
+    share: A window counts if it holds this share of its samples.
+    first, stop, step: Slots at which the first window begins.
 
     Returns
     -------

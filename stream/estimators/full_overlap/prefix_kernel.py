@@ -19,20 +19,14 @@ class Record(NamedTuple):
 
     Attributes
     ----------
-    sums : ndarray, shape (R, B)
-        Sums from the first slot of a block to each of its slots, that one excluded.
-    counts : ndarray of uint16, shape (C, B)
-        How many samples they hold.
-    rows : ndarray of int64, shape (blocks, 2)
-        Rows of `sums` and `counts` that belong to a block.
-    before : ndarray of int64, shape (blocks,)
-        Samples before a block.
-    high, low : ndarray, shape (blocks,)
-        Sum before a block, `mean` taken off every sample; the second is what the first has lost by rounding.
-    mean : float
-        About the mean of the record over its reference; NaN if the sums are too large for a number.
-    slots : int
-        N.
+    sums: shape (R, B); sums from the first slot of a block to each of its slots, that one excluded.
+    counts: shape (C, B); how many samples they hold.
+    rows: shape (blocks, 2); rows of `sums` and `counts` that belong to a block.
+    before: shape (blocks,); samples before a block.
+    high, low: shape (blocks,); sum before a block, `mean` taken off every sample; the second is what the first has lost
+        by rounding.
+    mean: About the mean of the record over its reference; NaN if the sums are too large for a number.
+    slots: N.
     """
 
     sums: FloatArray

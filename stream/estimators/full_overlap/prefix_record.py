@@ -22,14 +22,12 @@ class PrefixRecord:
 
     Parameters
     ----------
-    folder : Path, optional
-        Where they lie beyond 4 million samples, the system's folder for temporary files if none is named: 8 bytes a
+    folder: Where they lie beyond 4 million samples, the system's folder for temporary files if none is named: 8 bytes a
         slot and 2 more in blocks of 4096 where one is missing. A block without any sample takes no room.
 
     Raises
     ------
-    OSError
-        From `extend` and `record`, if the folder cannot be written or is full.
+    OSError: From `extend` and `record`, if the folder cannot be written or is full.
 
     Examples
     --------

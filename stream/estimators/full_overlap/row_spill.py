@@ -13,20 +13,15 @@ class RowSpill:
 
     Parameters
     ----------
-    width : int
-        Numbers in a row.
-    dtype : type
-        Their type.
-    memory_rows : int
-        So many rows stay in memory.
-    folder : Path, optional
-        Where the file lies, the system's folder for temporary files if none is named. The file has no name there and
-        its room is free again when it is closed or the process ends, however it ends.
+    width: Numbers in a row.
+    dtype: Their type.
+    memory_rows: So many rows stay in memory.
+    folder: Where the file lies, the system's folder for temporary files if none is named. The file has no name there
+        and its room is free again when it is closed or the process ends, however it ends.
 
     Raises
     ------
-    OSError
-        From `append` and `array`, if the folder cannot be written or is full.
+    OSError: From `append` and `array`, if the folder cannot be written or is full.
 
     Examples
     --------

@@ -34,16 +34,14 @@ class AveragesState(NamedTuple):
 
     Attributes
     ----------
-    places : ndarray of int64, shape (8,)
-        Block being filled and the samples in it; the last block that became an average; averages; pairs of
-        neighbouring averages; the block that a part began within, and the samples it has of it; the first block that
+    places: shape (8,); block being filled and the samples in it; the last block that became an average; averages; pairs
+        of neighbouring averages; the block that a part began within, and the samples it has of it; the first block that
         became an average.
-    numbers : ndarray, shape (11,)
-        Sum of the block being filled; mean and sum of squares of the averages, and the last of them; over the pairs
-        mean and sum of squares of the earlier and of the later average, and the sum of their products; sum of the
-        block that a part began within; the first average.
-    ring, ring_blocks : ndarray of float64 and int64, shape (W,)
-        The averages of the last W blocks and their blocks, block b at place b modulo W; for a rolling window.
+    numbers: shape (11,); sum of the block being filled; mean and sum of squares of the averages, and the last of them;
+        over the pairs mean and sum of squares of the earlier and of the later average, and the sum of their products;
+        sum of the block that a part began within; the first average.
+    ring, ring_blocks: shape (W,); the averages of the last W blocks and their blocks, block b at place b modulo W; for
+        a rolling window.
     """
 
     places: IntArray

@@ -15,8 +15,7 @@ def kernel_part(*fastmath: str) -> Callable[[F], F]:
 
     Parameters
     ----------
-    *fastmath : str
-        Liberties that the compiler may take with floating-point numbers, such as "reassoc".
+    *fastmath: Liberties that the compiler may take with floating-point numbers, such as "reassoc".
     """
     decorate: Callable[[F], F] = njit(  # type: ignore[call-overload]  # numba's stubs know neither wrapper option
         nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, fastmath=set(fastmath)

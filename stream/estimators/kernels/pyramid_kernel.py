@@ -34,14 +34,13 @@ class PyramidState(NamedTuple):
 
     Attributes
     ----------
-    tails, heads : ndarray, shape (K, 2, H)
-        Sums and counts of the last and of the first blocks, oldest first; counts that were never written say "full".
-        An even block at the end of a tail waits for its odd neighbour; an odd one that heads a level has none.
-    squares, windows : ndarray, shape (K, L)
-        Sum of D**2, and how many, for each lag n: D is the difference of two adjacent means of n blocks, times their
-        slots.
-    places : ndarray of int64, shape (K, 5)
-        Index of the first block and of the next; blocks in the tail and in the head; whether the tail's are all full.
+    tails, heads: shape (K, 2, H); sums and counts of the last and of the first blocks, oldest first; counts that were
+        never written say "full". An even block at the end of a tail waits for its odd neighbour; an odd one that heads
+        a level has none.
+    squares, windows: shape (K, L); sum of D**2, and how many, for each lag n: D is the difference of two adjacent means
+        of n blocks, times their slots.
+    places: shape (K, 5); index of the first block and of the next; blocks in the tail and in the head; whether the
+        tail's are all full.
     """
 
     tails: FloatArray

@@ -28,14 +28,11 @@ class Coefficient(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    value, lo, hi : float
-        Estimate and limits in `unit_of_measure`, never negative; `lo` is 0 where the curve does without the term.
-    unit_of_measure : str
-        arcsec, deg/sqrt(h), deg/h, deg/h/sqrt(h) or deg/h/h.
-    observable : bool
-        Whether the record shows the term; if not, `hi` is what the record leaves room for.
-    reason : str
-        Why it is not observable, empty if it is.
+    value, lo, hi: Estimate and limits in `unit_of_measure`, never negative; `lo` is 0 where the curve does without the
+        term.
+    unit_of_measure: arcsec, deg/sqrt(h), deg/h, deg/h/sqrt(h) or deg/h/h.
+    observable: Whether the record shows the term; if not, `hi` is what the record leaves room for.
+    reason: Why it is not observable, empty if it is.
     """
 
     value: float
@@ -51,10 +48,8 @@ class Markov(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    amplitude : Coefficient
-        q of IEEE 952, deg/h/sqrt(h); the standard deviation of the noise is q sqrt(correlation time/2).
-    correlation_s, correlation_lo_s, correlation_hi_s : float
-        Correlation time and its limits, seconds.
+    amplitude: q of IEEE 952, deg/h/sqrt(h); the standard deviation of the noise is q sqrt(correlation time/2).
+    correlation_s, correlation_lo_s, correlation_hi_s: Correlation time and its limits, seconds.
     """
 
     amplitude: Coefficient
@@ -68,17 +63,12 @@ class NoiseFit(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    quantization_noise, angle_random_walk, bias_instability, rate_random_walk, rate_ramp : Coefficient
-        The five terms.
-    markov : Markov or None
-        The sixth, where the curve asks for it.
-    confidence : float
-        Level of all limits.
-    points : int
-        How many averaging times were used.
-    misfit : float
-        Relative standard deviation, root mean square over these, by which the Allan deviation departs from the model
-        beyond its own scatter; 0 where the model fits. The limits allow for it.
+    quantization_noise, angle_random_walk, bias_instability, rate_random_walk, rate_ramp: The five terms.
+    markov: The sixth, where the curve asks for it.
+    confidence: Level of all limits.
+    points: How many averaging times were used.
+    misfit: Relative standard deviation, root mean square over these, by which the Allan deviation departs from the
+        model beyond its own scatter; 0 where the model fits. The limits allow for it.
     """
 
     quantization_noise: Coefficient
@@ -97,11 +87,9 @@ def fit_noise(points: Sequence[EstimatePoint], *, confidence: float = 0.95) -> N
 
     Parameters
     ----------
-    points : sequence of EstimatePoint
-        Overlapping Allan deviation in deg/h at any averaging times; points of 0, or of less than 1 degree of freedom,
-        are left out.
-    confidence : float
-        Level of the limits.
+    points: Overlapping Allan deviation in deg/h at any averaging times; points of 0, or of less than 1 degree of
+        freedom, are left out.
+    confidence: Level of the limits.
 
     Returns
     -------
@@ -110,8 +98,7 @@ def fit_noise(points: Sequence[EstimatePoint], *, confidence: float = 0.95) -> N
 
     Raises
     ------
-    EstimatorError
-        If `confidence` is not between 0 and 1.
+    EstimatorError: If `confidence` is not between 0 and 1.
 
     Notes
     -----

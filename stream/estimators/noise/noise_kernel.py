@@ -97,10 +97,8 @@ def nonnegative_least_squares(matrix: FloatArray, target: FloatArray) -> FloatAr
 
     Parameters
     ----------
-    matrix : ndarray, shape (n, p)
-        Columns of about unit length.
-    target : ndarray, shape (n,)
-        Right-hand side.
+    matrix: shape (n, p); columns of about unit length.
+    target: shape (n,); right-hand side.
 
     Examples
     --------

@@ -18,14 +18,11 @@ class CurveLikelihood:
 
     Parameters
     ----------
-    columns : ndarray, shape (n, p)
-        Terms x, positive.
-    variances, degrees : ndarray, shape (n,)
-        Allan variances, positive, and their equivalent degrees of freedom.
-    correlation : ndarray, shape (n, n)
-        Correlation of the variances.
-    excess : ndarray, shape (n,), optional
-        Relative variance by which the curve departs from any such model beyond its scatter; see `widened`.
+    columns: shape (n, p); terms x, positive.
+    variances, degrees: shape (n,); allan variances, positive, and their equivalent degrees of freedom.
+    correlation: shape (n, n); correlation of the variances.
+    excess: shape (n,); relative variance by which the curve departs from any such model beyond its scatter; see
+        `widened`.
 
     Notes
     -----

@@ -22,14 +22,10 @@ class Offer(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    correlation_s, lo_s, hi_s : float
-        Correlation time and its limits, seconds.
-    gain : float
-        By how much it lowers the deviance.
-    inflation : float
-        Variance of its amplitude over that of independent points, at least 1.
-    bound : float
-        Wanted is what gains more than this over its inflation; infinite at the shortest correlation time sought.
+    correlation_s, lo_s, hi_s: Correlation time and its limits, seconds.
+    gain: By how much it lowers the deviance.
+    inflation: Variance of its amplitude over that of independent points, at least 1.
+    bound: Wanted is what gains more than this over its inflation; infinite at the shortest correlation time sought.
     """
 
     correlation_s: float
@@ -51,12 +47,9 @@ def best_markov(
 
     Parameters
     ----------
-    taus_s, variances : ndarray, shape (n,)
-        The curve, at least six points.
-    likelihood : CurveLikelihood
-        That of the five terms.
-    quantile : float
-        Of chi-square with 1 degree of freedom, for the limits.
+    taus_s, variances: shape (n,); the curve, at least six points.
+    likelihood: That of the five terms.
+    quantile: Of chi-square with 1 degree of freedom, for the limits.
 
     Notes
     -----

@@ -16,10 +16,8 @@ def admitted(likelihood: CurveLikelihood, taus_s: FloatArray) -> list[CurveLikel
 
     Parameters
     ----------
-    likelihood : CurveLikelihood
-        That of terms, the curve's scatter its only error.
-    taus_s : ndarray, shape (n,)
-        Averaging times, ascending.
+    likelihood: That of terms, the curve's scatter its only error.
+    taus_s: shape (n,); averaging times, ascending.
 
     Notes
     -----

@@ -26,14 +26,10 @@ class Term(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    key, symbol : str
-        Its name in files and its letter in IEEE 952.
-    names : Mapping
-        Its names for people, by language: ``en`` and ``zh``.
-    unit_of_measure : str
-        Unit it is reported in.
-    per_si : float
-        Factor from deg/h and seconds to `unit_of_measure`.
+    key, symbol: Its name in files and its letter in IEEE 952.
+    names: Its names for people, by language: ``en`` and ``zh``.
+    unit_of_measure: Unit it is reported in.
+    per_si: Factor from deg/h and seconds to `unit_of_measure`.
     """
 
     key: str
@@ -160,10 +156,8 @@ def correlations(taus_s: FloatArray, parts: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    taus_s : ndarray, shape (n,)
-        Averaging times, ascending, the first the sample interval.
-    parts : ndarray, shape (n, 4)
-        Allan variance that noises of the slopes of Q, N, B, K contribute at each.
+    taus_s: shape (n,); averaging times, ascending, the first the sample interval.
+    parts: shape (n, 4); allan variance that noises of the slopes of Q, N, B, K contribute at each.
 
     Returns
     -------

@@ -27,16 +27,12 @@ class Spectrum:
 
     Attributes
     ----------
-    frequency_hz, density, lo, hi : ndarray, shape (n,)
-        Frequency of every bin, density there and its limits; in `unit_of_measure`.
-    unit_of_measure : str
-        ``(deg/h)^2/Hz`` for angular rates.
-    confidence : float
-        Probability that the true density of a bin lies between its limits.
-    edf : float
-        Equivalent degrees of freedom of a bin.
-    segments : int
-        Periodograms averaged.
+    frequency_hz, density, lo, hi: shape (n,); frequency of every bin, density there and its limits; in
+        `unit_of_measure`.
+    unit_of_measure: ``(deg/h)^2/Hz`` for angular rates.
+    confidence: Probability that the true density of a bin lies between its limits.
+    edf: Equivalent degrees of freedom of a bin.
+    segments: Periodograms averaged.
     """
 
     frequency_hz: FloatArray

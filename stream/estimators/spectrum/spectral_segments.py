@@ -25,15 +25,13 @@ class SegmentState(NamedTuple):
 
     Attributes
     ----------
-    places : ndarray of int64, shape (7,)
-        Slot where the part starts; first slot of the segment that is being filled, and how much of it is; segments
-        averaged, and how many of them follow their neighbour; first slots of the first and of the last one averaged.
-    buffer : ndarray, shape (N,)
-        The segment that is being filled; NaN for a slot that is missing or lies before the part.
-    power : ndarray, shape (N/2 + 1,)
-        Sum of the periodograms, not scaled.
-    head : ndarray, shape (0,) or (n,) with N/2 <= n < N
-        Of a part that goes on behind another: its first slots up to the end of the last segment across the seam.
+    places: shape (7,); slot where the part starts; first slot of the segment that is being filled, and how much of it
+        is; segments averaged, and how many of them follow their neighbour; first slots of the first and of the last one
+        averaged.
+    buffer: shape (N,); the segment that is being filled; NaN for a slot that is missing or lies before the part.
+    power: shape (N/2 + 1,); sum of the periodograms, not scaled.
+    head: shape (0,) or (n,); of a part that goes on behind another: its first slots up to the end of the last segment
+        across the seam.
     """
 
     places: IntArray
