@@ -77,11 +77,7 @@ def main() -> None:
         if shared.exists():
             (there / "shared").symlink_to(shared)
         # what reads files that are no Python, and the whole path
-        again = (
-            "tests/laws/test_estimator_laws.py",
-            "tests/laws/test_metric_laws.py",
-            *DEMO,
-        )
+        again = ("tests/laws/test_estimator_laws.py", "tests/laws/test_metric_laws.py", *DEMO)
         run(clean / "python", "-m", "pytest", *PARALLEL, *again, cwd=there / "project")
 
 

@@ -104,13 +104,7 @@ def gyro_separation(readings: Sequence[GyroReading], scale_factor: float) -> Sep
     _, place = np.unique(np.stack([alpha, beta], axis=1), axis=0, return_inverse=True)
     offsets = (place[:, np.newaxis] == np.arange(place.max() + 1)).astype(np.float64)
     design = np.stack(
-        [
-            -driven * np.cos(beta),
-            driven * np.sin(beta),
-            -driven,
-            -driven * np.cos(alpha),
-            driven * np.sin(alpha),
-        ],
+        [-driven * np.cos(beta), driven * np.sin(beta), -driven, -driven * np.cos(alpha), driven * np.sin(alpha)],
         axis=1,
     )
     return _separated(offsets, design, output, ("y0", "x0", "y1", "y2", "z2"), "gyro separation")

@@ -186,11 +186,7 @@ def _lowest_gain(vibration: Vibration) -> float:
 
 
 def _reference(
-    catalog: Catalog,
-    run: str,
-    unit: str,
-    steps: Sequence[Mapping[str, Any]],
-    known: dict[tuple[str, str], _Reference],
+    catalog: Catalog, run: str, unit: str, steps: Sequence[Mapping[str, Any]], known: dict[tuple[str, str], _Reference]
 ) -> _Reference:
     highest_hz = max(step["frequency"] for step in steps)
     for owner, signal, measure, interval_s in catalog.rows(_REFERENCES, {"run": run, "unit": unit}):

@@ -123,7 +123,7 @@ def _tell_next(state: "DemoState", folder: Path, plot: Path) -> None:
     console = results()
     console.print(
         f"{state.samples:,} simulated samples in, {state.samples:,} in the lake, in {state.seconds:.1f} s "
-        f"({state.samples / state.seconds / 1e6:.2f} M samples/s, {state.duration_s / state.seconds:,.0f} x real time)",
+        f"({state.samples / state.seconds / 1e6:.2f} M samples/s, {state.duration_s / state.seconds:,.0f} x real time)"
     )
     console.print(f"log   {folder / 'log'}   {size_mb['log']:.0f} MB of MCAP: the record")
     console.print(f"lake  {folder / 'lake'}  {size_mb['lake']:.0f} MB of Parquet: for any tool that reads it")

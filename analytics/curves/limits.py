@@ -12,15 +12,7 @@ from typing import Annotated, Literal, NamedTuple
 import msgspec
 
 from stream.errors import BadInput, UnknownUnit
-from stream.events import (
-    Check,
-    EstimatePoint,
-    EstimatePublished,
-    Limit,
-    LimitsApplied,
-    Verdict,
-    VerdictGiven,
-)
+from stream.events import Check, EstimatePoint, EstimatePublished, Limit, LimitsApplied, Verdict, VerdictGiven
 from stream.quantities import conversion, is_angular_rate
 from stream.toml_text import decode_toml
 
@@ -188,9 +180,7 @@ def read_curve(points: Sequence[EstimatePoint], tau_s: float) -> Reading:
         )
     w = math.log(tau_s / below.tau_s) / math.log(above.tau_s / below.tau_s)
     return Reading(
-        _between(below.value, above.value, w),
-        _between(below.lo, above.lo, w),
-        _between(below.hi, above.hi, w),
+        _between(below.value, above.value, w), _between(below.lo, above.lo, w), _between(below.hi, above.hi, w)
     )
 
 
@@ -262,13 +252,7 @@ def unit_verdict(checks: Iterable[Check], *, aborted: bool = False) -> Verdict:
 
 
 def judge_unit(
-    table: LimitsTable,
-    estimates: Sequence[EstimatePublished],
-    *,
-    run: str,
-    unit: str,
-    t_ns: int,
-    aborted: bool = False,
+    table: LimitsTable, estimates: Sequence[EstimatePublished], *, run: str, unit: str, t_ns: int, aborted: bool = False
 ) -> VerdictGiven:
     """Hold all limits of a table against one unit's estimates of one run; estimates of others are left out.
 

@@ -216,10 +216,7 @@ def _rate_units(steps: pa.Table) -> pa.Table:
             if is_angular_rate(unit):
                 found[unit] = conversion(unit, "deg/h")[0]
     return pa.table(
-        {
-            "unit_of_measure": pa.array(found.keys(), pa.string()),
-            "deg_per_h": pa.array(found.values(), pa.float64()),
-        }
+        {"unit_of_measure": pa.array(found.keys(), pa.string()), "deg_per_h": pa.array(found.values(), pa.float64())}
     )
 
 

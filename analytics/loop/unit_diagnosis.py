@@ -70,11 +70,7 @@ def diagnose_units(
 
 
 def trace_units(
-    read: ReducedUnits,
-    question: Question,
-    *,
-    is_pooled: bool = False,
-    told: Callable[[str], None] = lambda _: None,
+    read: ReducedUnits, question: Question, *, is_pooled: bool = False, told: Callable[[str], None] = lambda _: None
 ) -> UnitsDiagnosis:
     """Trace units that were read.
 

@@ -124,10 +124,7 @@ class CanLogFile:
             yield SignalChunk(piece.route.unit, self._run, piece.plan.signal, piece.times_ns, values)
 
     def batches(
-        self,
-        epoch_of: Callable[[str, str], UUID],
-        keep: Keep | None = None,
-        progress: Progress | None = None,
+        self, epoch_of: Callable[[str, str], UUID], keep: Keep | None = None, progress: Progress | None = None
     ) -> Iterator[SampleBatch | StepStarted | StepEnded]:
         """Batches of samples and the step of each unit around them, numbered from 0 per signal as they are delivered.
 

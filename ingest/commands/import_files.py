@@ -203,11 +203,7 @@ def _warn_of_words(procedure: str | None, position: str | None) -> None:
 
 
 def _stated_place(
-    site: str | None,
-    station: str | None,
-    latitude_deg: float | None,
-    time_zone: str | None,
-    altitude_m: float | None,
+    site: str | None, station: str | None, latitude_deg: float | None, time_zone: str | None, altitude_m: float | None
 ) -> "tuple[Place, dict[str, str]]":
     """Site and station, and what the runs remember of where that stands: by its file, and by options before it."""
     from ingest.station.location import StationLocation

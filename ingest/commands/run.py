@@ -48,8 +48,7 @@ _ONLY_SIMULATED = frozenset({"hours", "rate_hz", "batch", "speed", "seed", "star
 @click.option("--lot", help="Production lot.")
 @click.option("--site", default="local", show_default=True, help="Site the samples come from.")
 @click.option(
-    "--station",
-    help="PROCEDURE: the station's file; with --simulate its name in the data, else `simulated`.",
+    "--station", help="PROCEDURE: the station's file; with --simulate its name in the data, else `simulated`."
 )
 @store_option
 @click.option("--connect", help="Where the recorder listens; by default, where the one listens that writes the store.")

@@ -58,13 +58,7 @@ class ProcedureRun(NamedTuple):
 
 
 def run_procedure(
-    asked: ProcedureRun,
-    folder: Path,
-    connect: str | None,
-    spool_folder: Path,
-    spool_bytes: int,
-    *,
-    as_json: bool,
+    asked: ProcedureRun, folder: Path, connect: str | None, spool_folder: Path, spool_bytes: int, *, as_json: bool
 ) -> int:
     """Carry out a procedure at a station, from where it is; returns the exit code.
 

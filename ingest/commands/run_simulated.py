@@ -10,15 +10,7 @@ import msgspec
 
 from ingest.moment import moment_ns
 from ingest.run.live_run import LiveRun
-from ingest.run.run_path import (
-    RunPath,
-    TroubleWatch,
-    check_spool_name,
-    opened_spool,
-    path_to,
-    recorder_at,
-    spools_of,
-)
+from ingest.run.run_path import RunPath, TroubleWatch, check_spool_name, opened_spool, path_to, recorder_at, spools_of
 from ingest.run.run_state import RunParameters, read_run
 from storage.store import writer_endpoint
 from stream.console import DEFAULT_STORE, Stop, notes, print_json, results, until_stopped

@@ -92,11 +92,7 @@ class StoredSamples:
         sampling = self._signals[chunk.unit, chunk.run, chunk.signal].sampling
         times_ns = chunk.times_ns
         stored_ns, stored = self._knowledge.samples(
-            chunk.unit,
-            chunk.signal,
-            chunk.run,
-            int(times_ns[0]) - sampling.dt_ns,
-            int(times_ns[-1]) + sampling.dt_ns,
+            chunk.unit, chunk.signal, chunk.run, int(times_ns[0]) - sampling.dt_ns, int(times_ns[-1]) + sampling.dt_ns
         )
         if len(stored_ns) == 0:
             return 0

@@ -14,13 +14,7 @@ from stream.events import StepWords
 
 # What instruments can be set to, and in which unit of measure.
 SETTINGS: Mapping[str, str] = MappingProxyType(
-    {
-        "rate": "deg/s",
-        "temperature": "degC",
-        "frequency": "Hz",
-        "amplitude": "deg/s",
-        "angle": "deg",
-    }
+    {"rate": "deg/s", "temperature": "degC", "frequency": "Hz", "amplitude": "deg/s", "angle": "deg"}
 )
 _FIELDS = {
     "rate_deg_per_s": "rate",
@@ -186,12 +180,7 @@ class Planner:
         )
 
     def _words(
-        self,
-        item: Item,
-        said: dict[str, object],
-        settle_s: float,
-        variables: Variables,
-        where: str,
+        self, item: Item, said: dict[str, object], settle_s: float, variables: Variables, where: str
     ) -> StepWords:
         assert item.name is not None
         now = self._state

@@ -145,11 +145,7 @@ class LiveRun:
         self._end_steps(sender, self._measured_until())
         t_ns = self._end_ns if self.state.outcome == "completed" else self._measured_until()
         ended = RunEnded(
-            run=self.state.run,
-            t_ns=t_ns,
-            uid=self._uid("ended"),
-            outcome=self.state.outcome,
-            totals=self._totals(),
+            run=self.state.run, t_ns=t_ns, uid=self._uid("ended"), outcome=self.state.outcome, totals=self._totals()
         )
         sender.send_event(event_key(self.place), ended)
 

@@ -177,12 +177,7 @@ def open_port(address: str, baud: int, layout: FrameLayout, who: str) -> Any:
 
     try:
         return serial.serial_for_url(
-            address,
-            baud,
-            bytesize=layout.data_bits,
-            parity=layout.parity,
-            stopbits=layout.stop_bits,
-            timeout=_LOOK_S,
+            address, baud, bytesize=layout.data_bits, parity=layout.parity, stopbits=layout.stop_bits, timeout=_LOOK_S
         )
     except (OSError, ValueError) as error:  # serial's own errors are OSErrors
         raise InstrumentError(

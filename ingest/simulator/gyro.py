@@ -12,18 +12,8 @@ import msgspec
 import numpy as np
 from numba import njit
 
-from ingest.simulator.chamber import (
-    TEMPERATURE_INTERVAL_NS,
-    ChamberParameters,
-    GyroTemperature,
-    check_numbers,
-)
-from ingest.simulator.noise import (
-    SECONDS_PER_HOUR,
-    flicker_noise,
-    rate_random_walk,
-    white_sd_deg_per_h,
-)
+from ingest.simulator.chamber import TEMPERATURE_INTERVAL_NS, ChamberParameters, GyroTemperature, check_numbers
+from ingest.simulator.noise import SECONDS_PER_HOUR, flicker_noise, rate_random_walk, white_sd_deg_per_h
 from stream.batch import CountArray, FloatArray, SampleBatch
 from stream.errors import BadInput
 from stream.identity import check_name

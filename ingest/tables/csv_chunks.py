@@ -172,10 +172,7 @@ class CsvTable:
                     read_options=arrow_csv.ReadOptions(column_names=self._titles, block_size=_ARROW_BLOCK_BYTES),
                     parse_options=arrow_csv.ParseOptions(delimiter=self._delimiter),
                     convert_options=arrow_csv.ConvertOptions(
-                        column_types=self._types(spare),
-                        null_values=[""],
-                        strings_can_be_null=True,
-                        check_utf8=False,
+                        column_types=self._types(spare), null_values=[""], strings_can_be_null=True, check_utf8=False
                     ),
                 )
             except pa.ArrowInvalid:

@@ -132,10 +132,7 @@ class TableFile:
                     yield SignalChunk(*good.owner, name, times_ns, data.astype(np.int32) if counts[name] else data)
 
     def batches(
-        self,
-        epoch_of: Callable[[str, str], UUID],
-        keep: Keep | None = None,
-        progress: Progress | None = None,
+        self, epoch_of: Callable[[str, str], UUID], keep: Keep | None = None, progress: Progress | None = None
     ) -> Iterator[SampleBatch | StepStarted | StepEnded]:
         """Batches of samples and the steps around them, in time order for each unit and run.
 

@@ -94,13 +94,7 @@ class SamplingGrid:
             self._settle()
         assert self._dt_ns is not None
         return Sampling(
-            self._samples,
-            self._first_ns,
-            self._last_ns,
-            self._dt_ns,
-            self._off_grid,
-            self._worst_ns,
-            self._gaps,
+            self._samples, self._first_ns, self._last_ns, self._dt_ns, self._off_grid, self._worst_ns, self._gaps
         )
 
     def _settle(self) -> None:

@@ -107,11 +107,7 @@ class ParquetTable:
 
     def _open(self) -> pq.ParquetFile:
         return pq.ParquetFile(
-            self._path,
-            buffer_size=_PAGE_BYTES,
-            pre_buffer=False,
-            memory_map=False,
-            page_checksum_verification=True,
+            self._path, buffer_size=_PAGE_BYTES, pre_buffer=False, memory_map=False, page_checksum_verification=True
         )
 
     def _damaged(self, error: Exception) -> BadInput:

@@ -22,9 +22,6 @@ class SampleFile(Protocol):
         """Every sample, signal by signal and block by block."""
 
     def batches(
-        self,
-        epoch_of: Callable[[str, str], UUID],
-        keep: Keep | None = None,
-        progress: Progress | None = None,
+        self, epoch_of: Callable[[str, str], UUID], keep: Keep | None = None, progress: Progress | None = None
     ) -> Iterator[SampleBatch | StepStarted | StepEnded]:
         """Batches of the samples that `keep` asks for, numbered from 0 per signal, and the steps around them."""

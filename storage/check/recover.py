@@ -18,14 +18,7 @@ from storage.log.notes import noted
 from storage.log.recovery import Recovery, examine_segment, salvage_segment
 from storage.log.sequence import LostStretch
 from storage.log.sequence import Place as Position
-from storage.manifests.log import (
-    LOST,
-    ManifestWriter,
-    SegmentEntry,
-    manifest_path,
-    read_log_manifest,
-    rewrite_manifest,
-)
+from storage.manifests.log import LOST, ManifestWriter, SegmentEntry, manifest_path, read_log_manifest, rewrite_manifest
 from storage.segments.records import EVENTS, LogRecord
 from storage.specifications.copies import mend_copies
 from storage.store import Store, WriterLock

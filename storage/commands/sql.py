@@ -11,15 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.table import Table
 
-from stream.console import (
-    csv_text,
-    json_text,
-    notes,
-    print_json,
-    reporting,
-    results,
-    store_option,
-)
+from stream.console import csv_text, json_text, notes, print_json, reporting, results, store_option
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

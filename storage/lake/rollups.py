@@ -64,12 +64,7 @@ def merge(rollup: Rollup, every: int = 1) -> Rollup:
     with np.errstate(over="ignore"):  # squares of numbers beyond 1e154 are infinite
         m2 = np.add.reduceat(rollup.m2 + rollup.n * from_mean**2, starts)
     return Rollup(
-        bucket[starts],
-        n,
-        mean,
-        m2,
-        np.minimum.reduceat(rollup.lo, starts),
-        np.maximum.reduceat(rollup.hi, starts),
+        bucket[starts], n, mean, m2, np.minimum.reduceat(rollup.lo, starts), np.maximum.reduceat(rollup.hi, starts)
     )
 
 

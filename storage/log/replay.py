@@ -15,14 +15,7 @@ from storage.segments.records import LogRecord
 from storage.store import Store
 from stream.errors import NotFound
 from stream.estimators.bias_stability import BiasStability
-from stream.events import (
-    AnyDocument,
-    EarlyDecision,
-    EstimatePublished,
-    NoiseFitted,
-    SpectralLinesFound,
-    decode_event,
-)
+from stream.events import AnyDocument, EarlyDecision, EstimatePublished, NoiseFitted, SpectralLinesFound, decode_event
 from stream.identity import EstimateKey, SampleKey, parse_key
 
 _LISTED = 100

@@ -8,14 +8,7 @@ from typing import NamedTuple
 import msgspec
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    ChunkIndex,
-    McapRecord,
-    MetadataIndex,
-    Schema,
-    Statistics,
-)
+from mcap.records import Channel, ChunkIndex, McapRecord, MetadataIndex, Schema, Statistics
 
 from stream.events import document_schema
 from stream.wire.batches import sample_descriptors

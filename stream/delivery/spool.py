@@ -69,12 +69,7 @@ class Spool:
     """
 
     def __init__(
-        self,
-        folder: Path,
-        *,
-        max_bytes: int = 4 << 30,
-        file_bytes: int = 16 << 20,
-        sync_interval_s: float = 0.2,
+        self, folder: Path, *, max_bytes: int = 4 << 30, file_bytes: int = 16 << 20, sync_interval_s: float = 0.2
     ) -> None:
         self.folder = folder
         self.damages: list[str] = []

@@ -8,13 +8,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from stream.estimators.follower import (
-    EstimatorState,
-    Follower,
-    NoEstimate,
-    contiguous_runs,
-    first_finite,
-)
+from stream.estimators.follower import EstimatorState, Follower, NoEstimate, contiguous_runs, first_finite
 from stream.events import EstimatePoint
 
 __all__ = [

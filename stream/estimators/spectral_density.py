@@ -205,9 +205,5 @@ class SpectralDensity(Follower):
         if not is_finite:
             return NoEstimate(f"unit {unit}, signal {signal}: values too large to be squared; check the source")
         return WelchAverage(
-            density=density,
-            first_bin=FIRST_BIN,
-            bin_width_hz=self.bin_width_hz,
-            segments=self.segments,
-            pairs=pairs,
+            density=density, first_bin=FIRST_BIN, bin_width_hz=self.bin_width_hz, segments=self.segments, pairs=pairs
         )

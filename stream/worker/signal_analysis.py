@@ -13,13 +13,7 @@ from stream.estimators.follower import Follower
 from stream.estimators.noise.noise_fit import fit_noise
 from stream.estimators.snapshot import restore, take_snapshot
 from stream.estimators.spectral_density import SpectralDensity
-from stream.events import (
-    AnyDocument,
-    EstimatePublished,
-    LimitsApplied,
-    NoiseFitted,
-    SpectralLinesFound,
-)
+from stream.events import AnyDocument, EstimatePublished, LimitsApplied, NoiseFitted, SpectralLinesFound
 from stream.identity import Place
 from stream.quantities import ANGULAR_RATE_UNIT
 from stream.wire.batches import WireBatch

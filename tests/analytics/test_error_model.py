@@ -190,12 +190,7 @@ def test_the_whitened_residual_is_that_of_the_dense_covariance(cycled: RunBlocks
         for name, each in cycled.channels.items()
     }
     gappy = replace(
-        cycled,
-        slot=kept,
-        value=rng.normal(0.0, 1.0, 150),
-        n=np.full(150, 9),
-        white_variance=white,
-        channels=channels,
+        cycled, slot=kept, value=rng.normal(0.0, 1.0, 150), n=np.full(150, 9), white_variance=white, channels=channels
     )
     fitted = ErrorModel.parse("bias + temperature").fitted([1.0, 0.1])
     model = NoiseModel(30.0, float(kept[-1] + 1 - kept[0]) * 30.0)

@@ -39,12 +39,7 @@ unit_of_measure = "deg/h"
 
 def point(tau_s: float, value: float, lo: float | None = None, hi: float | None = None) -> EstimatePoint:
     return EstimatePoint(
-        tau_s=tau_s,
-        value=value,
-        lo=value if lo is None else lo,
-        hi=value if hi is None else hi,
-        edf=9.0,
-        n=10,
+        tau_s=tau_s, value=value, lo=value if lo is None else lo, hi=value if hi is None else hi, edf=9.0, n=10
     )
 
 
@@ -132,12 +127,7 @@ def test_no_estimate_is_no_data_with_the_reason() -> None:
         assert (check.verdict, check.reason, check.value) == (Verdict.NO_DATA, reason, None)
 
 
-@given(
-    exponent=st.floats(-1, 1),
-    w=st.floats(0, 1),
-    tau_s=st.floats(1e-3, 1e5),
-    ratio=st.floats(1.1, 10),
-)
+@given(exponent=st.floats(-1, 1), w=st.floats(0, 1), tau_s=st.floats(1e-3, 1e5), ratio=st.floats(1.1, 10))
 def test_a_power_law_is_read_exactly_between_its_points(exponent: float, w: float, tau_s: float, ratio: float) -> None:
     taus = (tau_s, tau_s * ratio)
     at = tau_s * ratio**w
@@ -178,10 +168,7 @@ def test_the_worst_check_is_the_units_verdict() -> None:
 
 def test_a_unit_is_judged_by_its_own_estimates() -> None:
     table = parse_limits(GOOD, "x.toml")
-    estimates = [
-        published(point(10.0, 0.1), unit="FOG-1"),
-        published(point(10.0, 9.0), unit="FOG-2", t_ns=9),
-    ]
+    estimates = [published(point(10.0, 0.1), unit="FOG-1"), published(point(10.0, 9.0), unit="FOG-2", t_ns=9)]
     given_1 = judge_unit(table, estimates, run="r1", unit="FOG-1", t_ns=5)
     assert (given_1.verdict, given_1.t_ns, len(given_1.checks)) == (Verdict.PASS, 5, 1)
     assert judge_unit(table, estimates, run="r1", unit="FOG-2", t_ns=5).verdict is Verdict.FAIL
@@ -257,9 +244,4 @@ def test_the_demo_fleet_is_judged_as_planted() -> None:
     assert {unit: given.verdict for unit, given in verdicts.items()} == dict.fromkeys(verdicts, Verdict.PASS)
     assert [check.verdict for check in worse.checks[:3]] == [Verdict.FAIL] * 3
     assert [check.verdict for check in drifting.checks] == [*[Verdict.PASS] * 3, Verdict.FAIL]
-    assert [check.verdict for check in marginal.checks] == [
-        Verdict.PASS,
-        Verdict.MARGINAL,
-        Verdict.PASS,
-        Verdict.PASS,
-    ]
+    assert [check.verdict for check in marginal.checks] == [Verdict.PASS, Verdict.MARGINAL, Verdict.PASS, Verdict.PASS]

@@ -7,11 +7,7 @@ import pyarrow as pa
 import pytest
 
 from analytics.evaluation.evaluation import define_views
-from analytics.specifications.entering import (
-    add_specification,
-    specification_named,
-    stored_specifications,
-)
+from analytics.specifications.entering import add_specification, specification_named, stored_specifications
 from analytics.specifications.periods import NEVER, periods_of
 from analytics.specifications.specification import parse_specification
 from analytics.step_records.step_table import step_means
@@ -90,10 +86,7 @@ def test_what_is_not_right_is_refused_and_named(content: bytes, said: list[str])
     assert all(each in str(refused.value) for each in ["fog.toml", *said]), refused.value
 
 
-@pytest.mark.parametrize(
-    ("metric", "unit"),
-    [("bias", "deg/s"), ("bias", "rad/s"), ("bias_stability", "arcsec/s")],
-)
+@pytest.mark.parametrize(("metric", "unit"), [("bias", "deg/s"), ("bias", "rad/s"), ("bias_stability", "arcsec/s")])
 def test_a_unit_that_fits_is_taken(metric: str, unit: str) -> None:
     found = parse_specification(spec(limits=limit(metric=f'"{metric}"', unit_of_measure=f'"{unit}"')), "fog.toml")
     assert found.limits[0].unit_of_measure == unit
@@ -151,12 +144,7 @@ def test_a_revision_ends_where_the_next_begins(store: Store, add: Add) -> None:
     ],
 )  # fmt: skip
 def test_specifications_that_contradict_each_other_are_refused(
-    store: Store,
-    add: Add,
-    first: bytes,
-    name: str,
-    second: bytes,
-    said: str,
+    store: Store, add: Add, first: bytes, name: str, second: bytes, said: str
 ) -> None:
     add("fog.toml", first)
     with pytest.raises(BadInput, match=said):
@@ -174,10 +162,7 @@ def test_specifications_that_contradict_each_other_are_refused(
     ],
 )
 def test_specifications_that_do_not_contradict_each_other_stand_beside_each_other(
-    store: Store,
-    add: Add,
-    more: str,
-    limits: str,
+    store: Store, add: Add, more: str, limits: str
 ) -> None:
     add("fog.toml", spec("A", "valid_until = 2026-06-30", limit(product='"X"')))
     assert add("other.toml", spec("A", more, limits))

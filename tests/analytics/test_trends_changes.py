@@ -40,10 +40,7 @@ def test_the_best_division_is_found() -> None:
     for _ in range(20):
         values = rng.standard_normal(18) + np.repeat([0.0, 4.0, -2.0], 6)
         best = min(
-            (
-                sum(((part - part.mean()) ** 2).sum() for part in np.split(values, cut)),
-                cut,
-            )
+            (sum(((part - part.mean()) ** 2).sum() for part in np.split(values, cut)), cut)
             for cut in itertools.combinations(range(1, 18), 2)
             if min(np.diff([0, *cut, 18])) >= LEAST_SEGMENT
         )

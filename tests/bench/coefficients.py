@@ -44,11 +44,7 @@ class Truth(msgspec.Struct, frozen=True, kw_only=True):
 
 SCENARIOS = {
     "five": Truth(
-        quantization_noise=0.35,
-        angle_random_walk=0.01,
-        bias_instability=0.05,
-        rate_random_walk=0.078,
-        rate_ramp=0.0432,
+        quantization_noise=0.35, angle_random_walk=0.01, bias_instability=0.05, rate_random_walk=0.078, rate_ramp=0.0432
     ),
     "white": Truth(angle_random_walk=0.01),
     "usual": Truth(angle_random_walk=0.01, bias_instability=0.05, rate_random_walk=0.078),

@@ -50,12 +50,7 @@ class Tally:
 
 
 def tallied(
-    plan: DecisionPlan,
-    kind: str,
-    ratios: tuple[float, ...],
-    runs: int,
-    planned_s: FloatArray,
-    latest_s: float = 0.0,
+    plan: DecisionPlan, kind: str, ratios: tuple[float, ...], runs: int, planned_s: FloatArray, latest_s: float = 0.0
 ) -> list[Tally]:
     """Outcomes at each ratio of the true deviation to the limit, with the same draws."""
     rng = np.random.default_rng([20261122, KINDS.index(kind), int(plan.duration_s)])

@@ -32,10 +32,7 @@ _REMOVED = ("gravity_o", "temperature_squared", "scale_factor_cubic", "magnetic_
 
 OUTSIDE: Mapping[str, tuple[tuple[str, ...], Callable[[RunBlocks], FloatArray]]] = {
     "wave of temperature": (("temperature",), lambda run: np.sin(2.0 * np.pi * run.mean("temperature") / 30.0)),
-    "resonance of vibration": (
-        ("vibration",),
-        lambda run: np.exp(-0.5 * ((run.mean("vibration") - 0.9) / 0.15) ** 2),
-    ),
+    "resonance of vibration": (("vibration",), lambda run: np.exp(-0.5 * ((run.mean("vibration") - 0.9) / 0.15) ** 2)),
     "peak of supply": (
         ("supply_voltage",),
         lambda run: np.exp(-0.5 * ((run.mean("supply_voltage") - 12.4) / 0.2) ** 2),

@@ -47,11 +47,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 def test_a_full_disk_stops_recording_and_room_lets_it_go_on(
-    gyrofleet: Callable[..., Any],
-    start: Start,
-    endpoint: str,
-    small_disk: Path,
-    tmp_path: Path,
+    gyrofleet: Callable[..., Any], start: Start, endpoint: str, small_disk: Path, tmp_path: Path
 ) -> None:
     store = small_disk / "store"
     ballast = small_disk / "ballast"

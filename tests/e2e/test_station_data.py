@@ -29,7 +29,7 @@ def test_a_scale_factor_is_measured_as_it_was_planted(
     found = kept.rows(
         "select p.unit, p.rate_command, p.t_start_ns, s.epoch, list(s.value order by s.t_ns) as v, "
         "list(s.t_ns order by s.t_ns) as t from steps p join samples s on s.unit = p.unit and s.signal = 'rate' "
-        "and s.t_ns >= p.t_start_ns + (p.settle * 1e9)::bigint and s.t_ns <= p.t_end_ns group by all order by all",
+        "and s.t_ns >= p.t_start_ns + (p.settle * 1e9)::bigint and s.t_ns <= p.t_end_ns group by all order by all"
     )
     assert len(found) == 48  # of each step one epoch, of each epoch one step
     assert len({row["epoch"] for row in found}) == 48
@@ -70,7 +70,7 @@ def test_a_scale_factor_is_measured_as_it_was_planted(
     turned = kept.rows(
         "select p.rate_command as r, max(abs(s.value - p.rate_command)) as off, count(*) as n from steps p "
         "join samples s on s.unit = 'table' and s.signal = 'table_rate' and s.t_ns between p.t_start_ns and p.t_end_ns "
-        "where p.unit = 'SIM-0001' group by all",
+        "where p.unit = 'SIM-0001' group by all"
     )
     assert len(turned) == 23  # at rest before and after
     assert all(row["off"] <= 2.1e-4 and row["n"] >= 1 for row in turned), turned  # ripple, and rounding to 1e-6

@@ -51,7 +51,7 @@ def test_a_chamber_that_never_settles_is_given_up_and_gone_on_with(
     (found,) = kept.rows(
         "select max(abs(s.value - 40)) as off, count(*) as n from steps p join samples s on s.signal = "
         "'chamber_temperature' and s.t_ns between p.t_start_ns and p.t_end_ns "
-        "where p.temperature_command = 40 and p.outcome = 'completed'",
+        "where p.temperature_command = 40 and p.outcome = 'completed'"
     )
     assert found["n"] > 0
     assert found["off"] < 0.5
@@ -186,11 +186,7 @@ def test_what_is_wrong_in_files_is_said_with_its_place_and_nothing_is_started(
             units,
             "instruments.chamber (a temperature_chamber)",
         ),
-        (
-            text.replace("TCPIP::", "TCPI::", 1),
-            units,
-            "station.toml: instruments.chamber.resource is 'TCPI::",
-        ),
+        (text.replace("TCPIP::", "TCPI::", 1), units, "station.toml: instruments.chamber.resource is 'TCPI::"),
         (text.replace("[station]", "[station"), units, "line 1"),
         (text, "", "it is empty"),
     ]

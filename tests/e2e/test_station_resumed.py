@@ -54,7 +54,7 @@ def test_killed_at_any_moment_nothing_is_there_twice_and_nothing_is_forgotten(
     kept.sound()
     cut = kept.rows(
         "select repeat, outcome, count(distinct unit) as units from steps where outcome <> 'completed' "
-        "group by all order by repeat desc",
+        "group by all order by repeat desc"
     )
     assert {row["outcome"] for row in cut} == {"interrupted"}
     assert cut[0]["repeat"] >= told["steps_done"] >= 2, "it goes on at the step that was cut"

@@ -224,9 +224,7 @@ def test_what_is_no_number_or_comes_twice_is_left_out_and_said() -> None:
     batches: list[SampleBatch] = []
     said: list[str] = []
     instrument = thermometer(
-        1.0,
-        0.02,
-        lambda t_ns: [Reading("temperature", 7, 1.0), Reading("humidity", t_ns, float("nan"))],
+        1.0, 0.02, lambda t_ns: [Reading("temperature", 7, 1.0), Reading("humidity", t_ns, float("nan"))]
     )
     sampler = Sampler(instrument, "r1", EPOCH, batches.append, said.append, batch_s=0.05)
     sampler.start()

@@ -11,12 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ingest.simulator.chamber import ChamberParameters
-from ingest.simulator.gyro import (
-    GyroParameters,
-    SimulatedGyro,
-    demo_fleet,
-    unit_batches,
-)
+from ingest.simulator.gyro import GyroParameters, SimulatedGyro, demo_fleet, unit_batches
 from ingest.simulator.noise import GaussMarkovSum, flicker_noise, rate_random_walk
 from stream.batch import FloatArray
 from stream.errors import BadInput
@@ -84,10 +79,7 @@ def test_flicker_bank_is_flat_in_theory_from_half_a_second_to_a_day() -> None:
 
 def test_rate_random_walk_alone_has_the_slope_of_rate_random_walk() -> None:
     gyro = GyroParameters(
-        unit="K",
-        rate_random_walk_deg_per_h_per_sqrt_h=2.0,
-        scale_deg_per_s_per_count=1e-7,
-        sample_interval_ns=10**9,
+        unit="K", rate_random_walk_deg_per_h_per_sqrt_h=2.0, scale_deg_per_s_per_count=1e-7, sample_interval_ns=10**9
     )
     tau_s = np.array([1.0, 10.0, 100.0, 1000.0, 10_000.0])
     measured = allan_deviation(rate_deg_per_h(gyro, 1_000_000, seed=5), 1.0, tau_s)

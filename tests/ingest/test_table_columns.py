@@ -15,10 +15,7 @@ def test_every_kind_of_column_is_recognised() -> None:
     columns = read_header(Path("a.csv"), titles, TableOptions())
     assert columns.time is not None
     assert columns.time.ns_per_unit == 10**6
-    assert [(signal.name, signal.unit_of_measure) for signal in columns.signals] == [
-        ("rate_x", "deg/s"),
-        ("gain", "1"),
-    ]
+    assert [(signal.name, signal.unit_of_measure) for signal in columns.signals] == [("rate_x", "deg/s"), ("gain", "1")]
     assert (columns.unit, columns.run) == ("unit", "run")
     assert [word.word for word in columns.words] == ["step", "rate_command_deg_per_s", "amplitude"]
 

@@ -151,10 +151,7 @@ def test_random_text(tmp_path: Path, content: str) -> None:
 
 
 @FUZZ
-@given(
-    st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=8),
-    st.integers(0, 10**6),
-)
+@given(st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=8), st.integers(0, 10**6))
 def test_damaged_parquet(tmp_path: Path, flips: list[tuple[int, int]], cut: int) -> None:
     content = bytearray(PARQUET)
     for at, value in flips:

@@ -33,11 +33,7 @@ def test_a_million_rows_at_100_hz(deliver: Tool) -> None:
     end = time.perf_counter()
     assert (summary.rows, summary.bad_rows, summary.date_known) == (1_000_000, 0, False)
     for found in summary.signals:
-        assert (found.sampling.samples, found.sampling.dt_ns, found.sampling.off_grid) == (
-            1_000_000,
-            10**7,
-            0,
-        )
+        assert (found.sampling.samples, found.sampling.dt_ns, found.sampling.off_grid) == (1_000_000, 10**7, 0)
     assert [len(batch) for batch in batches] == [1000] * 6000
     assert all(batch.times_ns is None for batch in batches)
     # 7 million cells at 20 M cells/s, with room for a busy machine

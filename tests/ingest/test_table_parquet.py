@@ -96,10 +96,7 @@ def test_bad_rows_are_named_by_row(write: Tool, said: Tool) -> None:
 @pytest.mark.parametrize(
     ("columns", "message"),
     [
-        (
-            {"time[s]": [0.0], "rate[deg/s]": ["1"]},
-            "column 'rate[deg/s]' holds large_string, expected numbers",
-        ),
+        ({"time[s]": [0.0], "rate[deg/s]": ["1"]}, "column 'rate[deg/s]' holds large_string, expected numbers"),
         ({"time[s]": [0.0], "rate[deg/s]": [True]}, "holds bool, expected numbers"),
         ({"time[s]": [0.0], "rate[deg/s]": [[1.0]]}, "expected numbers"),
         ({"time[s]": [datetime(2026, 1, 1)], "rate[deg/s]": [1.0]}, "holds timestamp"),
@@ -143,12 +140,7 @@ def test_text_that_is_not_utf8_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("block_rows", [1, 7, 64, 10**6])
 @pytest.mark.parametrize("group_rows", [5, 10**6])
 def test_block_size_changes_nothing(
-    tmp_path: Path,
-    deliver: Tool,
-    by_signal: Tool,
-    monkeypatch: pytest.MonkeyPatch,
-    block_rows: int,
-    group_rows: int,
+    tmp_path: Path, deliver: Tool, by_signal: Tool, monkeypatch: pytest.MonkeyPatch, block_rows: int, group_rows: int
 ) -> None:
     n = 400
     generator = np.random.default_rng(3)

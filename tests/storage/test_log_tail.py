@@ -164,10 +164,7 @@ def test_with_nothing_going_on_no_segment_is_read_and_all_is_known(writer: Write
     writer.seal()
     assert first_to_read(writer.store, ["00000001.mcap"]) == 1
     assert writer.from_the_beginning() == []
-    assert writer.tail.beginning().positions == {
-        StreamId(KEY, UUID(int=1).hex): 10,
-        StreamId(event_key(PLACE), "e"): 1,
-    }
+    assert writer.tail.beginning().positions == {StreamId(KEY, UUID(int=1).hex): 10, StreamId(event_key(PLACE), "e"): 1}
 
 
 @pytest.mark.parametrize("read_first", [0, 1, 7, 20])

@@ -33,10 +33,7 @@ KEY = sample_key(PLACE, "U1", "rate")
 def filled(folder: Path) -> Store:
     """A store with one segment, which is in no lake yet."""
     store, bus = Store.create(folder), LocalBus()
-    with (
-        Recorder(store, bus, EventLog(store), builds_lake=False),
-        DurablePublisher(bus) as publisher,
-    ):
+    with Recorder(store, bus, EventLog(store), builds_lake=False), DurablePublisher(bus) as publisher:
         values = np.arange(1000.0)
         publisher.send_batch(KEY, SampleBatch("U1", "rate", "r1", UUID(int=1), 0, 0, 10**6, "deg/s", values=values))
         publisher.drain()

@@ -24,12 +24,7 @@ from stream.estimators.decision.decision import (
     Outcome,
     Rule,
 )
-from stream.estimators.decision.decision_bounds import (
-    AVERAGES,
-    LOOKS,
-    PROMISES,
-    bounds,
-)
+from stream.estimators.decision.decision_bounds import AVERAGES, LOOKS, PROMISES, bounds
 from stream.events import EstimatePoint
 
 R = 16

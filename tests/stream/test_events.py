@@ -47,13 +47,7 @@ def of(kind: type) -> st.SearchStrategy[typing.Any]:
         EstimatePublished: {
             "points": st.lists(
                 st.builds(
-                    EstimatePoint,
-                    tau_s=numbers,
-                    value=numbers,
-                    lo=numbers,
-                    hi=numbers,
-                    edf=numbers,
-                    n=st.integers(0),
+                    EstimatePoint, tau_s=numbers, value=numbers, lo=numbers, hi=numbers, edf=numbers, n=st.integers(0)
                 ),
                 max_size=3,
             ).map(tuple)

@@ -95,8 +95,7 @@ def test_a_signal_that_cannot_be_estimated_says_why_and_harms_no_other(bench: Be
     other = sample_key(PLACE, "U2", "rate")
     values = VALUES[:5000]
     bench.bus.publish(
-        other,
-        encode_batch(SampleBatch("U2", "rate", "r1", UUID(int=2), 0, 0, 10**7, "deg/s", values=values)),
+        other, encode_batch(SampleBatch("U2", "rate", "r1", UUID(int=2), 0, 0, 10**7, "deg/s", values=values))
     )
     bench.bus.publish(KEY, b"garbage")
     bench.end()

@@ -71,10 +71,7 @@ class LiveCompensator:
     """
 
     def __init__(
-        self,
-        registry: ModelRegistry,
-        uses: Uses,
-        begun: Mapping[tuple[str, str, str, str], str] | None = None,
+        self, registry: ModelRegistry, uses: Uses, begun: Mapping[tuple[str, str, str, str], str] | None = None
     ) -> None:
         self._registry = registry
         self._uses = dict(uses)

@@ -162,10 +162,7 @@ def _unreplicated(diagnosis: Diagnosis, words: Wording) -> str:
     parts = [_seen_once(each, diagnosis, words) for each in seen]
     if lasting:
         return words.of(f"Seen and not confirmed: {'; '.join(parts)}.", f"见到但未证实：{'；'.join(parts)}。")
-    return words.of(
-        f"Nothing that repeats: {'; '.join(parts)}.",
-        f"未发现可重现的效应：{'；'.join(parts)}。",
-    )
+    return words.of(f"Nothing that repeats: {'; '.join(parts)}.", f"未发现可重现的效应：{'；'.join(parts)}。")
 
 
 def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
@@ -248,8 +245,7 @@ def _gain(diagnosis: Diagnosis, words: Wording) -> str:
     )
     falls = "falls" if row.gain.is_significant else "goes"
     told = words.of(
-        f", and the RMS error over {seconds} {where[0]} {falls} from {raw}",
-        f"，{where[1]}{seconds}均方根误差由{raw}",
+        f", and the RMS error over {seconds} {where[0]} {falls} from {raw}", f"，{where[1]}{seconds}均方根误差由{raw}"
     )
     if row.gain.runs < 2 or row.gain_within is None:
         return told

@@ -99,8 +99,7 @@ class CanBus:
         self._failures: set[str] = set()
         self._overruns = Losses(self._tell, "had no room and were lost: decoding or delivery is too slow")
         self._interface_overruns = Losses(
-            self._tell,
-            "were lost before they could be read: the computer is too busy or net.core.rmem_max too small",
+            self._tell, "were lost before they could be read: the computer is too busy or net.core.rmem_max too small"
         )
         self._malformed = Losses(self._tell, "are no frames of this bus and were left out: is fd set right")
         self._intake: Intake | None = None

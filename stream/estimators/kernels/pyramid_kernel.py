@@ -261,16 +261,7 @@ def _climb(
                 line[which, i] = tails[level, which, i]
             prefix_sums(line[which, :length], prefix[which])
         accumulate(
-            squares[level],
-            windows[level],
-            lags[min(level, 1)],
-            prefix,
-            filled,
-            length,
-            length,
-            all_full,
-            share,
-            width,
+            squares[level], windows[level], lags[min(level, 1)], prefix, filled, length, length, all_full, share, width
         )
         _keep_ends(tails[level], heads[level], place, line, length, all_full, width)
         made, parents = _pair(line, above[:, history:], place, filled, given, total, all_full, history + 1)

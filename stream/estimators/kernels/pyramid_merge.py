@@ -5,17 +5,7 @@ from numba import njit
 
 from stream.batch import FloatArray, IntArray
 from stream.estimators.kernels.kernel_part import kernel_part
-from stream.estimators.kernels.pyramid_kernel import (
-    COUNT,
-    FILLED,
-    FIRST,
-    FULL,
-    HEADED,
-    NEXT,
-    SUM,
-    accumulate,
-    are_full,
-)
+from stream.estimators.kernels.pyramid_kernel import COUNT, FILLED, FIRST, FULL, HEADED, NEXT, SUM, accumulate, are_full
 from stream.estimators.kernels.pyramid_sums import prefix_sums
 
 

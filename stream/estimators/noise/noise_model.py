@@ -73,11 +73,7 @@ RATE_RANDOM_WALK = Term(
     per_si=60.0,
 )
 RATE_RAMP = Term(
-    key="rate_ramp",
-    symbol="R",
-    names=_names("Rate ramp", "速率斜坡"),
-    unit_of_measure="deg/h/h",
-    per_si=3600.0,
+    key="rate_ramp", symbol="R", names=_names("Rate ramp", "速率斜坡"), unit_of_measure="deg/h/h", per_si=3600.0
 )
 MARKOV_NOISE = Term(
     key="markov_noise",
