@@ -1,4 +1,4 @@
-"""A batch of consecutive samples of one signal: what travels, is kept and is estimated from."""
+"""A batch of consecutive samples of one signal: the unit of transport, storage and estimation."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -30,17 +30,15 @@ class SampleBatch:
 
     Parameters
     ----------
-    unit, signal, run: Whose samples these are.
     epoch: Power-on of the source; `seq` counts within it.
     seq: Number of the first sample within the epoch.
     t0_ns: Time of the first sample, nanoseconds UTC (from 1970, or from the run's start where the date is unknown).
     dt_ns: Nominal sample interval in nanoseconds, at least 1.
     unit_of_measure: Unit of the values.
-    counts: shape (n,); what the device gave, where it gives counts: value = counts * scale + offset.
+    counts: shape (n,); raw counts of the device: value = counts * scale + offset.
     values: shape (n,); the values, where the device gives no counts. Exactly one of `counts` and `values` is set.
     times_ns: shape (n,); true times; None where sample i is at exactly t0_ns + i * dt_ns.
     irregular: True where the samples do not lie within a tenth of an interval of a grid of `dt_ns`.
-    scale, offset: From counts to values.
     flags: shape (n,); set only where a sample of the batch has one.
 
     Raises
@@ -142,7 +140,7 @@ class SampleBatch:
 
     @cached_property
     def own_values(self) -> FloatArray:
-        """The values as machine code takes them, see `writable`."""
+        """The values, writeable, for machine code; see `writable`."""
         return writable(self.value_array)
 
     @cached_property
@@ -172,12 +170,12 @@ def is_moment(t_ns: int) -> bool:
 
 
 def are_moments(times_ns: IntArray | None) -> bool:
-    """Whether all times are; True where there are none."""
+    """Whether all times are between 1897 and 2116."""
     return times_ns is None or (is_moment(int(times_ns.min())) and is_moment(int(times_ns.max())))
 
 
-def checked_batch(parts: dict[str, Any]) -> SampleBatch:
-    """Make a batch of all its parts by name, which fit together: who has ensured it need not have it checked again."""
+def checked_batch(**parts: Any) -> SampleBatch:
+    """A batch of parts that the caller has checked; omitted ones have their defaults."""
     batch = object.__new__(SampleBatch)
     vars(batch).update(parts)
     return batch
@@ -186,7 +184,7 @@ def checked_batch(parts: dict[str, Any]) -> SampleBatch:
 def writable(array: npt.NDArray[Number]) -> npt.NDArray[Number]:
     """The array, copied unless it is contiguous and writeable.
 
-    Arrays off the wire are read-only, which numba takes for another type and would compile its code for once more.
+    Arrays from the wire are read-only: another type to numba, which would compile its code once more.
     """
     flags = array.flags
     return array if flags.c_contiguous and flags.writeable else array.copy()

@@ -10,7 +10,7 @@ from stream.batch import FloatArray
 from stream.clock import GridTracker
 from stream.estimators.base import NoEstimate
 from stream.estimators.noise.noise_fit import Coefficient
-from stream.estimators.random_walk_normalised import MOST_INTERVAL_S, angle_random_walk_normalised
+from stream.estimators.noise.normalised_random_walk import MOST_INTERVAL_S, angle_random_walk_normalised
 from stream.quantities import ANGULAR_RATE_UNIT, report_unit
 
 MOST_SLOTS = 2**24

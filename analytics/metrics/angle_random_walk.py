@@ -14,7 +14,7 @@ from storage.sql.reading import stored_between
 from stream.batch import FloatArray
 from stream.errors import NotFound
 from stream.estimators.base import NoEstimate
-from stream.estimators.random_walk_normalised import angle_random_walk_normalised
+from stream.estimators.noise.normalised_random_walk import angle_random_walk_normalised
 
 HEADER = """\
 -- id:        angle_random_walk

@@ -7,28 +7,23 @@ import numpy as np
 
 from stream.batch import FloatArray, IntArray
 from stream.errors import EstimatorError
-from stream.estimators.base import Estimator, NoEstimate, first_finite
-from stream.estimators.confidence import deviation_limits
-from stream.estimators.kernels.pyramid_kernel import PyramidState, begin_at, empty_state, push
-from stream.estimators.kernels.pyramid_merge import merge
-from stream.estimators.noise_exponent import Identified, identify
+from stream.estimators.base import LEAST_SHARE, NoEstimate, PointEstimator, Points, first_finite
+from stream.estimators.confidence import deviation_bounds
+from stream.estimators.kernels.pyramid_kernel import PyramidState, begin_at, empty_state, merge, push
+from stream.estimators.noise.noise_exponent import Identified, identify
 from stream.events import EstimatePoint
 
 LEVELS = 27
 OVERLAP = 16
-LEAST_SHARE = 0.9
+OCTAVE_DIVISIONS = frozenset({1, 2, 4, 8})
 
 
-class AllanDeviation(Estimator):
+class AllanDeviation(PointEstimator):
     """Overlapping Allan deviation at octaves of the averaging time, in bounded memory.
 
     Parameters
     ----------
-    points_per_octave: 1, 2, 4 or 8 averaging times in an octave.
-
-    Raises
-    ------
-    EstimatorError: If `points_per_octave` is another number.
+    points_per_octave: 1, 2, 4 or 8 averaging times in an octave; another number is an EstimatorError.
 
     Notes
     -----
@@ -41,7 +36,7 @@ class AllanDeviation(Estimator):
     relative to the first valid sample and keep the count of their valid samples. A window counts if it holds at least
     90 % of its samples; the mean of those it holds then stands for all. Taus reach from dt to 2**30 dt and more.
 
-    Limits are by chi-square with the least equivalent degrees of freedom of the noises that are plausible at each
+    Bounds are by chi-square with the least equivalent degrees of freedom of the noises that are plausible at each
     averaging time (`noise_exponent`, `confidence`). Memory: 31 KB at one point per octave.
 
     Examples
@@ -63,8 +58,7 @@ class AllanDeviation(Estimator):
 
     def __init__(self, points_per_octave: int = 1) -> None:
         super().__init__()
-        if points_per_octave not in {1, 2, 4, 8}:
-            raise EstimatorError(f"{points_per_octave} points per octave: the pyramid offers 1, 2, 4 or 8")
+        check_points_per_octave(points_per_octave)
         self._lags = _lag_table(points_per_octave)
         history = 2 * int(self._lags.max())
         self._points_per_octave = points_per_octave
@@ -82,20 +76,16 @@ class AllanDeviation(Estimator):
             self._reference = first_finite(values)
         push(*self._state, self._lags, LEAST_SHARE, self._reference, first_slot, values)
 
-    def _go_on_from(self, earlier: Self) -> None:
+    def _continue_from(self, earlier: Self) -> None:
         begin_at(self._state, earlier._tracker.next_slot)
 
     def _append(self, later: Self) -> None:
         merge(*self._state, self._lags, LEAST_SHARE, *later._state)
 
-    def estimate(self) -> tuple[EstimatePoint, ...] | NoEstimate:
+    def estimate(self) -> Points | NoEstimate:
         """Deviation at every averaging time that has at least one pair of windows, shortest first."""
-        unit, signal, _ = self._signal
         if self._tracker.irregular:
-            return NoEstimate(
-                f"unit {unit}, signal {signal}: the samples lie on no grid of {self.sample_interval_s:g} s, and the "
-                "Allan deviation needs one; resample by block means, --resample SECONDS"
-            )
+            return self._no_grid("Allan deviation")
         state = self._state
         levels, columns = np.nonzero(state.windows)
         if len(levels) == 0:
@@ -107,7 +97,7 @@ class AllanDeviation(Estimator):
         variances = state.squares[levels, columns] / (2.0 * windows * np.square(factors, dtype=np.float64))
         values = np.sqrt(variances) * self._factor
         if not np.isfinite(values).all():
-            return NoEstimate(f"unit {unit}, signal {signal}: values too large to be squared; check the source")
+            return self._too_large()
         return tuple(
             allan_point(factor * self._tracker.dt_ns / 1e9, value, n, noise, self.confidence)
             for factor, value, n, noise in zip(
@@ -128,14 +118,20 @@ class AllanDeviation(Estimator):
         )
 
 
+def check_points_per_octave(number: int) -> None:
+    """Refuse a number of averaging times in an octave that is not offered."""
+    if number not in OCTAVE_DIVISIONS:
+        raise EstimatorError(f"{number} points per octave: 1, 2, 4 or 8 are offered")
+
+
 def allan_point(tau_s: float, value: float, windows: int, noise: Identified, confidence: float) -> EstimatePoint:
-    """A point of a curve with the limits that the noise there leaves room for."""
-    lo, hi = deviation_limits(value, noise.edf, confidence)
+    """A point of a curve with its confidence bounds."""
+    lo, hi = deviation_bounds(value, noise.edf, confidence)
     return EstimatePoint(tau_s=tau_s, value=value, lo=lo, hi=hi, edf=noise.edf, n=windows, plausible=noise.plausible)
 
 
 def _lag_table(points_per_octave: int) -> IntArray:
-    """Windows in blocks: row 0 for level 0, row 1 for the others; zeros fill up."""
+    """Window lengths in blocks: row 0 for level 0, row 1 for the others; padded with zeros."""
     top = list(range(OVERLAP, 2 * OVERLAP, OVERLAP // points_per_octave))
     low = [lag for octave in (1, 2, 4, 8) for lag in range(octave, 2 * octave, max(1, octave // points_per_octave))]
     table = np.zeros((2, len(low) + len(top)), np.int64)
@@ -145,21 +141,12 @@ def _lag_table(points_per_octave: int) -> IntArray:
 
 
 def overlapping_allan_variance(values: FloatArray, averaging_factor: int) -> float:
-    """Allan variance with full overlap, straight from its definition; for comparison.
+    """Allan variance with full overlap, directly from its definition; for comparison.
 
     Parameters
     ----------
     values: shape (n,); samples on a grid without gaps.
-    averaging_factor: tau over the sample interval, k below.
-
-    Returns
-    -------
-    float
-        Variance in the square of the unit of the values.
-
-    Raises
-    ------
-    EstimatorError: If there are fewer than 2 k samples.
+    averaging_factor: tau over the sample interval, k below; at least 2 k samples are needed.
 
     Notes
     -----

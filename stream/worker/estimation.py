@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from stream.delivery.publisher import StreamId
 from stream.errors import BadInput, WireError
-from stream.estimators.base import Estimator
+from stream.estimators.base import PointEstimator
 from stream.events import AnyDocument, CompensationStarted, EventMessage, LimitsApplied, RunEnded
 from stream.identity import EstimateKey, EventKey, Place, SampleKey, estimate_key, parse_key, sample_key
 from stream.wire.batches import WireBatch, read_wire_batch
@@ -14,7 +14,7 @@ from stream.wire.event_validation import decode_received
 from stream.worker.checkpoint import Checkpoint
 from stream.worker.estimated_signals import EstimatedSignals
 from stream.worker.held_ends import HeldEnds, streams_of
-from stream.worker.signal_analysis import Documents, SignalAnalysis, fresh_followers
+from stream.worker.signal_analysis import Documents, SignalAnalysis, new_estimators
 
 _parse = functools.lru_cache(65_536)(parse_key)
 
@@ -58,7 +58,7 @@ class Estimation:
     def __init__(
         self,
         every_ns: int,
-        factories: Mapping[str, Callable[[], Estimator]],
+        factories: Mapping[str, Callable[[], PointEstimator]],
         publish: Callable[[str, AnyDocument], None],
         fill: Callable[[StreamId, int], None] | None = None,
         *,
@@ -68,7 +68,7 @@ class Estimation:
         self._every_ns = every_ns
         self._estimated = estimated
         self._passed_over: set[tuple[str, str, str]] = set()
-        self._fresh = functools.partial(fresh_followers, factories, spectrum=spectrum)
+        self._new_estimators = functools.partial(new_estimators, factories, spectrum=spectrum)
         self._publish = publish
         self._fill = fill
         self._signals: dict[tuple[str, str, str], SignalAnalysis] = {}
@@ -243,8 +243,8 @@ class Estimation:
         is_limited = any(limit.signal == signal for limit in limits)
         if not is_limited and not self._estimated.includes(signal, unit_of_measure):
             return None
-        followers = self._fresh()
-        analysis = self._signals[name] = SignalAnalysis(place, (unit, signal, run), self._every_ns, followers)
+        analysis = SignalAnalysis(place, (unit, signal, run), self._every_ns, self._new_estimators())
+        self._signals[name] = analysis
         if run in self._limits:
             analysis.apply_limits(self._limits[run])
         return analysis

@@ -1,7 +1,7 @@
-"""A signal's samples, gathered into pieces whose borders are a function of the samples alone.
+"""A signal's samples, buffered and cut into pieces whose borders are a function of the samples alone.
 
-What is computed of a piece depends in its last bits on where the piece was cut, and a call costs as much for a hundred
-samples as for a thousand. So batches are gathered, however they were cut and whenever they came, and cut anew.
+The last bits of a result depend on where the pieces were cut, and a call costs as much for a hundred samples as for a
+thousand. So batches are buffered, however they were cut and whenever they came, and cut again.
 """
 
 from typing import Any, NamedTuple, Self
@@ -13,14 +13,14 @@ import numpy.typing as npt
 from stream.batch import IntArray, SampleBatch, checked_batch
 from stream.wire.batches import WireBatch, epoch_of
 
-# a call costs more than a thousand samples; from here on longer pieces gain little, and cost memory
+# a call costs more than a thousand samples; longer pieces gain little and cost memory
 PIECE_SAMPLES = 8192
 
 _COUNTS, _VALUES = "<i4", "<f8"
 
 
-class Piece(NamedTuple):
-    """Samples that are worked on together; whether documents are due behind them, and the latest time in them."""
+class BufferedPiece(NamedTuple):
+    """Samples that are processed together; whether documents are due after them, and the latest time in them."""
 
     batch: SampleBatch
     is_due: bool
@@ -28,7 +28,7 @@ class Piece(NamedTuple):
 
 
 class PieceBufferState(msgspec.Struct, frozen=True):
-    """A buffer as it is kept in a checkpoint."""
+    """State of a buffer in a checkpoint."""
 
     name: tuple[str, str, str]
     every_ns: int
@@ -44,17 +44,17 @@ class PieceBufferState(msgspec.Struct, frozen=True):
 
 
 class PieceBuffer:
-    """Puts the batches of one signal of one run together and cuts them into pieces.
+    """Joins the batches of one signal of one run and cuts them into pieces.
 
     A piece ends before each sample whose number, counted from the epoch's first in the run, is a multiple of
     8192; before a sample of another epoch, interval, unit of measure or scale, or whose number is not the next; and
-    with the first sample at or beyond a moment when documents are due. Exact times and times that are written out are
-    the same where they say the same.
+    with the first sample at or after a time when documents are due. Exact times and equal explicit times give the same
+    pieces.
 
     Parameters
     ----------
     name: Unit, signal and run.
-    every_ns: How often documents are due in the signal's own time from its first sample on, nanoseconds.
+    every_ns: Interval of documents in the signal's own time from its first sample on, nanoseconds.
 
     Examples
     --------
@@ -83,10 +83,10 @@ class PieceBuffer:
         self._data = bytearray()
         self._times: bytearray | None = None
 
-    def take(self, batch: WireBatch) -> list[Piece]:
-        """Take in the next batch; the pieces that it completes."""
+    def take(self, batch: WireBatch) -> list[BufferedPiece]:
+        """Take in the next batch; returns the pieces that it completes."""
         _, _, _, seq, next_seq, t0_ns, last_ns, meaning, counts, values, times_ns = batch
-        # nearly every batch only goes on: this costs a microsecond, and all that follows ten
+        # nearly every batch only continues the piece: this costs a microsecond, the general case ten
         if (
             seq == self._next_seq
             and next_seq < self._border
@@ -104,12 +104,12 @@ class PieceBuffer:
             return []
         return self._cut(batch)
 
-    def rest(self) -> list[Piece]:
-        """What no border has come behind yet, as the last piece; none where that is nothing."""
+    def rest(self) -> list[BufferedPiece]:
+        """The samples after the last border as a piece; none if there are none."""
         return [self._flush(is_due=False)] if self._data else []
 
     def export_state(self) -> PieceBufferState:
-        """Everything that is kept."""
+        """The state."""
         return PieceBufferState(
             name=self._name,
             every_ns=self._every_ns,
@@ -126,7 +126,7 @@ class PieceBuffer:
 
     @classmethod
     def from_state(cls, state: PieceBufferState) -> Self:
-        """Go on from what another one has exported."""
+        """Resume from the state of another one."""
         buffer = cls(state.name, state.every_ns)
         buffer._is_begun = state.meaning is not None
         buffer._due_ns, buffer._origin, buffer._next_seq = state.due_ns, state.origin, state.next_seq
@@ -137,8 +137,8 @@ class PieceBuffer:
         buffer._set_border()
         return buffer
 
-    def _cut(self, batch: WireBatch) -> list[Piece]:
-        pieces: list[Piece] = []
+    def _cut(self, batch: WireBatch) -> list[BufferedPiece]:
+        pieces: list[BufferedPiece] = []
         n = batch.next_seq - batch.seq
         times = np.frombuffer(batch.times_ns, "<i8") if batch.times_ns else None
         dtype = _COUNTS if batch.counts else _VALUES
@@ -191,7 +191,7 @@ class PieceBuffer:
         self._next_seq += stop - start
         self._next_ns = _time_of(batch, times, stop - 1) + dt_ns
 
-    def _flush(self, *, is_due: bool) -> Piece:
+    def _flush(self, *, is_due: bool) -> BufferedPiece:
         assert self._meaning is not None
         epoch, dt_ns, unit_of_measure, irregular, scale, offset = self._meaning
         samples: npt.NDArray[Any] = np.frombuffer(self._data, self._dtype)
@@ -201,27 +201,24 @@ class PieceBuffer:
         last_ns = self._next_ns - dt_ns if times is None else int(times.max())
         unit, signal, run = self._name
         piece = checked_batch(
-            {
-                "unit": unit,
-                "signal": signal,
-                "run": run,
-                "epoch": epoch_of(epoch),
-                "seq": self._next_seq - len(samples),
-                "t0_ns": self._t0_ns,
-                "dt_ns": dt_ns,
-                "unit_of_measure": unit_of_measure,
-                "counts": samples if self._dtype == _COUNTS else None,
-                "values": samples if self._dtype == _VALUES else None,
-                "times_ns": times,
-                "irregular": irregular,
-                "scale": scale,
-                "offset": offset,
-                "flags": None,
-            }
+            unit=unit,
+            signal=signal,
+            run=run,
+            epoch=epoch_of(epoch),
+            seq=self._next_seq - len(samples),
+            t0_ns=self._t0_ns,
+            dt_ns=dt_ns,
+            unit_of_measure=unit_of_measure,
+            counts=samples if self._dtype == _COUNTS else None,
+            values=samples if self._dtype == _VALUES else None,
+            times_ns=times,
+            irregular=irregular,
+            scale=scale,
+            offset=offset,
         )
         self._data, self._times = bytearray(), None
         self._set_border()
-        return Piece(piece, is_due, last_ns)
+        return BufferedPiece(piece, is_due, last_ns)
 
 
 def _grid(t0_ns: int, dt_ns: int, n: int) -> IntArray:
@@ -233,7 +230,7 @@ def _time_of(batch: WireBatch, times: IntArray | None, at: int) -> int:
 
 
 def _first_at(batch: WireBatch, times: IntArray | None, start: int, stop: int, moment_ns: int) -> int | None:
-    """The first of the samples start:stop that lies at or beyond a moment."""
+    """The first of the samples start:stop at or after a time."""
     if times is not None:
         found = np.flatnonzero(times[start:stop] >= moment_ns)
         return start + int(found[0]) if len(found) else None

@@ -10,7 +10,7 @@ from typing import Self
 from stream.delivery.publisher import StreamId
 from stream.delivery.recorded_log import DocumentSender, Identities, RecordedLog
 from stream.errors import CheckpointDamaged, EstimatorError, GyrofleetError
-from stream.estimators.base import Estimator, default_estimators
+from stream.estimators.base import PointEstimator, default_estimators
 from stream.events import AnyDocument, EstimatePublished
 from stream.identity import EVERYTHING
 from stream.transport.bus import Bus
@@ -76,7 +76,7 @@ class EstimationWorker:
         publisher: DocumentSender,
         *,
         every_s: float = 60.0,
-        estimators: Mapping[str, Callable[[], Estimator]] | None = None,
+        estimators: Mapping[str, Callable[[], PointEstimator]] | None = None,
         on_document: Callable[[AnyDocument], None] | None = None,
         log: RecordedLog | None = None,
         checkpoint: Path | None = None,

@@ -25,7 +25,7 @@ from stream.batch import FloatArray, SampleBatch
 from stream.estimators.base import NoEstimate
 from stream.estimators.noise.noise_fit import Coefficient, Markov, NoiseFit
 from stream.estimators.noise.noise_model import TERMS
-from stream.estimators.random_walk_normalised import NormalisedRandomWalk, angle_random_walk_normalised
+from stream.estimators.noise.normalised_random_walk import NormalisedRandomWalk, angle_random_walk_normalised
 
 UNITS = {term.key: term.unit_of_measure for term in TERMS}
 NONE = NoEstimate("sample interval of 0.1 s: the standard asks for less")

@@ -1,4 +1,4 @@
-"""Laws that all keep that follow a signal; a new one in the package is found by itself and compared with them."""
+"""Laws of estimators; a new estimator in the package is found automatically and checked against them."""
 
 import itertools
 import math
@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from uuid import UUID
 
 import numpy as np
@@ -19,21 +19,21 @@ from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import EstimatorError
 from stream.estimators import snapshot as snapshot_module
 from stream.estimators.allan_variance import AllanDeviation
-from stream.estimators.base import Follower, NoEstimate, default_followers, follower_classes
+from stream.estimators.base import Estimator, NoEstimate, all_estimators, estimator_classes
 from stream.estimators.snapshot import SNAPSHOT_VERSION, restore, take_snapshot
 from stream.estimators.spectral_density import SpectralDensity
 from stream.estimators.spectrum.spectral_lines import Spectrum
-from stream.estimators.warm_up import warm_up
 from stream.events import EstimatePoint
+from stream.worker.compile_kernels import warm_up
 
 DT_NS = 100_000_000
-DEFAULTS = default_followers()
+DEFAULTS = all_estimators()
 # as they are made by default they would say nothing of records as short as those here
-SHORT: dict[str, Callable[[], Follower]] = {"spectral_density": partial(SpectralDensity, segment_samples=256)}
+SHORT: dict[str, Callable[[], Estimator[Any]]] = {"spectral_density": partial(SpectralDensity, segment_samples=256)}
 FACTORIES = DEFAULTS | SHORT
 EVERY = pytest.mark.parametrize("key", sorted(FACTORIES))
 RELATIVE = 1e-11
-# pickled, of the defaults; what successor() begins may keep more
+# pickled, of the defaults; what continuation() begins may keep more
 MOST_BYTES = {"spectral_density": 12 * 4096 + 1024}
 MOST_BYTES_BEHIND = {"spectral_density": 20 * 4096 + 1024}
 
@@ -67,7 +67,7 @@ def signal(n: int = 6000, seed: int = 1) -> FloatArray:
     return values
 
 
-def fed(key: str, batches: list[SampleBatch]) -> Follower:
+def fed(key: str, batches: list[SampleBatch]) -> Estimator[Any]:
     estimator = FACTORIES[key]()
     for batch in batches:
         estimator.update(batch)
@@ -87,8 +87,8 @@ class Row(NamedTuple):
     power: int = 1
 
 
-def rows_of(follower: Follower) -> list[Row] | NoEstimate:
-    estimate = follower.estimate()
+def rows_of(estimator: Estimator[Any]) -> list[Row] | NoEstimate:
+    estimate = estimator.estimate()
     if isinstance(estimate, NoEstimate):
         return estimate
     if isinstance(estimate, Spectrum):
@@ -115,7 +115,7 @@ def assert_legal(rows: list[Row] | NoEstimate) -> None:
         assert row.n > 0
 
 
-def assert_same(a: Follower, b: Follower) -> None:
+def assert_same(a: Estimator[Any], b: Estimator[Any]) -> None:
     first, second = rows_of(a), rows_of(b)
     assert (a.samples, a.missing, a.late) == (b.samples, b.missing, b.late)
     if isinstance(first, NoEstimate) or isinstance(second, NoEstimate):
@@ -125,12 +125,12 @@ def assert_same(a: Follower, b: Follower) -> None:
     np.testing.assert_allclose([p[1:5] for p in first], [p[1:5] for p in second], rtol=RELATIVE, atol=1e-12)
 
 
-def size_of(estimator: Follower) -> int:
+def size_of(estimator: Estimator[Any]) -> int:
     return len(pickle.dumps(estimator))
 
 
 def test_every_class_is_among_the_defaults() -> None:
-    assert {type(factory()) for factory in DEFAULTS.values()} == set(follower_classes())
+    assert {type(factory()) for factory in DEFAULTS.values()} == set(estimator_classes())
     assert FACTORIES.keys() == DEFAULTS.keys()
     warm_up()
 
@@ -229,7 +229,7 @@ def test_memory_is_bounded(key: str) -> None:
     assert sizes[-1] <= sizes[0] + 64
     assert sizes[-1] <= MOST_BYTES.get(key, 32_768)
     assert_legal(rows_of(estimator))
-    behind = estimator.successor()
+    behind = estimator.continuation()
     behind.update(make(values, 40 * len(values)))
     assert size_of(behind) <= MOST_BYTES_BEHIND.get(key, 32_768)
     estimator.merge(behind)
@@ -331,7 +331,7 @@ def test_a_batch_of_another_signal_is_refused(key: str) -> None:
 @EVERY
 def test_instances_may_live_in_different_threads(key: str) -> None:
     streams = [signal(30_000, seed) for seed in range(6)]
-    done: dict[int, Follower] = {}
+    done: dict[int, Estimator[Any]] = {}
 
     def run(which: int) -> None:
         values = streams[which]
@@ -347,14 +347,14 @@ def test_instances_may_live_in_different_threads(key: str) -> None:
         assert rows_of(done[which]) == rows_of(alone)
 
 
-def parts(key: str, batches: list[SampleBatch], cuts: list[int]) -> list[Follower]:
+def parts(key: str, batches: list[SampleBatch], cuts: list[int]) -> list[Estimator[Any]]:
     """Estimators of neighbouring parts of a stream, cut before the batches of those numbers."""
     edges = [0, *sorted(cuts), len(batches)]
     found = [FACTORIES[key]()]
     for first, stop in itertools.pairwise(edges):
         for batch in batches[first:stop]:
             found[-1].update(batch)
-        found.append(found[-1].successor())
+        found.append(found[-1].continuation())
     return found
 
 
@@ -411,7 +411,7 @@ def test_what_does_not_go_together_is_not_merged(key: str) -> None:
     batches = [make(signal(500, i), 500 * i) for i in range(4)]
     first, second, third, _ = parts(key, batches, [1, 2])
     before = rows_of(first)
-    with pytest.raises(EstimatorError, match=r"only neighbours can be merged; begin the later part with successor"):
+    with pytest.raises(EstimatorError, match=r"only neighbours can be merged; begin the later part with continuation"):
         first.merge(third)
     with pytest.raises(EstimatorError, match="only neighbours can be merged"):
         first.merge(fed(key, batches[1:2]))
@@ -484,7 +484,7 @@ def test_a_snapshot_of_a_newer_version_is_refused(key: str, monkeypatch: pytest.
 def test_other_settings_are_not_merged(key: str) -> None:
     one = fed(key, [make(signal(500))])
     for name, value in one.arguments.items():
-        later = one.successor()
+        later = one.continuation()
         try:
             other = type(one)(**{**one.arguments, name: value * 2 or 1.0})
         except EstimatorError:

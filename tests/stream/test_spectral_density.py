@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import EstimatorError
-from stream.estimators.base import NoEstimate, estimator_classes, follower_classes
+from stream.estimators.base import NoEstimate, default_estimators, estimator_classes
 from stream.estimators.snapshot import restore, take_snapshot
 from stream.estimators.spectral_density import SpectralDensity
 from stream.estimators.spectrum.spectral_lines import Line, Spectrum, hann_window, welch_edf
@@ -89,8 +89,8 @@ def assert_same(a: SpectralDensity, b: SpectralDensity) -> None:
 
 
 def test_it_is_not_among_the_estimators_that_every_signal_is_given() -> None:
-    assert "SpectralDensity" not in {cls.__name__ for cls in estimator_classes()}
-    assert SpectralDensity in follower_classes()
+    assert SpectralDensity.key not in default_estimators()
+    assert SpectralDensity in estimator_classes()
     assert all(SpectralDensity.names[language].strip() for language in ("en", "zh"))
 
 
@@ -240,9 +240,9 @@ def test_parts_merge_to_one_pass_wherever_the_seams_lie(data: st.DataObject) -> 
     waiting = [SpectralDensity(256)]
     for batch in batches:
         waiting[-1].update(batch)
-        waiting.append(waiting[-1].successor())
+        waiting.append(waiting[-1].continuation())
         if data.draw(st.booleans()):
-            waiting.append(waiting[-1].successor())
+            waiting.append(waiting[-1].continuation())
     while len(waiting) > 1:
         at = data.draw(st.integers(0, len(waiting) - 2))
         later = waiting.pop(at + 1)
@@ -258,7 +258,7 @@ def test_parts_merge_to_one_pass_wherever_the_seams_lie(data: st.DataObject) -> 
 def test_a_part_alone_is_the_spectrum_of_its_own_segments() -> None:
     values = white(3000)
     first = fed([make(values[:1000])])
-    part = first.successor()
+    part = first.continuation()
     part.update(make(values[1000:], 1000))
     expected = fed([make(values[1024:])])
     np.testing.assert_allclose(spectrum_of(part).density, spectrum_of(expected).density, rtol=1e-10)
@@ -270,10 +270,10 @@ def test_a_part_alone_is_the_spectrum_of_its_own_segments() -> None:
 
 def test_only_a_part_behind_another_pays_for_its_head() -> None:
     first = fed([make(white(1001))])
-    part = first.successor()
+    part = first.continuation()
     # segments at 768 and 896 lie across the seam at 1001: slots up to 1152
     assert part.state_bytes - first.state_bytes == 8 * (1152 - 1001)
-    assert SpectralDensity(256).successor().state_bytes == first.state_bytes
+    assert SpectralDensity(256).continuation().state_bytes == first.state_bytes
     again = restore(take_snapshot(part))
     assert again.state_bytes == part.copy().state_bytes == part.state_bytes
     state = part.export_state()
@@ -286,7 +286,7 @@ def test_only_a_part_behind_another_pays_for_its_head() -> None:
 
 def test_a_copy_keeps_its_confidence() -> None:
     spectral = SpectralDensity(256, confidence=0.5)
-    assert [each.confidence for each in (spectral.copy(), spectral.successor())] == [0.5, 0.5]
+    assert [each.confidence for each in (spectral.copy(), spectral.continuation())] == [0.5, 0.5]
     assert restore(take_snapshot(spectral)).confidence == 0.5
     with pytest.raises(EstimatorError, match="settings must agree"):
         spectral.merge(SpectralDensity(256))

@@ -1,4 +1,4 @@
-"""Spectra, and the sinusoidal lines in them: found against the local background, fitted by the window's own shape."""
+"""Spectra and their sinusoidal lines: detected against the local background, fitted with the shape of the window."""
 
 import math
 from dataclasses import dataclass
@@ -23,14 +23,11 @@ _ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """One-sided power spectral density with its limits.
+    """One-sided power spectral density with its confidence bounds; arrays of shape (n,), a number a bin.
 
     Attributes
     ----------
-    frequency_hz, density, lo, hi: shape (n,); frequency of every bin, density there and its limits; in
-        `unit_of_measure`.
-    unit_of_measure: ``(deg/h)^2/Hz`` for angular rates.
-    confidence: Probability that the true density of a bin lies between its limits.
+    density, lo, hi: Density and its bounds in `unit_of_measure`, ``(deg/h)^2/Hz`` for angular rates.
     edf: Equivalent degrees of freedom of a bin.
     segments: Periodograms averaged.
     """
@@ -102,19 +99,19 @@ def welch_edf(segments: int, pairs: int) -> float:
 
 
 def find_lines(average: WelchAverage, false_alarm_probability: float, confidence: float) -> tuple[Line, ...]:
-    """Lines whose false-alarm probability over the whole spectrum is at most that asked for, lowest frequency first.
+    """Lines whose false-alarm probability over the whole spectrum is at most the given one, lowest frequency first.
 
     Notes
     -----
     P_k/B_k of bin k is compared with F(edf, `background_edf`); B_k is the mean of the medians of the 24 bins on either
     side, the nearest 4 left out, over the median of chi2_edf/edf. Bonferroni over the tested bins: that needs no
     independence. The mean of both sides is not below a density that is convex in frequency, as every sum of the power
-    laws f**-2, f**-1, 1, f, f**2 is: slopes raise no false alarms. A resonance narrower than some 100 bins does.
+    laws f**-2, f**-1, 1, f, f**2 is: slopes cause no false alarms. A resonance narrower than some 100 bins does.
     Only the highest bin within 4 counts; two lines closer than that are one.
     """
     density = average.density
     tested, background = local_background(average)
-    # what rounding leaves in empty bins of a spectrum is no noise of the signal
+    # rounding errors in empty bins of a spectrum are not noise of the signal
     rounding = _ROUNDING**2 * float(density.sum())
     if len(tested) == 0 or rounding < _LEAST_DENSITY:
         return ()
@@ -130,7 +127,7 @@ def find_lines(average: WelchAverage, false_alarm_probability: float, confidence
 
 
 def local_background(average: WelchAverage) -> tuple[IntArray, FloatArray]:
-    """Bins that have both flanks, and the smooth density at each from the medians of those."""
+    """Bins that have both flanks, and the background density at each from the medians of the flanks."""
     density = average.density
     tested = np.arange(average.first_bin + REACH_BINS, len(density) - 1 - REACH_BINS, dtype=np.int64)
     if len(tested) == 0:
@@ -149,7 +146,7 @@ def background_edf(edf: float) -> float:
     -----
     The logarithm of the median m of M values of density p has the variance 1/(4 M p(m)**2 m**2); M is the number of
     bins in both flanks over 1 + 2 (4/9 + 1/36) = 1.94, as neighbours correlate by 4/9 and 1/36 under the Hann window.
-    A chi-square with the same variance, 2/edf, stands for it.
+    It is approximated by a chi-square with the same variance, 2/edf.
 
     Examples
     --------
@@ -171,7 +168,7 @@ def _median_ratio(edf: float) -> float:
 
 @lru_cache(maxsize=8)
 def hann_window(size: int) -> FloatArray:
-    """The periodic Hann window of `size` samples; shared, not to be written to.
+    """The periodic Hann window of `size` samples; shared and read-only.
 
     Examples
     --------
@@ -207,7 +204,7 @@ def _fit(average: WelchAverage, peak: int, background: float, chance: float, con
         cov(P_i, P_j)/B**2 = 2 C_ij**2/edf + 2 q H_i H_j (C_ij + 2 pairs D_ij/K)/K + 2/background_edf.
 
     The amplitude is sqrt(q B 3 bin_width / 4). The image of the line at its negative frequency adds its own error.
-    Simulated, limits at 95 % hold in 94 to 96 % of lines, of those barely found in 88 to 98 %.
+    In simulation, bounds at 95 % hold for 94 to 96 % of lines, for those barely detected 88 to 98 %.
     """
     bins = np.arange(-_FIT_BINS, _FIT_BINS + 1, dtype=np.float64)
     excess = average.density[peak - _FIT_BINS : peak + _FIT_BINS + 1] / background - 1.0

@@ -7,9 +7,8 @@ import numpy as np
 
 from stream.batch import FloatArray
 from stream.errors import EstimatorError
-from stream.estimators.base import NoEstimate
-from stream.estimators.bias_stability import LEAST_SHARE
-from stream.estimators.confidence import deviation_limits
+from stream.estimators.base import LEAST_SHARE, NoEstimate
+from stream.estimators.confidence import deviation_bounds
 from stream.estimators.noise.noise_fit import Coefficient
 from stream.estimators.noise.noise_model import ANGLE_RANDOM_WALK
 
@@ -21,12 +20,8 @@ _SECOND_NS = 10**9
 class NormalisedRandomWalk(msgspec.Struct, frozen=True, kw_only=True):
     """Angle random walk from the bias stability of means over 1 s.
 
-    Parameters
-    ----------
-    coefficient: RWC in deg/sqrt(h).
-    taus_s, bias_stability_deg_per_h: The curve that the standard plots: averaging times t0, 2 t0, 4 t0, ... and 1 s,
-        and the bias stability at each.
-    pieces: Pieces of the record that were used.
+    `coefficient` is RWC in deg/sqrt(h). The curve of the standard has the averaging times t0, 2 t0, 4 t0, ... and 1 s
+    and the bias stability at each. `pieces` of the record were used.
     """
 
     coefficient: Coefficient
@@ -38,18 +33,14 @@ class NormalisedRandomWalk(msgspec.Struct, frozen=True, kw_only=True):
 def angle_random_walk_normalised(
     rates_deg_per_h: FloatArray, sample_interval_s: float, *, piece_s: float = 30.0, confidence: float = 0.95
 ) -> NormalisedRandomWalk | NoEstimate:
-    """Angle random walk as the standard's first method has it.
+    """Angle random walk by the first method of the standard.
 
     Parameters
     ----------
     rates_deg_per_h: shape (n,); samples on a grid, NaN where one is missing.
     sample_interval_s: Interval t0 of the grid, read to the nanosecond.
-    piece_s: Length of the pieces that a longer record is cut into, at least 10 s; a rest shorter than that is left out.
-    confidence: Level of the limits.
-
-    Raises
-    ------
-    EstimatorError: If `sample_interval_s` is below 1 ns, `piece_s` below 10 s, or `confidence` not between 0 and 1.
+    piece_s: Length of the pieces that a longer record is cut into, at least 10 s; a shorter rest is left out.
+    confidence: Level of the bounds, between 0 and 1.
 
     Notes
     -----
@@ -57,15 +48,14 @@ def angle_random_walk_normalised(
 
         RWC = Bs(1 s) sqrt(1 s),    (deg/h) sqrt(s) / 60 = deg/sqrt(h).
 
-    The standard asks for t0 < 10 ms and a record of tens of seconds. Over hours the bias wanders and would count as
-    random walk: a longer record gives the median over pieces of tens of seconds. A mean counts if it holds at least
-    90 % of its samples. Mean i over tau holds the samples whose time since the start of the piece lies in
-    [i tau, (i + 1) tau), so that 1 s need not be a whole number of t0.
+    The standard requires t0 < 10 ms and a record of tens of seconds. Over hours the bias wanders and would count as
+    random walk: for a longer record the median over pieces of tens of seconds is taken. A mean counts if it holds at
+    least 90 % of its samples. Mean i over tau holds the samples whose time since the start of the piece lies in [i tau,
+    (i + 1) tau), so that 1 s need not be a whole number of t0.
 
-    Limits are by chi-square with the degrees of freedom of one piece, for the median of several with those of all
+    Bounds are by chi-square with the degrees of freedom of one piece, for the median of several with those of all
     times the efficiency of a median: 1 for two pieces, whose median is their mean, down to 2/pi for many. They hold for
-    white noise, which the method takes for granted; no correction is made for the median of chi-square, 1 % low at 30
-    means.
+    white noise, which the method assumes; no correction is made for the median of chi-square, 1 % low at 30 means.
 
     Examples
     --------
@@ -106,7 +96,7 @@ def angle_random_walk_normalised(
             f"bias stability of {value} deg/h at 1 s: the output is constant or too large; check the source"
         )
     degrees = float(sum(n - 1 for n, _ in held)) * median_efficiency(len(held))
-    lo, hi = deviation_limits(value, degrees, confidence)
+    lo, hi = deviation_bounds(value, degrees, confidence)
     per_si = ANGLE_RANDOM_WALK.per_si
     return NormalisedRandomWalk(
         coefficient=Coefficient(

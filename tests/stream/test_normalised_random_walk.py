@@ -8,7 +8,7 @@ import pytest
 from stream.batch import FloatArray
 from stream.errors import EstimatorError
 from stream.estimators.base import NoEstimate
-from stream.estimators.random_walk_normalised import angle_random_walk_normalised, median_efficiency
+from stream.estimators.noise.normalised_random_walk import angle_random_walk_normalised, median_efficiency
 
 
 @pytest.mark.parametrize("interval_s", [0.001, 0.003, 0.005])

@@ -1,7 +1,7 @@
-"""Which noises an Allan curve leaves plausible at each averaging time, and the degrees of freedom to count on.
+"""Plausible noise exponents at each averaging time of an Allan curve, and the least degrees of freedom.
 
 Noise of a power law S_y(f) ~ f**alpha fixes the ratio of its Allan variances at two averaging times. Over an octave
-that ratio is the lag-1 autocorrelation method in other words (W. J. Riley, C. A. Greenhall, Power law noise
+that ratio is equivalent to the lag-1 autocorrelation method (W. J. Riley, C. A. Greenhall, Power law noise
 identification using the lag 1 autocorrelation, Proc. 18th EFTF (2004) 576-580, DOI 10.1049/cp:20040932; NIST SP 1065,
 section 5.5.6): with r1 and r2 the autocorrelations of the differences of adjacent averages over tau,
 
@@ -35,11 +35,8 @@ _SMALL = 256
 class Identified(msgspec.Struct, frozen=True, kw_only=True):
     """Noise at one averaging time.
 
-    Parameters
-    ----------
-    exponent: The exponent alpha of S_y(f) ~ f**alpha that agrees best with the curve, 2 .. -2 as in `confidence`.
-    plausible: Those that agree, from 2 down, without holes; `exponent` is one of them.
-    edf: Least equivalent degrees of freedom that a plausible exponent gives.
+    `exponent` is the alpha of S_y(f) ~ f**alpha, 2 .. -2, that agrees best with the curve; `plausible` are all that
+    agree, from 2 down, without holes; `edf` are the least equivalent degrees of freedom of these.
     """
 
     exponent: int
@@ -48,10 +45,10 @@ class Identified(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Comparison(msgspec.Struct, frozen=True, eq=False):
-    """Which two variances are compared, for exponents (rows) and averaging times (columns).
+    """The two variances that are compared, for exponents (rows) and averaging times (columns).
 
     `early` and `late` are their indices in the curve; ln(AVAR(late)/AVAR(early)) is expected from `lo` to `hi`,
-    infinite where the two lie less than half an octave apart; `correlation` is that of the two variances.
+    infinite where the two are less than half an octave apart; `correlation` is that of the two variances.
     """
 
     early: IntArray
@@ -71,15 +68,6 @@ def identify(factors: IntArray, variances: FloatArray, windows: IntArray, stride
     windows: shape (n,); how many squares each averages, at least 1.
     strides: shape (n,); averaging time over the distance of neighbouring windows.
 
-    Returns
-    -------
-    tuple of Identified
-        One for each averaging time.
-
-    Raises
-    ------
-    EstimatorError: If the arrays differ in length or the factors do not ascend.
-
     Notes
     -----
     With m the averaging factor and s the one nearest m/4, alpha is plausible at m if
@@ -87,23 +75,23 @@ def identify(factors: IntArray, variances: FloatArray, windows: IntArray, stride
         abs(ln(AVAR(m)/AVAR(s)) - E) <= 1.96 S,
 
     a test at the level of 5 %. ln of a chi-square over its nu degrees of freedom has the mean psi(nu/2) - ln(nu/2) and
-    the variance psi'(nu/2); E is the ratio that alpha lets expect plus the difference of the means, and
+    the variance psi'(nu/2); E is the ratio expected for alpha plus the difference of the means, and
     S**2 = psi'_m + psi'_s - 2 rho (psi'_m psi'_s)**0.5, all with the degrees of alpha itself and rho the correlation of
-    the two variances. The first two octaves speak for the factors within them. Further:
+    the two variances. Factors within the first two octaves share the test of these. Further rules:
 
     - Flicker of angle (1) differs from quantisation (2) by a logarithm of tau: too little over two octaves, and
-      too little to overtake it within six. The curve must not be too steep for it over the six octaves before m.
-    - Quantisation and white noise together look like flicker of angle. Where quantisation alone is excluded (1 %), it
-      is enough that white noise agrees over the one octave before m, which forgets quantisation sooner.
-    - Where nothing agrees, the closest is plausible; where all is excluded (1 %), as in a mixture known well, the two
-      are between which the curve runs. Exponents between plausible ones are plausible.
+      too little to dominate it within six. The curve must not be too steep for it over the six octaves before m.
+    - Quantisation and white noise together resemble flicker of angle. Where quantisation alone is excluded (1 %), it
+      suffices that white noise agrees over the one octave before m, where quantisation fades sooner.
+    - Where no exponent agrees, the closest is plausible; where all are excluded (1 %), as in a well-known mixture, the
+      two between which the curve runs. Exponents between plausible ones are plausible.
 
-    Otherwise nothing is carried on from shorter averaging times: noise may turn red anywhere, and Markov noise white
-    again. In the last octaves the tests are weak, and more exponents stay. All five do where a variance is 0 or there
+    Nothing else is inferred from shorter averaging times: noise may turn red anywhere, and Markov noise white again.
+    In the last octaves the tests are weak, and more exponents remain. All five remain where a variance is 0 or there
     is no second averaging time.
 
-    `edf` holds for noise averaged over the sample interval. White noise that is sampled has 15 % less at m = 1, random
-    walk 30 % more; the degrees of the next higher exponent stand there, which suit both to a fifth.
+    `edf` holds for noise averaged over the sample interval. Sampled white noise has 15 % less at m = 1, random walk
+    30 % more; the degrees of the next higher exponent are used there, which fit both to a fifth.
 
     Examples
     --------
@@ -139,7 +127,7 @@ def _degrees(factors: IntArray, windows: IntArray, strides: IntArray) -> FloatAr
 
 
 def _deviates(expected: _Comparison, logs: FloatArray, degrees: FloatArray) -> FloatArray:
-    """Standardised distance of each log ratio from what each exponent lets expect, positive where it is redder."""
+    """Standardised distance of each log ratio from that expected for each exponent, positive where it is redder."""
     rows = np.arange(len(degrees))[:, np.newaxis]
     means = scipy.special.digamma(degrees / 2.0) - np.log(degrees / 2.0)
     spreads = scipy.special.polygamma(1, degrees / 2.0)
@@ -180,10 +168,10 @@ def _chosen(deviates: FloatArray, sizes: FloatArray) -> BoolArray:
 def _comparison(
     factors: tuple[int, ...], strides: tuple[int, ...], exponents: tuple[int, ...], span: float
 ) -> _Comparison:
-    """Compare each averaging time with the one nearest to it over the `span`, the first two octaves by their end.
+    """Compare each averaging time with the one nearest to it over the `span`; the first two octaves share their end.
 
-    The ratio is expected between that of noise averaged over the sample interval and that of samples, which differ
-    for averages of few samples.
+    The expected ratio lies between that of noise averaged over the sample interval and that of sampled noise, which
+    differ for averages of few samples.
     """
     logs = np.log(np.array(factors, np.float64))
     shape = (len(exponents), len(factors))
