@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from storage.segments.disk import DISK
+from stream.atomic_file import write_durably
 from stream.errors import StoreError
 
 STORE_FORMAT = 1
@@ -55,11 +56,11 @@ def write_markers(folder: Path, identity: str) -> None:
     if not marker.exists():
         content: dict[str, object] = {"format": STORE_FORMAT, "id": identity, "created_ns": time.time_ns()}
         line = json.dumps(content | {_CHECKSUM: _checksum(content)}) + "\n"
-        _write(folder / "tmp" / MARKER, marker, line.encode())
+        write_durably(marker, line.encode(), fresh=folder / "tmp" / MARKER)
         DISK.sync_folder(folder.parent)
     copy, content_now = copy_of(folder), marker.read_bytes()
     if (not copy.exists() or copy.read_bytes() != content_now) and os.access(copy.parent, os.W_OK):
-        _write(folder / "tmp" / MARKER, copy, content_now)
+        write_durably(copy, content_now, fresh=folder / "tmp" / MARKER)
 
 
 def copy_of(folder: Path) -> Path:
@@ -112,12 +113,3 @@ def alone_in(folder: Path) -> Iterator[None]:
 
 def _checksum(content: dict[str, object]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def _write(fresh: Path, path: Path, content: bytes) -> None:
-    with fresh.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    fresh.replace(path)
-    DISK.sync_folder(path.parent)

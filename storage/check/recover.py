@@ -26,7 +26,7 @@ from stream.delivery.publisher import StreamId
 from stream.errors import StoreError
 from stream.events import StoreNoted, encode_event, new_uid
 from stream.identity import Place, event_key
-from stream.worker.checkpoint import keep_aside
+from stream.worker.checkpoint import quarantine
 
 _NOTES_KEY = event_key(Place("store", "recover"))
 _SALVAGED = "it is what could be saved of a damaged segment"
@@ -162,7 +162,7 @@ def _document(
 def _mend_checkpoints(findings: list[Finding]) -> Iterator[Action]:
     for finding in findings:
         if finding.kind == "checkpoint_damaged":
-            aside = keep_aside(Path(finding.where))
+            aside = quarantine(Path(finding.where))
             yield Action("checkpoint_set_aside", finding.where, f"kept as {aside}")
 
 

@@ -6,7 +6,6 @@ force, and is replaced as a whole. Both carry a hash of their own content.
 """
 
 import hashlib
-import os
 import re
 import time
 from collections.abc import Iterable
@@ -15,7 +14,8 @@ from pathlib import Path
 
 import msgspec
 
-from storage.store import Store, sync_folder
+from storage.store import Store
+from stream.atomic_file import write_durably
 from stream.errors import StoreError
 
 LAKE_FORMAT = 1
@@ -268,16 +268,8 @@ def _checked(manifest: Manifest, path: Path) -> Manifest:
 def _write(path: Path, value: Manifest | Part) -> None:
     content = msgspec.json.encode(value)
     fresh = path.with_name(f"{path.name}.{time.time_ns()}.new")
-    try:
-        with fresh.open("wb") as file:
-            file.write(_HEAD + hashlib.sha256(content).hexdigest().encode() + _MIDDLE + content + _TAIL)
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.rename(path)
-    except OSError:
-        fresh.unlink(missing_ok=True)
-        raise
-    sync_folder(path.parent)
+    sealed = _HEAD + hashlib.sha256(content).hexdigest().encode() + _MIDDLE + content + _TAIL
+    write_durably(path, sealed, fresh=fresh)
 
 
 def _unsealed(content: bytes) -> bytes:

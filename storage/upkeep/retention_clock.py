@@ -11,6 +11,7 @@ import msgspec
 
 from storage.manifests.lake import Manifest
 from storage.store import Store
+from stream.atomic_file import replacement
 from stream.errors import StoreError
 
 _NAME = "retention-clock.json"
@@ -106,9 +107,8 @@ def _read(store: Store) -> Seen | None:
 
 def _write(store: Store, seen: Seen) -> None:
     path = store.folder / _NAME
-    fresh = path.with_suffix(".new")
     try:
-        fresh.write_bytes(msgspec.json.encode(seen))
-        fresh.replace(path)
+        with replacement(path) as fresh:
+            fresh.write_bytes(msgspec.json.encode(seen))
     except OSError as error:
         raise StoreError(f"{path} cannot be written: {error}; free space or mend the disk") from error

@@ -1,7 +1,7 @@
 """Frames of a spool file: numbered messages one after the other, each with a checksum.
 
 A frame is a head (mark, CRC-32, length, stream number, first and next number) and its payload. The CRC covers all
-that follows it. What follows a damaged frame is found again by the next mark whose frame is whole.
+that follows it. After a damaged frame, reading resumes at the next mark of a sound frame.
 """
 
 import struct
@@ -18,7 +18,7 @@ _HEAD = struct.Struct("<4sIIIqq")
 
 
 class Frame(NamedTuple):
-    """One frame: a message of a stream, or, under the numbers below FIRST_STREAM, what is known of the streams."""
+    """One frame: a message of a stream, or, with a number below FIRST_STREAM, the state of the streams."""
 
     number: int
     seq: int
@@ -27,7 +27,7 @@ class Frame(NamedTuple):
 
 
 class Parsed(NamedTuple):
-    """What a piece of a spool file holds: whole frames, how far they reach, damaged spans, bytes of a torn end."""
+    """Contents of a piece of a spool file: sound frames, how far they reach, damaged spans, bytes of a torn end."""
 
     frames: list[Frame]
     used: int
@@ -36,7 +36,7 @@ class Parsed(NamedTuple):
 
 
 def encode_frame(number: int, seq: int, next_seq: int, payload: bytes) -> bytes:
-    """Put a frame into bytes.
+    """A frame as bytes.
 
     Examples
     --------
@@ -49,13 +49,9 @@ def encode_frame(number: int, seq: int, next_seq: int, payload: bytes) -> bytes:
 
 
 def parse_frames(data: bytes, *, is_end: bool) -> Parsed:
-    """Take a piece of a spool file apart.
+    """Read a piece of a spool file that begins with a frame.
 
-    Parameters
-    ----------
-    data: The piece; it begins with a frame.
-    is_end: Whether it reaches to the end of the file. If not, it is left at the first frame that is not whole, be it
-        cut off or damaged: `used` says where.
+    If it does not reach the end of the file (`is_end`), reading stops, at `used`, at the first frame that is not sound.
 
     Examples
     --------
@@ -107,7 +103,7 @@ def _next_frame(data: bytes, at: int) -> int:
 
 
 def _is_cut_off(data: bytes, at: int) -> bool:
-    """Whether what is left is the beginning of a frame, as a write leaves it that did not come to its end."""
+    """Whether the rest is the beginning of a frame, as an interrupted write leaves it."""
     left = data[at : at + _HEAD.size]
     if len(left) < _HEAD.size:
         return left[:4] == _MARK[: len(left)]

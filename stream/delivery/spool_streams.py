@@ -1,4 +1,4 @@
-"""What a spool knows of its streams, and how that is written between the messages."""
+"""The state of the streams of a spool, and its frames between the messages."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -11,16 +11,11 @@ from stream.wire.acknowledgement import StreamId
 
 @dataclass
 class StreamState:
-    """How far one stream is.
+    """State of one stream, whose frames carry `number`.
 
-    Parameters
-    ----------
-    id: The stream.
-    number: What its frames carry.
-    appended: Number after its last message.
-    acknowledged: Number after the last message that a recorder has.
-    base: From this number on it is sent under another epoch, because what was before it is lost; 0 where nothing is.
-    lost: Spans of numbers that cannot be read any more.
+    `appended` and `acknowledged` are the numbers after its last message and after the last one that a recorder has.
+    From number `base`, if not 0, it is sent under another epoch, because the messages before are lost. `lost` are the
+    spans of numbers that cannot be read any more.
     """
 
     id: StreamId
@@ -90,7 +85,7 @@ class StreamTable:
         return encode_frame(ACKNOWLEDGED, 0, 0, msgspec.msgpack.encode(_Acknowledged(self.store, positions)))
 
     def know(self, frame: Frame) -> None:
-        """Take in what a frame says of the streams; a message's frame, that its stream has come so far."""
+        """Update the state of the streams from a frame."""
         if frame.number == TABLE:
             table = _table_decoder.decode(frame.payload)
             self.store = table.store or self.store
@@ -108,7 +103,7 @@ class StreamTable:
             state.appended = max(state.appended, frame.next_seq)
 
     def settle(self) -> None:
-        """After all frames: what a recorder has is not lost."""
+        """After all frames, remove spans from `lost` that a recorder has."""
         for state in self.streams.values():
             state.lost = [span for span in state.lost if span[1] > max(state.acknowledged, state.base)]
 

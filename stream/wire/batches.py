@@ -29,7 +29,7 @@ _ITEM_BYTES = {
 
 
 def encode_batch(batch: SampleBatch) -> bytes:
-    """Put a batch into its wire form.
+    """The wire form of a batch.
 
     Examples
     --------

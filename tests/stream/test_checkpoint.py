@@ -324,7 +324,7 @@ def test_a_deviation_between_the_octaves_is_that_of_its_averaging_time() -> None
     decisions.apply(LimitsApplied(run="r1", t_ns=0, revision="R", limits=LIMITS[2:3], planned_s=600.0))
     for start in STARTS:
         decisions.update(batch(start))
-    points = decisions._exactly[0].allan.estimate()
+    points = decisions._exact[0].allan.estimate()
     assert isinstance(points, tuple)
     (point,) = [each for each in points if abs(each.tau_s - 3.0) < 1e-9]
     expected = 3600.0 * np.sqrt(overlapping_allan_variance(VALUES, 300))

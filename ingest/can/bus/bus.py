@@ -20,7 +20,7 @@ from ingest.can.frames import FrameBlock
 from ingest.station_clock import StationClock
 from stream.batch import SampleBatch
 from stream.errors import InstrumentError
-from stream.transport.bus import hand_on
+from stream.transport.bus import call_handlers
 
 __all__ = ["CanBus", "CanBusCounts", "CanBusOptions", "Decoder"]
 
@@ -301,4 +301,4 @@ class CanBus:
             self._counted.update(more)
 
     def _tell(self, text: str) -> None:
-        hand_on([lambda name, _: self._report(f"{name}: {text}")], self.options.name, b"")
+        call_handlers([lambda name, _: self._report(f"{name}: {text}")], self.options.name, b"")

@@ -10,6 +10,7 @@ import msgspec
 from ingest.simulator.physics.arrivals import Stretch
 from ingest.simulator.physics.gyro_model import SimulatedGyroModel
 from ingest.simulator.physics.plan import Plan, each_power_on
+from stream.atomic_file import replacement
 from stream.errors import BadInput
 
 
@@ -76,11 +77,9 @@ def write_lines(path: Path, gyros: Iterable[SimulatedGyroModel], duration_s: flo
     """Write what is planted in these power-ons, a line of JSON each; see `write_truth`."""
     if not 0.0 <= duration_s < float("inf"):
         raise BadInput(f"truth {path}: a duration of {duration_s} s, a finite number from 0 on is needed")
-    part = path.with_name(f"{path.name}.part")
     try:
-        with part.open("wb") as file:
+        with replacement(path) as fresh, fresh.open("wb") as file:
             file.writelines(msgspec.json.encode(truth(gyro, duration_s)) + b"\n" for gyro in gyros)
-        part.replace(path)
     except OSError as error:
         raise BadInput(f"truth {path}: cannot be written ({error.strerror or error})") from error
 
