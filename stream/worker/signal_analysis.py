@@ -17,7 +17,7 @@ from stream.identity import Place
 from stream.quantities import ANGULAR_RATE_UNIT
 from stream.wire.batches import WireBatch
 from stream.worker.early_decisions import EarlyDecisions
-from stream.worker.piece_buffer import BufferedPiece, PieceBuffer, PieceBufferState
+from stream.worker.piece_buffer import BufferedPiece, PieceBuffer
 
 NOISE_COEFFICIENTS = "noise_coefficients"
 SPECTRAL_LINES = "spectral_lines"
@@ -32,7 +32,7 @@ class SignalState(msgspec.Struct, frozen=True):
     """State of a signal's analysis in a checkpoint."""
 
     place: tuple[str, str]
-    buffer: PieceBufferState = msgspec.field(name="gathering")
+    buffer: PieceBuffer = msgspec.field(name="gathering")
     first_ns: int | None
     last_ns: int
     refusal: str | None
@@ -169,7 +169,7 @@ class SignalAnalysis:
         """The state, for a checkpoint."""
         return SignalState(
             place=(self.place.site, self.place.station),
-            buffer=self._pieces.export_state(),
+            buffer=self._pieces,
             first_ns=self._first_ns,
             last_ns=self._last_ns,
             refusal=self._refusal,
@@ -182,7 +182,7 @@ class SignalAnalysis:
         """Resume from a checkpoint; an EstimatorError if a snapshot in it is damaged or of another version."""
         estimators = [restore(snapshot) for snapshot in state.snapshots]
         analysis = cls(Place(*state.place), state.buffer.name, state.buffer.every_ns, estimators)
-        analysis._pieces = PieceBuffer.from_state(state.buffer)
+        analysis._pieces = state.buffer
         analysis._decisions = EarlyDecisions.from_state(analysis.signal, state.decisions)
         analysis._refusal = state.refusal
         analysis._first_ns, analysis._last_ns = state.first_ns, state.last_ns

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from stream.batch import FloatArray, SampleBatch
-from stream.estimators.allan_variance import AllanDeviation, overlapping_allan_variance
+from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
 from stream.estimators.confidence import deviation_bounds, edf, least_edf
 from stream.events import EstimatePoint
+from tests.allan_definition import overlapping_allan_variance
 
 REFERENCE = Path(__file__).parents[2].parent / "shared" / "reference"
 STABLE32_CONFIDENCE = 0.683

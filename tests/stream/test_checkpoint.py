@@ -13,7 +13,6 @@ import pytest
 from stream.batch import SampleBatch
 from stream.delivery.publisher import DurablePublisher, StreamId, StreamPosition, encode_acknowledgement
 from stream.errors import CheckpointDamaged, EstimatorError
-from stream.estimators.allan_variance import overlapping_allan_variance
 from stream.estimators.bias_stability import BiasStability
 from stream.events import (
     AnyDocument,
@@ -41,6 +40,7 @@ from stream.wire.batches import decode_batch, encode_batch
 from stream.worker.checkpoint import CHECKPOINT_VERSION, Checkpoint, generations, read_checkpoint, write_checkpoint
 from stream.worker.early_decisions import EarlyDecisions
 from stream.worker.worker import EstimationWorker
+from tests.allan_definition import overlapping_allan_variance
 
 PLACE = Place("plant", "bench")
 KEY = sample_key(PLACE, "U1", "rate")

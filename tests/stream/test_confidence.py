@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from stream.estimators.allan_variance import overlapping_allan_variance
 from stream.estimators.confidence import NOISE_EXPONENTS, deviation_bounds, edf, least_edf, sw, sx
+from tests.allan_definition import overlapping_allan_variance
 
 
 @pytest.mark.parametrize("d", [2, 3])

@@ -24,7 +24,7 @@ from stream.events import (
 from stream.identity import Place, event_key, sample_key
 from stream.wire.batches import encode_batch, read_wire_batch
 from stream.worker.estimation import Estimation
-from stream.worker.piece_buffer import PIECE_SAMPLES, PieceBuffer, PieceBufferState
+from stream.worker.piece_buffer import PIECE_SAMPLES, PieceBuffer
 from stream.worker.signal_analysis import SignalAnalysis, SignalState, new_estimators
 
 DT_NS = 10**7
@@ -155,8 +155,8 @@ def test_pieces_hold_every_sample_once_in_order_and_end_where_documents_are_due(
         for batch in cut(data, stretch):
             pieces += buffer.take(read_wire_batch(encode_batch(batch)))
             if data.draw(st.booleans()) if len(pieces) < 3 else False:
-                packed = msgspec.msgpack.encode(buffer.export_state())
-                buffer = PieceBuffer.from_state(msgspec.msgpack.decode(packed, type=PieceBufferState))
+                packed = msgspec.msgpack.encode(buffer)
+                buffer = msgspec.msgpack.decode(packed, type=PieceBuffer)
     pieces += buffer.rest()
     assert not buffer.rest()
     times = np.concatenate([stretch.times_ns for stretch in signal])
