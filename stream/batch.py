@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import isfinite
+from math import isfinite, nan
 from typing import Any, TypeVar
 from uuid import UUID
 
@@ -188,6 +188,12 @@ def writable(array: npt.NDArray[Number]) -> npt.NDArray[Number]:
     """
     flags = array.flags
     return array if flags.c_contiguous and flags.writeable else array.copy()
+
+
+def first_finite(values: FloatArray) -> float:
+    """The first finite value, NaN where there is none."""
+    finite = np.flatnonzero(np.isfinite(values))
+    return float(values[finite[0]]) if len(finite) else nan
 
 
 @njit(cache=True, nogil=True)

@@ -5,9 +5,9 @@ from typing import Self
 
 import numpy as np
 
-from stream.batch import FloatArray, IntArray
+from stream.batch import FloatArray, IntArray, first_finite
 from stream.errors import EstimatorError
-from stream.estimators.base import LEAST_SHARE, NoEstimate, PointEstimator, Points, first_finite
+from stream.estimators.base import LEAST_SHARE, NoEstimate, PointEstimator, Points
 from stream.estimators.confidence import deviation_bounds
 from stream.estimators.kernels.pyramid_kernel import PyramidState, begin_at, empty_state, merge, push
 from stream.estimators.noise.noise_exponent import Identified, identify

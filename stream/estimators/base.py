@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 import msgspec
-import numpy as np
 import numpy.typing as npt
 
 from stream.batch import FloatArray, SampleBatch
@@ -217,7 +216,7 @@ class Estimator(SignalInput, ABC, Generic[Result]):
         return self._state
 
     def copy(self) -> Self:
-        """An independent estimator in the same state."""
+        """An independent copy."""
         other: Self = type(self)(**self.arguments)
         other.import_state(self.export_state())
         return other
@@ -261,12 +260,6 @@ class Estimator(SignalInput, ABC, Generic[Result]):
 PointEstimator = Estimator[Points]
 
 
-def first_finite(values: FloatArray) -> float:
-    """The first finite value, NaN where there is none."""
-    finite = np.flatnonzero(np.isfinite(values))
-    return float(values[finite[0]]) if len(finite) else math.nan
-
-
 def estimator_classes() -> tuple[type[Estimator[Any]], ...]:
     """Every concrete estimator of this package, by class name.
 
@@ -278,13 +271,10 @@ def estimator_classes() -> tuple[type[Estimator[Any]], ...]:
     package = importlib.import_module(_PACKAGE)
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{_PACKAGE}.{module.name}")
-    found: set[type[Estimator[Any]]] = set()
-    waiting = list(Estimator.__subclasses__())
-    while waiting:
-        cls = waiting.pop()
-        waiting.extend(cls.__subclasses__())
-        if not inspect.isabstract(cls) and cls.__module__.startswith(f"{_PACKAGE}."):
-            found.add(cls)
+    classes: list[type[Estimator[Any]]] = [Estimator]
+    for cls in classes:
+        classes += cls.__subclasses__()
+    found = {cls for cls in classes if not inspect.isabstract(cls) and cls.__module__.startswith(f"{_PACKAGE}.")}
     return tuple(sorted(found, key=lambda cls: cls.__name__))
 
 

@@ -8,10 +8,10 @@ from typing import Self
 
 import numpy as np
 
-from stream.batch import FloatArray, SampleBatch, writable
+from stream.batch import FloatArray, SampleBatch, first_finite, writable
 from stream.clock import Piece
 from stream.errors import EstimatorError
-from stream.estimators.base import LEAST_SHARE, NoEstimate, PointEstimator, Points, first_finite
+from stream.estimators.base import LEAST_SHARE, NoEstimate, PointEstimator, Points
 from stream.estimators.confidence import deviation_bounds
 from stream.estimators.kernels.averages_kernel import (
     AVERAGES,

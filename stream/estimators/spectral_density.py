@@ -7,9 +7,9 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from stream.batch import FloatArray
+from stream.batch import FloatArray, first_finite
 from stream.errors import EstimatorError
-from stream.estimators.base import Estimator, NoEstimate, first_finite
+from stream.estimators.base import Estimator, NoEstimate
 from stream.estimators.confidence import deviation_bounds
 from stream.estimators.spectrum.spectral_lines import REACH_BINS, Line, Spectrum, WelchAverage, find_lines, welch_edf
 from stream.estimators.spectrum.spectral_segments import PAIRS, SEGMENTS, START, SegmentState, append, empty_state, take

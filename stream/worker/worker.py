@@ -195,7 +195,9 @@ class EstimationWorker:
                 self.failure = (
                     error
                     if isinstance(error, GyrofleetError)
-                    else EstimatorError(f"the estimators stopped ({type(error).__name__}: {error}); recording goes on")
+                    else EstimatorError(
+                        f"the estimators stopped ({type(error).__name__}: {error}); recording continues"
+                    )
                 )
                 self._state.notify_all()
 

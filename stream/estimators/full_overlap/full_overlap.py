@@ -226,6 +226,6 @@ def averaging_factors(points_per_octave: int, largest: int) -> list[int]:
 
 def _no_room(who: str, error: OSError) -> str:
     return (
-        f"{who}: the {_QUANTITY} of a record this long need room for its sums, and there is none: {error}; "
+        f"{who}: the {_QUANTITY} of a record this long need room on disk for its sums: {error}; "
         "free some, or name another folder"
     )

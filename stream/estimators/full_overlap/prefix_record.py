@@ -16,8 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from stream.batch import FloatArray, IntArray
-from stream.estimators.base import first_finite
+from stream.batch import FloatArray, IntArray, first_finite
 
 BLOCK = 4096
 MEMORY_SAMPLES = 1 << 22

@@ -193,7 +193,7 @@ def hann_response(offset_bins: FloatArray) -> FloatArray:
 
 
 def _fit(average: WelchAverage, peak: int, background: float, chance: float, confidence: float) -> Line:
-    """Amplitude and frequency of the line at bin `peak`.
+    """The line at bin `peak`.
 
     Notes
     -----
@@ -231,27 +231,6 @@ def _fit(average: WelchAverage, peak: int, background: float, chance: float, con
         offset = min(1.0, max(-1.0, offset + float(change[1])))
         if abs(change[0]) < 1e-12 * power and abs(change[1]) < 1e-12:
             break
-    return _line(average, peak, background, chance, confidence, power, offset, covariance)
-
-
-def _first_offset(excess: FloatArray) -> float:
-    """Offset of the line from the amplitudes of the two highest bins (Grandke, IEEE Trans. IM-32 (1983) 350-355)."""
-    left, centre, right = excess[_FIT_BINS - 1 : _FIT_BINS + 2].tolist()
-    ratio = math.sqrt(max(0.0, left, right) / centre) if centre > 0.0 else 0.5
-    offset = max(0.0, (2.0 * ratio - 1.0) / (ratio + 1.0))
-    return offset if right >= left else -offset
-
-
-def _line(
-    average: WelchAverage,
-    peak: int,
-    background: float,
-    chance: float,
-    confidence: float,
-    power: float,
-    offset: float,
-    covariance: FloatArray,
-) -> Line:
     distance = 2.0 * (peak + offset)
     image = 2.0 / (math.pi * distance * (distance**2 - 1.0))
     z = float(scipy.special.ndtri(0.5 + confidence / 2.0))
@@ -268,3 +247,11 @@ def _line(
         background_ratio=float(average.density[peak]) / background,
         false_alarm_probability=chance,
     )
+
+
+def _first_offset(excess: FloatArray) -> float:
+    """Offset of the line from the amplitudes of the two highest bins (Grandke, IEEE Trans. IM-32 (1983) 350-355)."""
+    left, centre, right = excess[_FIT_BINS - 1 : _FIT_BINS + 2].tolist()
+    ratio = math.sqrt(max(0.0, left, right) / centre) if centre > 0.0 else 0.5
+    offset = max(0.0, (2.0 * ratio - 1.0) / (ratio + 1.0))
+    return offset if right >= left else -offset
