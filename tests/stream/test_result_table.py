@@ -1,6 +1,7 @@
 """Tables at the widths of real terminals: no word is broken, no cell is lost."""
 
 import io
+from collections.abc import Sequence
 
 import pytest
 from hypothesis import given, settings
@@ -17,7 +18,7 @@ ROWS = [
 HEADERS = ("characteristic", "signal", "value", "95 % interval", "clause")
 
 
-def printed(width: int, rows: list[tuple[str, ...]] = ROWS, headers: tuple[str, ...] = HEADERS) -> str:
+def printed(width: int, rows: Sequence[tuple[str, ...]] = ROWS, headers: tuple[str, ...] = HEADERS) -> str:
     table = ResultTable(*headers, title="FOG-1", caption="2 rows")
     for row in rows:
         table.add_row(*row)
