@@ -73,22 +73,22 @@ class SampleBatch:
     def __post_init__(self) -> None:
         """Check that the parts fit together."""
         if (self.counts is None) == (self.values is None):
-            raise BadInput(f"{self._who}: a batch holds either counts or values, exactly one of them")
+            raise BadInput(f"{self.label}: a batch holds either counts or values, exactly one of them")
         n = len(self)
         if n == 0:
-            raise BadInput(f"{self._who}: a batch holds at least one sample")
+            raise BadInput(f"{self.label}: a batch holds at least one sample")
         for name in ("times_ns", "flags"):
             array = getattr(self, name)
             if array is not None and len(array) != n:
-                raise BadInput(f"{self._who}: {len(array)} {name} for {n} samples")
+                raise BadInput(f"{self.label}: {len(array)} {name} for {n} samples")
         if not (isfinite(self.scale) and isfinite(self.offset)):
-            raise BadInput(f"{self._who}: scale {self.scale} or offset {self.offset} is not a finite number")
+            raise BadInput(f"{self.label}: scale {self.scale} or offset {self.offset} is not a finite number")
         if not 1 <= self.dt_ns <= MAX_INTERVAL_NS or not 0 <= self.seq <= MAX_SEQ - n:
-            raise BadInput(f"{self._who}: dt_ns {self.dt_ns} or seq {self.seq} is outside its range")
+            raise BadInput(f"{self.label}: dt_ns {self.dt_ns} or seq {self.seq} is outside its range")
         if not (is_moment(self.t0_ns) and is_moment(self.last_ns)) or not are_moments(self.times_ns):
-            raise BadInput(f"{self._who}: times from {self.t0_ns} ns on are not between 1897 and 2116")
+            raise BadInput(f"{self.label}: times from {self.t0_ns} ns on are not between 1897 and 2116")
         if len(self.run) > MAX_NAME_CHARS or len(self.unit_of_measure) > MAX_NAME_CHARS:
-            raise BadInput(f"{self._who[:300]}: run or unit of measure has more than {MAX_NAME_CHARS} characters")
+            raise BadInput(f"{self.label[:300]}: run or unit of measure has more than {MAX_NAME_CHARS} characters")
 
     def __len__(self) -> int:
         data = self.counts if self.counts is not None else self.values
@@ -103,7 +103,8 @@ class SampleBatch:
     __hash__ = None  # type: ignore[assignment]
 
     @property
-    def _who(self) -> str:
+    def label(self) -> str:
+        """Run, unit and signal, for messages."""
         return f"run {self.run}, unit {self.unit}, signal {self.signal}"
 
     @property

@@ -151,7 +151,7 @@ class GridTracker:
             self.first_ns = batch.t0_ns if batch.times_ns is None else int(batch.times_ns[0])
         elif abs(batch.dt_ns - self.dt_ns) > INTERVAL_TOLERANCE * self.dt_ns:
             raise EstimatorError(
-                f"{_who(batch)}: the nominal sample interval changes from {self.dt_ns / 1e9:g} s to "
+                f"{batch.label}: the nominal sample interval changes from {self.dt_ns / 1e9:g} s to "
                 f"{batch.dt_ns / 1e9:g} s in mid-stream; begin a new run or a new signal for the new interval"
             )
 
@@ -190,7 +190,7 @@ class GridTracker:
     def _check_span(self, batch: SampleBatch, last_ns: int) -> None:
         if last_ns - self.first_ns > MAX_SPAN_NS:
             raise EstimatorError(
-                f"{_who(batch)}: a sample at {last_ns} ns lies more than 146 years after the first; check the clock"
+                f"{batch.label}: a sample at {last_ns} ns lies more than 146 years after the first; check the clock"
             )
 
     def _count(self, n: int, values: FloatArray | None) -> None:
@@ -215,7 +215,3 @@ def contiguous_runs(batch: SampleBatch, pieces: list[Piece]) -> list[tuple[int, 
     for slot, start, stop in pieces:
         joined[slot - origin : slot - origin + stop - start] = values[start:stop]
     return [(origin, joined)]
-
-
-def _who(batch: SampleBatch) -> str:
-    return f"run {batch.run}, unit {batch.unit}, signal {batch.signal}"

@@ -271,7 +271,7 @@ def estimator_classes() -> tuple[type[Estimator[Any]], ...]:
     package = importlib.import_module(_PACKAGE)
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{_PACKAGE}.{module.name}")
-    classes: list[type[Estimator[Any]]] = [Estimator]
+    classes: list[type[Estimator[Any]]] = Estimator.__subclasses__()
     for cls in classes:
         classes += cls.__subclasses__()
     found = {cls for cls in classes if not inspect.isabstract(cls) and cls.__module__.startswith(f"{_PACKAGE}.")}

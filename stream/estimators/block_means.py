@@ -19,9 +19,7 @@ class BlockMeans:
     A block counts if it holds at least 90 % of the samples expected from its length and the nominal interval (with
     exact times, of those that fall into it); others are gaps. Values that are not finite are missing.
 
-    Parameters
-    ----------
-    block_s: Length of a block in seconds, positive and not shorter than the nominal sample interval.
+    Blocks are not shorter than the nominal sample interval.
 
     Examples
     --------
@@ -55,7 +53,7 @@ class BlockMeans:
         """Take in a batch; the means of the blocks that it completes, if there are any."""
         if batch.dt_ns > self._block_ns:
             raise BadInput(
-                f"run {batch.run}, unit {batch.unit}, signal {batch.signal}: blocks of {self._block_ns / 1e9:g} s are "
+                f"{batch.label}: blocks of {self._block_ns / 1e9:g} s are "
                 f"shorter than the sample interval of {batch.dt_ns / 1e9:g} s"
             )
         if self._t0_ns is None:

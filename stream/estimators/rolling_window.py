@@ -34,11 +34,8 @@ class WindowEstimate(NamedTuple):
 class RollingWindow:
     """An estimator over the last `window_s` seconds, once every `step_s`.
 
-    Parameters
-    ----------
-    make: Factory of the estimator, as in `default_estimators`.
-    window_s, step_s: Length of the window and of its steps, in the signal's own time since its first sample; the window
-        is 1 to 100,000 whole steps.
+    `make` is its factory, as in `default_estimators`. Times are the signal's own since its first sample; the window is
+    1 to 100,000 whole steps.
 
     Notes
     -----
@@ -90,7 +87,7 @@ class RollingWindow:
         if self._first_ns is None:
             if self._step_ns < batch.dt_ns:
                 raise EstimatorError(
-                    f"run {batch.run}, unit {batch.unit}, signal {batch.signal}: steps of {self._step_ns / 1e9:g} s "
+                    f"{batch.label}: steps of {self._step_ns / 1e9:g} s "
                     f"are shorter than the sample interval of {batch.dt_ns / 1e9:g} s; take longer ones"
                 )
             self._first_ns = int(times_ns[0])

@@ -150,9 +150,7 @@ class SpectralDensity(Estimator[Spectrum]):
     def lines(self, false_alarm_probability: float = 0.01) -> tuple[Line, ...] | NoEstimate:
         """Sinusoids above the smooth background, lowest frequency first; none is an empty tuple.
 
-        Parameters
-        ----------
-        false_alarm_probability: Highest probability that a spectrum without any line shows one, over all its bins.
+        A spectrum without any line shows one with at most the false-alarm probability, over all its bins.
 
         Notes
         -----

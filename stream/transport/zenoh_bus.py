@@ -33,12 +33,7 @@ _ROUTER_WAITS_US = 200_000
 
 
 class ZenohBus:
-    """A session on Zenoh.
-
-    Parameters
-    ----------
-    listen: Endpoints to listen on, such as ``tcp/127.0.0.1:7447``. None by default: the bus is inside the process.
-    connect: Endpoints to connect to.
+    """A session on Zenoh with endpoints, such as ``tcp/127.0.0.1:7447``; without any the bus is inside the process.
 
     Raises
     ------

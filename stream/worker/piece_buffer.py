@@ -35,10 +35,8 @@ class PieceBuffer(msgspec.Struct, dict=True):
     with the first sample at or after a time when documents are due. Exact times and equal explicit times give the same
     pieces.
 
-    Parameters
-    ----------
-    name: Unit, signal and run.
-    every_ns: Interval of documents in the signal's own time from its first sample on, nanoseconds.
+    `name` is unit, signal and run; documents are due every `every_ns` of the signal's own time from its first sample
+    on.
 
     Examples
     --------

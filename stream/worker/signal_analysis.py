@@ -45,13 +45,7 @@ class SignalAnalysis:
 
     Documents are due whenever the signal's own time passes a multiple of the interval, counted from its first sample,
     and when its run ends. Their content and times are a function of the samples alone, not of the batches in which they
-    came, nor of when they came.
-
-    Parameters
-    ----------
-    place: Site and station of the signal.
-    name: Unit, signal and run.
-    every_ns: Interval between documents in the signal's own time, nanoseconds.
+    came, nor of when they came. `name` is unit, signal and run.
     """
 
     def __init__(

@@ -192,13 +192,9 @@ class EstimationWorker:
                 self._finish()
         except Exception as error:  # noqa: BLE001  a worker that stopped must report any error
             with self._state:
-                self.failure = (
-                    error
-                    if isinstance(error, GyrofleetError)
-                    else EstimatorError(
-                        f"the estimators stopped ({type(error).__name__}: {error}); recording continues"
-                    )
-                )
+                if not isinstance(error, GyrofleetError):
+                    error = EstimatorError(f"estimation stopped ({type(error).__name__}: {error}); recording continues")
+                self.failure = error
                 self._state.notify_all()
 
     def _work(self) -> bool:

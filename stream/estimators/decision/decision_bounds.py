@@ -33,11 +33,7 @@ NO_BOUNDS = Bounds((0.0,) * LOOKS, (math.inf,) * LOOKS)
 
 @lru_cache(maxsize=256)
 def bounds(final_edf: float, error_probability: float) -> Bounds:
-    """Bounds for a test whose finished variance has at least `final_edf` degrees of freedom.
-
-    Parameters
-    ----------
-    error_probability: One of `PROMISES`.
+    """Bounds for a test whose finished variance has at least `final_edf` degrees of freedom, at one of `PROMISES`.
 
     Notes
     -----

@@ -99,7 +99,7 @@ class FullOverlap(SignalInput):
         EstimatorError: If the batch is of another signal, unit of measure or sample interval than those before it, or
             after `close`; and, closing the record, if far more slots than samples would be kept, or the disk is full.
         """
-        who = f"run {batch.run}, unit {batch.unit}, signal {batch.signal}"
+        who = batch.label
         if not self._is_open:
             raise EstimatorError(f"{who}: the record of its {_QUANTITY} is closed; begin a new one")
         if (batch.unit, batch.signal, batch.unit_of_measure) != self._signal:

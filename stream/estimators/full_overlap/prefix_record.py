@@ -76,13 +76,9 @@ def _subtract_mean(high: FloatArray, low: FloatArray, before: IntArray, mean: fl
 class PrefixColumn:
     """One prefix number a slot, a row a block, in memory up to a bound and beyond it in an unnamed temporary file.
 
-    Parameters
-    ----------
-    line: shape (B + 1,); the block being filled.
-    dtype: Type of the rows that are kept.
-    constants: The first rows, which any number of blocks share.
-    folder: Where the file lies, the system's folder for temporary files if none is named. The file has no name there
-        and its room is free again when it is closed or the process ends, however it ends.
+    `line`, shape (B + 1,), is the block being filled; `constants` are the first rows, which any number of blocks share.
+    The file lies in `folder`, or the system's folder for temporary files; its room is free again when it is closed or
+    the process ends.
 
     Examples
     --------
@@ -173,14 +169,9 @@ class PrefixColumn:
 class PrefixRecord:
     """Sums and counts of the samples before every slot, relative to the first finite sample.
 
-    Parameters
-    ----------
-    folder: Where they lie beyond 4 million samples, the system's folder for temporary files if none is named: 8 bytes a
-        slot and 2 more in blocks of 4096 where one is missing. A block without any sample takes no room.
-
-    Raises
-    ------
-    OSError: From `extend` and `record`, if the folder cannot be written or is full.
+    Beyond 4 million samples they lie in `folder`, or the system's folder for temporary files: 8 bytes a slot and 2 more
+    in blocks of 4096 where one is missing. A block without any sample takes no room. `extend` and `record` raise an
+    OSError if the folder cannot be written or is full.
 
     Examples
     --------

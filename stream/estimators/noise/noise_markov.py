@@ -18,14 +18,10 @@ _LEAST_TIMES = 3
 
 
 class Offer(msgspec.Struct, frozen=True, kw_only=True):
-    """The Markov noise that fits a curve best, significant or not.
+    """The Markov noise that fits a curve best, significant or not: its correlation time with bounds.
 
-    Parameters
-    ----------
-    correlation_s, lo_s, hi_s: Correlation time and its bounds, seconds.
-    gain: Decrease of the deviance.
-    inflation: Variance of its amplitude over that of independent points, at least 1.
-    bound: A gain over its inflation is significant above it; infinite at the shortest correlation time searched.
+    It lowers the deviance by `gain`, which is significant if it is more than `bound` times `inflation`, the variance of
+    its amplitude over that of independent points. `bound` is infinite at the shortest correlation time searched.
     """
 
     correlation_s: float
@@ -45,11 +41,7 @@ def best_markov(
 ) -> Offer | None:
     """Markov noise that lowers the deviance of a curve most; None where the curve is too short.
 
-    Parameters
-    ----------
-    taus_s, variances: shape (n,); the curve, at least six points.
-    likelihood: That of the five terms.
-    quantile: Of chi-square with 1 degree of freedom, for the bounds.
+    The likelihood is that of the five terms; the quantile of chi-square with 1 degree of freedom is for the bounds.
 
     Notes
     -----

@@ -14,11 +14,6 @@ _TOLERANCE = 1e-6
 def admitted(likelihood: CurveLikelihood, taus_s: FloatArray) -> list[CurveLikelihood]:
     """Likelihoods that allow for a model error, the most likely first; the given one alone if it fits.
 
-    Parameters
-    ----------
-    likelihood: Without model error.
-    taus_s: shape (n,); averaging times, ascending.
-
     Notes
     -----
     The model fits if its deviance is not above the 95 % quantile for scatter alone. If it is, the relative

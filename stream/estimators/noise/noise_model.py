@@ -116,10 +116,8 @@ def _phase_covariances(lags: FloatArray) -> FloatArray:
 def correlations(taus_s: FloatArray, parts: FloatArray) -> FloatArray:
     """Correlation of the Allan variances of one record at every two taus, shape (n, n).
 
-    Parameters
-    ----------
-    taus_s: shape (n,); averaging times, ascending, the first the sample interval.
-    parts: shape (n, 4); Allan variance contributed at each by noises of the slopes of Q, N, B, K.
+    The averaging times ascend from the sample interval; `parts`, shape (n, 4), are the Allan variances contributed at
+    each by noises of the slopes of Q, N, B, K.
 
     Notes
     -----
