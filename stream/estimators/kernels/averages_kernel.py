@@ -196,13 +196,10 @@ def merge_averages(
     if later[BEGAN] == NEVER or later[BLOCK] == later[BEGAN]:
         # all of the later part lies within the block being filled, or there was nothing before it
         if later[BEGAN] == NEVER:
-            for i in range(places.shape[0]):
-                places[i] = later[i]
-            for i in range(numbers.shape[0]):
-                numbers[i] = later_numbers[i]
-            for i in range(ring.shape[0]):
-                ring[i] = later_ring[i]
-                ring_blocks[i] = later_blocks[i]
+            places[:] = later
+            numbers[:] = later_numbers
+            ring[:] = later_ring
+            ring_blocks[:] = later_blocks
         else:
             places[COUNT] += later[COUNT]
             numbers[SUM] += later_numbers[SUM]

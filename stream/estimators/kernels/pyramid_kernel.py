@@ -259,22 +259,13 @@ def _pair(
 
 
 @kernel_part()
-def _climb_a_level(
-    tails: FloatArray,
-    squares: FloatArray,
-    windows: IntArray,
-    places: IntArray,
-    lags: IntArray,
-    scratch: FloatArray,
-    level: int,
-    now: int,
-    given: int,
-) -> int:
+def _climb_a_level(state: PyramidState, lags: IntArray, scratch: FloatArray, level: int, now: int, given: int) -> int:
     """Push a few full blocks from scratch[now] into a level that is full, their parents into the other; how many.
 
     The same as the general case, without views of arrays: views cost more than the few numbers in them, and in a batch
     of 1000 nine levels in ten get only a few blocks.
     """
+    tails, _, squares, windows, places = state
     history = tails.shape[2]
     for i in range(history):
         scratch[now, SUM, i] = tails[level, SUM, i]
@@ -313,23 +304,14 @@ def _climb_a_level(
 
 @kernel_part()
 def _climb(
-    tails: FloatArray,
-    heads: FloatArray,
-    squares: FloatArray,
-    windows: IntArray,
-    places: IntArray,
-    lags: IntArray,
-    share: float,
-    scratch: FloatArray,
-    given: int,
-    total: int,
-    full: bool,
+    state: PyramidState, lags: IntArray, share: float, scratch: FloatArray, given: int, total: int, full: bool
 ) -> None:
     """Push `total` blocks into level 0 and their parents into all levels above.
 
     The first `given` stand in scratch[0] behind room for a tail; the rest are empty. More than a history of empty
     blocks changes nothing in a level, so that a gap costs the same however long it is.
     """
+    tails, heads, squares, windows, places = state
     history = tails.shape[2]
     prefix = scratch[2]
     now = 0
@@ -338,7 +320,7 @@ def _climb(
             break
         width = 2.0**level
         if full and total == given and places[level, FULL] == 1 and places[level, HEADED] == history:
-            given = _climb_a_level(tails, squares, windows, places, lags, scratch, level, now, given)
+            given = _climb_a_level(state, lags, scratch, level, now, given)
             total = given
             now = 1 - now
             continue
@@ -384,6 +366,7 @@ def push(
     `lags` holds the n of level 0 and those of all other levels, shape (2, L), 0 where unused; a window counts if it
     holds the `share` of its samples.
     """
+    state = PyramidState(tails, heads, squares, windows, places)
     history = tails.shape[2]
     chunk = min(values.shape[0], _CHUNK)
     scratch = np.empty((3, 2, history + max(chunk, history) + 2))
@@ -403,7 +386,7 @@ def push(
             if not full:
                 _mask(sums, scratch[0, COUNT, history : history + given])
             start += given
-        _climb(tails, heads, squares, windows, places, lags, share, scratch, given, total, full)
+        _climb(state, lags, share, scratch, given, total, full)
 
 
 @kernel_part()
