@@ -16,7 +16,7 @@ from stream.errors import BadInput, NotFound
 from stream.estimators.base import NoEstimate
 from stream.estimators.confidence import deviation_bounds
 from stream.estimators.spectral_density import FEWEST_SAMPLES, FIRST_BIN, SpectralDensity
-from stream.estimators.spectrum.spectral_lines import GUARD_BINS, Line, background_edf, hann_response
+from stream.estimators.spectrum.spectral_lines import GUARD_BINS, SpectralLine, background_edf, hann_response
 
 CONFIDENCE = 0.95
 FALSE_ALARM_PROBABILITY = 0.01
@@ -86,7 +86,7 @@ class SignalSpectrum:
     false_alarm_probability: float
     searched_lo_hz: float
     searched_hi_hz: float
-    lines: tuple[Line, ...]
+    lines: tuple[SpectralLine, ...]
 
     def __post_init__(self) -> None:
         """Check that the columns fit together."""

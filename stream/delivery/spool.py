@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 from stream.atomic_file import sync_folder
-from stream.delivery.spool_frames import FIRST_STREAM, Frame, encode_frame, parse_frames
+from stream.delivery.spool_frames import FIRST_STREAM, SpoolFrame, encode_frame, parse_frames
 from stream.delivery.spool_scan import SUFFIX, SpoolError, SpoolFile, held_messages, scan
 from stream.delivery.spool_streams import StreamState, StreamTable
 from stream.wire.acknowledgement import StreamId
@@ -296,7 +296,7 @@ class Spool:
                 f"`gyrofleet record` again, or let the spool be larger"
             )
 
-    def _read_frames(self, file: SpoolFile, most_bytes: int) -> list[Frame]:
+    def _read_frames(self, file: SpoolFile, most_bytes: int) -> list[SpoolFrame]:
         left = file.size - file.read_to
         for length in (min(left, most_bytes + _READ_BYTES), left):
             with file.path.open("rb") as opened:

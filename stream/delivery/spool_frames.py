@@ -17,7 +17,7 @@ _REST = struct.Struct("<IIqq")
 _HEAD = struct.Struct("<4sIIIqq")
 
 
-class Frame(NamedTuple):
+class SpoolFrame(NamedTuple):
     """One frame: a message of a stream, or, with a number below FIRST_STREAM, the state of the streams."""
 
     number: int
@@ -29,7 +29,7 @@ class Frame(NamedTuple):
 class Parsed(NamedTuple):
     """Contents of a piece of a spool file: sound frames, how far they reach, damaged spans, bytes of a torn end."""
 
-    frames: list[Frame]
+    frames: list[SpoolFrame]
     used: int
     damaged: list[tuple[int, int]]
     torn: int
@@ -42,7 +42,7 @@ def encode_frame(number: int, seq: int, next_seq: int, payload: bytes) -> bytes:
     --------
     >>> data = encode_frame(2, 0, 100, b"hello")
     >>> parse_frames(data, is_end=True).frames
-    [Frame(number=2, seq=0, next_seq=100, payload=b'hello')]
+    [SpoolFrame(number=2, seq=0, next_seq=100, payload=b'hello')]
     """
     rest = _REST.pack(len(payload), number, seq, next_seq)
     return b"".join((_MARK, zlib.crc32(payload, zlib.crc32(rest)).to_bytes(4, "little"), rest, payload))
@@ -59,9 +59,9 @@ def parse_frames(data: bytes, *, is_end: bool) -> Parsed:
     >>> data[33] ^= 1
     >>> found = parse_frames(bytes(data), is_end=True)
     >>> found.frames, found.damaged, found.torn
-    ([Frame(number=2, seq=1, next_seq=2, payload=b'two')], [(0, 35)], 0)
+    ([SpoolFrame(number=2, seq=1, next_seq=2, payload=b'two')], [(0, 35)], 0)
     """
-    frames: list[Frame] = []
+    frames: list[SpoolFrame] = []
     damaged: list[tuple[int, int]] = []
     at, torn = 0, 0
     while at < len(data):
@@ -81,7 +81,7 @@ def parse_frames(data: bytes, *, is_end: bool) -> Parsed:
     return Parsed(frames, at, damaged, torn)
 
 
-def _frame_at(data: bytes, at: int) -> Frame | None:
+def _frame_at(data: bytes, at: int) -> SpoolFrame | None:
     if at + _HEAD.size > len(data):
         return None
     mark, checksum, length, number, seq, next_seq = _HEAD.unpack_from(data, at)
@@ -91,7 +91,7 @@ def _frame_at(data: bytes, at: int) -> Frame | None:
     payload = data[at + _HEAD.size : end]
     if zlib.crc32(payload, zlib.crc32(data[at + 8 : at + _HEAD.size])) != checksum:
         return None
-    return Frame(number, seq, next_seq, payload)
+    return SpoolFrame(number, seq, next_seq, payload)
 
 
 def _next_frame(data: bytes, at: int) -> int:

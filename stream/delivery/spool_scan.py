@@ -45,12 +45,12 @@ def scan(folder: Path) -> Scanned:
         found.damages += [f"{path}: bytes {first} to {after} are damaged" for first, after in parsed.damaged]
         found.torn_bytes += parsed.torn
         for frame in parsed.frames:
-            found.table.know(frame)
+            found.table.apply(frame)
             if frame.number >= FIRST_STREAM:
                 file.unread += 1
                 file.last[frame.number] = max(frame.next_seq, file.last.get(frame.number, 0))
         found.files.append(file)
-    found.table.settle()
+    found.table.drop_acknowledged_losses()
     nameless = sum(number not in found.table.by_number for file in found.files for number in file.last)
     if nameless:
         found.damages.append(f"{folder}: the names of {nameless} streams are lost, their messages are kept")

@@ -11,7 +11,14 @@ from stream.batch import FloatArray, first_finite
 from stream.errors import EstimatorError
 from stream.estimators.base import Estimator, NoEstimate
 from stream.estimators.confidence import deviation_bounds
-from stream.estimators.spectrum.spectral_lines import REACH_BINS, Line, Spectrum, WelchAverage, find_lines, welch_edf
+from stream.estimators.spectrum.spectral_lines import (
+    REACH_BINS,
+    SpectralLine,
+    Spectrum,
+    WelchAverage,
+    find_lines,
+    welch_edf,
+)
 from stream.estimators.spectrum.spectral_segments import PAIRS, SEGMENTS, START, SegmentState, append, empty_state, take
 from stream.estimators.spectrum.spectral_segments import continuation as continuation_of
 
@@ -147,7 +154,7 @@ class SpectralDensity(Estimator[Spectrum]):
             segments=self.segments,
         )
 
-    def lines(self, false_alarm_probability: float = 0.01) -> tuple[Line, ...] | NoEstimate:
+    def lines(self, false_alarm_probability: float = 0.01) -> tuple[SpectralLine, ...] | NoEstimate:
         """Sinusoids above the smooth background, lowest frequency first; none is an empty tuple.
 
         A spectrum without any line shows one with at most the false-alarm probability, over all its bins.

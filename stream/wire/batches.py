@@ -60,7 +60,7 @@ def encode_batch(batch: SampleBatch) -> bytes:
     return bytes(message.SerializeToString())
 
 
-class BatchHead(NamedTuple):
+class WireBatchHead(NamedTuple):
     """Head of a sample batch on the wire; `epoch` in hexadecimal digits."""
 
     unit: str
@@ -99,7 +99,7 @@ class WireBatch(NamedTuple):
         return self.meaning[2]
 
 
-def read_batch_head(payload: bytes, *, bounded: bool = True) -> BatchHead:
+def read_batch_head(payload: bytes, *, bounded: bool = True) -> WireBatchHead:
     """Read the head of a batch; raises where `decode_batch` does, without making arrays.
 
     Without `bounded`, numbers beyond their bounds are accepted: old logs may contain them.
@@ -113,7 +113,7 @@ def read_batch_head(payload: bytes, *, bounded: bool = True) -> BatchHead:
     """
     message, last_ns = _checked(payload, bounded=bounded)
     seq = message.seq
-    return BatchHead(
+    return WireBatchHead(
         message.unit,
         message.signal,
         message.run,

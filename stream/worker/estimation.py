@@ -116,11 +116,8 @@ class Estimation:
         for stream in self._pending.streams:
             while (waiting := self._pending.first(stream)) is not None:
                 place, message = waiting
-                if (
-                    self._must_wait(place, message)
-                    and not is_last
-                    and not self._pending.is_lost(stream, self.positions)
-                ):
+                must_wait = self._must_wait(place, message) and not is_last
+                if must_wait and not self._pending.is_lost(stream, self.positions):
                     self.left_out = True
                     break
                 self._pending.pop(stream)

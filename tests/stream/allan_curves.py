@@ -11,7 +11,7 @@ from stream.batch import FloatArray, SampleBatch
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
 from stream.estimators.confidence import least_edf
-from stream.estimators.noise.noise_fit import Coefficient, NoiseFit
+from stream.estimators.noise.noise_fit import NoiseCoefficient, NoiseFit
 from stream.estimators.noise.noise_model import TERMS, markov_column, term_columns
 from stream.events import EstimatePoint
 
@@ -24,7 +24,7 @@ INTERVAL_S = 0.1
 SAMPLES = 864_000
 
 
-def coefficients(fit: NoiseFit | NoEstimate) -> tuple[Coefficient, ...]:
+def coefficients(fit: NoiseFit | NoEstimate) -> tuple[NoiseCoefficient, ...]:
     assert isinstance(fit, NoiseFit), fit
     return tuple(getattr(fit, term.key) for term in TERMS)
 

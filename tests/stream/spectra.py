@@ -7,7 +7,7 @@ import numpy as np
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.estimators.base import NoEstimate
 from stream.estimators.spectral_density import SpectralDensity
-from stream.estimators.spectrum.spectral_lines import Line, Spectrum
+from stream.estimators.spectrum.spectral_lines import SpectralLine, Spectrum
 
 DT_NS = 10_000_000
 
@@ -51,7 +51,7 @@ def spectrum_of(spectral: SpectralDensity) -> Spectrum:
     return spectrum
 
 
-def lines_of(spectral: SpectralDensity) -> tuple[Line, ...]:
+def lines_of(spectral: SpectralDensity) -> tuple[SpectralLine, ...]:
     lines = spectral.lines()
     assert not isinstance(lines, NoEstimate), lines
     return lines

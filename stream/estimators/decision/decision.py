@@ -20,10 +20,10 @@ from typing import Any
 from stream.errors import EstimatorError
 from stream.estimators.confidence import least_edf
 from stream.estimators.decision.decision_bounds import LOOKS, Bounds, bounds
-from stream.estimators.decision.decision_plan import ROUNDING, Decision, DecisionPlan, Outcome, Rule
+from stream.estimators.decision.decision_plan import ROUNDING, Decision, DecisionPlan, DecisionRule, Outcome
 from stream.events import EstimatePoint
 
-__all__ = ["AllanDecision", "BiasStabilityDecision", "Decision", "DecisionPlan", "Outcome", "Rule"]
+__all__ = ["AllanDecision", "BiasStabilityDecision", "Decision", "DecisionPlan", "DecisionRule", "Outcome"]
 
 _SAME_TAU = 1e-6
 
@@ -72,7 +72,7 @@ class _Looks:
             )
         self._last_n = point.n
 
-    def _decide(self, outcome: Outcome, rule: Rule, promise: float, en: str, zh: str) -> Decision:
+    def _decide(self, outcome: Outcome, rule: DecisionRule, promise: float, en: str, zh: str) -> Decision:
         fraction = min(1.0, self._elapsed_s / self.plan.duration_s)
         self.decision = Decision(outcome, en, zh, promise, fraction, rule=rule)
         return self.decision
@@ -83,7 +83,7 @@ class _Looks:
         outcome, sign, word = (Outcome.FAIL, ">", "高于") if point.value > limit else (Outcome.PASS, "<=", "不高于")
         return self._decide(
             outcome,
-            Rule.FINISHED,
+            DecisionRule.FINISHED,
             0.0,
             f"the test is finished: {point.value:.4g} {sign} limit {limit:.4g}",
             f"测试已完成:{point.value:.4g} {word}限值 {limit:.4g}",
@@ -95,7 +95,7 @@ class _Looks:
         must_zh = "完整测试必不合格" if exact else "若无缺失,末次查看必越过 FAIL 界限"
         return self._decide(
             Outcome.FAIL,
-            Rule.CURTAILED,
+            DecisionRule.CURTAILED,
             0.0 if exact else promise,
             f"the sum of squares is {sum_share:.4g} times what the finished test allows and can only grow: {must_en}",
             f"平方和已达完整测试允许值的 {sum_share:.4g} 倍,且只增不减:{must_zh}",
@@ -123,7 +123,7 @@ class _Looks:
 
 
 def _decision(state: dict[str, Any]) -> Decision:
-    return Decision(**{**state, "outcome": Outcome(state["outcome"]), "rule": Rule(state["rule"])})
+    return Decision(**{**state, "outcome": Outcome(state["outcome"]), "rule": DecisionRule(state["rule"])})
 
 
 class AllanDecision(_Looks):
@@ -198,13 +198,13 @@ class AllanDecision(_Looks):
                 at, limit = f"{math.sqrt(bound) * plan.limit:.4g}", f"{plan.limit:.4g}"
                 en = f"{where_en} is at or {side_en} the {outcome} bound {at} (limit {limit})"
                 zh = f"{where_zh} 等于或{side_zh} {outcome} 界限 {at}(限值 {limit})"
-                return self._decide(outcome, Rule.BOUNDS, plan.error_probability, en, zh)
+                return self._decide(outcome, DecisionRule.BOUNDS, plan.error_probability, en, zh)
         return None
 
     def _end_undecided(self, point: EstimatePoint) -> Decision:
         en = f"the test is finished and does not tell {point.value:.4g} from limit {self.plan.limit:.4g}"
         zh = f"测试已完成,无法区分 {point.value:.4g} 与限值 {self.plan.limit:.4g}"
-        return self._decide(Outcome.UNDECIDED, Rule.FINISHED, self.plan.error_probability, en, zh)
+        return self._decide(Outcome.UNDECIDED, DecisionRule.FINISHED, self.plan.error_probability, en, zh)
 
     def _expected_s(self, ratio: float, n: int, value: float) -> float:
         """When the test is decided if all further squares average 2 value**2; infinite if not before the end."""

@@ -18,7 +18,7 @@ class Outcome(StrEnum):
     UNDECIDED = "UNDECIDED"
 
 
-class Rule(StrEnum):
+class DecisionRule(StrEnum):
     """Rule of a decision, which defines its error probability.
 
     CURTAILED: the finished test would decide otherwise (0). BOUNDS: this outcome where the true deviation is at the
@@ -109,4 +109,4 @@ class Decision:
     looked_at_fraction: float
     forecast_s: float | None = None
     forecast_latest_s: float | None = None
-    rule: Rule = Rule.NONE
+    rule: DecisionRule = DecisionRule.NONE

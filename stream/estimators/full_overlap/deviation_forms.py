@@ -7,7 +7,7 @@ import numpy as np
 
 from stream.estimators.base import LEAST_SHARE
 from stream.estimators.full_overlap.full_overlap_kernel import differences, modified
-from stream.estimators.full_overlap.prefix_record import Record
+from stream.estimators.full_overlap.prefix_record import PrefixSums
 
 _RESTART = 1 << 16
 
@@ -45,7 +45,7 @@ FORMS = {
 }
 
 
-def squared_differences(record: Record, kind: Deviation, factor: int) -> tuple[float, int]:
+def squared_differences(record: PrefixSums, kind: Deviation, factor: int) -> tuple[float, int]:
     """Sum of the squared differences of a record, each times the factor, and how many there are.
 
     The variance is this sum over ``norm * n * factor**2``.

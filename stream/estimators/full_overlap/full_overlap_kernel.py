@@ -9,7 +9,7 @@ import numpy.typing as npt
 from numba import njit
 
 from stream.batch import FloatArray, IntArray
-from stream.estimators.full_overlap.prefix_record import Record
+from stream.estimators.full_overlap.prefix_record import PrefixSums
 from stream.estimators.kernels import kernel_part
 
 SUM_ROW, COUNT_ROW, WITHIN, BLOCK = 0, 1, 2, 3
@@ -18,7 +18,14 @@ _VIEWS = 4
 
 @kernel_part()
 def _place(
-    record: Record, first: int, stop: int, factor: int, windows: int, place: IntArray, base: FloatArray, held: IntArray
+    record: PrefixSums,
+    first: int,
+    stop: int,
+    factor: int,
+    windows: int,
+    place: IntArray,
+    base: FloatArray,
+    held: IntArray,
 ) -> int:
     """Place adjacent windows at slot `first`; returns how many slots they can move within the same blocks.
 
@@ -42,7 +49,7 @@ def _place(
 
 
 @kernel_part()
-def _is_full(record: Record, place: IntArray, windows: int, length: int, factor: int) -> bool:
+def _is_full(record: PrefixSums, place: IntArray, windows: int, length: int, factor: int) -> bool:
     """Whether no slot is missing in any of the windows while they move on by `length`."""
     last = place[windows, WITHIN] + length - 1
     held = record.before[place[windows, BLOCK]] - record.before[place[0, BLOCK]]
@@ -52,7 +59,7 @@ def _is_full(record: Record, place: IntArray, windows: int, length: int, factor:
 
 
 @kernel_part()
-def _full_base(record: Record, place: IntArray, base: FloatArray, weights: FloatArray) -> float:
+def _full_base(record: PrefixSums, place: IntArray, base: FloatArray, weights: FloatArray) -> float:
     """What the blocks, and the mean within them, add to a difference of full windows: constant while they move."""
     total = 0.0
     for j in range(weights.shape[0]):
@@ -74,7 +81,7 @@ def _means(
     needed: float,
     out: FloatArray,
 ) -> None:
-    """Means of a window as it moves on, over `Record.mean`; NaN where it holds too few samples."""
+    """Means of a window as it moves on, over `PrefixSums.mean`; NaN where it holds too few samples."""
     for i in range(early.shape[0]):
         found = np.float64(np.int32(late_counts[i]) - np.int32(early_counts[i]))
         count = held + found
@@ -84,7 +91,7 @@ def _means(
 
 @kernel_part()
 def _all_means(
-    record: Record, place: IntArray, base: FloatArray, held: IntArray, length: int, needed: float, out: FloatArray
+    record: PrefixSums, place: IntArray, base: FloatArray, held: IntArray, length: int, needed: float, out: FloatArray
 ) -> None:
     """Means of all windows, a row each."""
     for j in range(out.shape[0]):
@@ -103,7 +110,7 @@ def _all_means(
 
 
 @kernel_part()
-def _view(record: Record, place: IntArray, j: int, length: int) -> FloatArray:
+def _view(record: PrefixSums, place: IntArray, j: int, length: int) -> FloatArray:
     start = place[j, WITHIN]
     return record.sums[place[j, SUM_ROW], start : start + length]
 
@@ -151,7 +158,7 @@ def _sums_with_gaps(
 
 @njit(cache=True, nogil=True)
 def differences(
-    record: Record, factor: int, weights: FloatArray, share: float, first: int, stop: int, step: int
+    record: PrefixSums, factor: int, weights: FloatArray, share: float, first: int, stop: int, step: int
 ) -> tuple[float, float, int]:
     """Differences of adjacent windows of `factor` slots that begin at slots from `first` to `stop`, times `factor`.
 
@@ -207,7 +214,7 @@ def _run_full(
 
 
 @njit(cache=True, nogil=True)
-def modified(record: Record, factor: int, share: float, restart: int) -> tuple[float, int]:
+def modified(record: PrefixSums, factor: int, share: float, restart: int) -> tuple[float, int]:
     """Sum of squares of the sums of `factor` neighbouring differences of two windows, and how many there are.
 
     The sum runs: the incoming difference is added, the outgoing one subtracted. It restarts every `restart` slots, or

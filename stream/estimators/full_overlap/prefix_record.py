@@ -24,7 +24,7 @@ _EMPTY, _FULL = 0, 1
 _MEAN_BITS = 20
 
 
-class Record(NamedTuple):
+class PrefixSums(NamedTuple):
     """Prefix sums of a record, relative to a reference; slots without a sample add nothing.
 
     Attributes
@@ -218,7 +218,7 @@ class PrefixRecord:
             start += len(part)
             self._advance(len(part))
 
-    def record(self) -> Record:
+    def record(self) -> PrefixSums:
         """What was added so far; valid until the next call of any method."""
         rows = np.empty((len(self._sums.rows) + 1, 2), np.int64)
         for i, column in enumerate((self._sums, self._counts)):
@@ -227,7 +227,7 @@ class PrefixRecord:
         count = int(before[-1] + self._counts.line[self._filled])
         mean = _rounded((float(high[-1]) + float(self._sums.line[self._filled])) / max(1, count))
         _subtract_mean(high, low, before, mean)
-        return Record(self._sums.table(), self._counts.table(), rows, before, high, low, mean, self.slots)
+        return PrefixSums(self._sums.table(), self._counts.table(), rows, before, high, low, mean, self.slots)
 
     def close(self) -> None:
         """Free the file and the memory."""

@@ -23,7 +23,7 @@ _SETTLED = 0.01
 _FILTER = 64.0
 
 
-class Coefficient(msgspec.Struct, frozen=True, kw_only=True):
+class NoiseCoefficient(msgspec.Struct, frozen=True, kw_only=True):
     """A noise coefficient with its confidence bounds.
 
     Parameters
@@ -42,13 +42,13 @@ class Coefficient(msgspec.Struct, frozen=True, kw_only=True):
     reason: str = ""
 
 
-class Markov(msgspec.Struct, frozen=True, kw_only=True):
+class MarkovNoise(msgspec.Struct, frozen=True, kw_only=True):
     """Exponentially correlated noise that the curve requires beside the five terms.
 
     `amplitude` is q of IEEE 952; the standard deviation of the noise is q sqrt(correlation time/2).
     """
 
-    amplitude: Coefficient
+    amplitude: NoiseCoefficient
     correlation_s: float
     correlation_lo_s: float
     correlation_hi_s: float
@@ -66,12 +66,12 @@ class NoiseFit(msgspec.Struct, frozen=True, kw_only=True):
         model beyond its own scatter; 0 where the model fits. The bounds allow for it.
     """
 
-    quantization_noise: Coefficient
-    angle_random_walk: Coefficient
-    bias_instability: Coefficient
-    rate_random_walk: Coefficient
-    rate_ramp: Coefficient
-    markov: Markov | None
+    quantization_noise: NoiseCoefficient
+    angle_random_walk: NoiseCoefficient
+    bias_instability: NoiseCoefficient
+    rate_random_walk: NoiseCoefficient
+    rate_ramp: NoiseCoefficient
+    markov: MarkovNoise | None
     confidence: float
     points: int
     misfit: float = 0.0
@@ -93,19 +93,19 @@ def fit_noise(points: Sequence[EstimatePoint], *, confidence: float = 0.95) -> N
     dominated by the longest taus and returns negative squares.
 
     The degrees of freedom are those of the points. A first fit identifies the noises that prevail at each tau; a second
-    takes the correlation between taus from them (`correlations`, where drift counts as random walk and Markov noise as
-    flicker; below 30 degrees everything counts as random walk, which correlates most).
-    Bounds are by profile likelihood, widened for that correlation and for the boundary at 0. With Markov noise they
-    cover its correlation times as well.
+    takes the correlation between taus from them (`correlations`, where drift counts as random walk and Markov
+    noise as flicker; below 30 degrees everything counts as random walk, which correlates most). Bounds are by profile
+    likelihood, widened for that correlation and for the boundary at 0. With Markov noise they cover its
+    correlation times as well.
 
     No sensor is the sum of five terms to the 1e-3 to which its shortest taus are known: its filter alone correlates
     neighbouring samples. Where the curve departs from the model by more than its scatter, a model error is estimated
     with it (`admitted`), so that a million degrees of freedom at one tau do not outweigh all others; the bounds cover
     the forms of that error and its own uncertainty.
 
-    A misfit of the five terms indicates Markov noise only if the likelihood gains enough with the misfit re-estimated
-    beside it. Noise with a correlation time below 64 times the shortest tau that leaves a misfit and replaces angle
-    random walk is the effect of a filter, and is not reported as Markov noise.
+    A misfit of the five terms indicates Markov noise only if the likelihood gains enough with the misfit
+    re-estimated beside it. Noise with a correlation time below 64 times the shortest tau that leaves a misfit and
+    replaces angle random walk is the effect of a filter, and is not reported as Markov noise.
 
     A term is observable where its lower bound is above 0. It can prevail at some tau and still not be observable:
     random walk and ramp often explain the same rise at the end of a record, and either may then be absent.
@@ -160,7 +160,7 @@ def _fitted(taus_s: FloatArray, deviations: FloatArray, edf: FloatArray, confide
             for time_s in np.geomspace(offer.lo_s, offer.hi_s, _TRIED_TIMES)
         ]
         found = _coefficients((*TERMS, MARKOV_NOISE), [*likelihoods, *tried], quantile, scale)
-        markov = Markov(
+        markov = MarkovNoise(
             amplitude=found.pop(MARKOV_NOISE.key),
             correlation_s=offer.correlation_s,
             correlation_lo_s=min(offer.lo_s, offer.correlation_s),
@@ -239,7 +239,7 @@ def _of_mixture(fitted: CurveLikelihood, taus_s: FloatArray, variances: FloatArr
 
 def _coefficients(
     terms: tuple[Term, ...], likelihoods: list[CurveLikelihood], quantile: float, scale: float
-) -> dict[str, Coefficient]:
+) -> dict[str, NoiseCoefficient]:
     """Coefficients of the first likelihood; their bounds cover all of them."""
     best = likelihoods[0]
     minima = [likelihood.minimum() for likelihood in likelihoods]
@@ -258,7 +258,7 @@ def _coefficients(
         ends = min(lo for lo, _ in squares), max(hi for _, hi in squares)
         value, lo, hi = (math.sqrt(square) * scale * term.per_si for square in (squares[0][0], *ends))
         is_seen = lo > 0.0
-        found[term.key] = Coefficient(
+        found[term.key] = NoiseCoefficient(
             value=value,
             lo=lo,
             hi=hi,

@@ -9,7 +9,7 @@ from stream.batch import FloatArray
 from stream.errors import EstimatorError
 from stream.estimators.base import LEAST_SHARE, NoEstimate
 from stream.estimators.confidence import deviation_bounds
-from stream.estimators.noise.noise_fit import Coefficient
+from stream.estimators.noise.noise_fit import NoiseCoefficient
 from stream.estimators.noise.noise_model import ANGLE_RANDOM_WALK
 
 MOST_INTERVAL_S = 0.01
@@ -24,7 +24,7 @@ class NormalisedRandomWalk(msgspec.Struct, frozen=True, kw_only=True):
     and the bias stability at each. `pieces` of the record were used.
     """
 
-    coefficient: Coefficient
+    coefficient: NoiseCoefficient
     taus_s: tuple[float, ...]
     bias_stability_deg_per_h: tuple[float, ...]
     pieces: int
@@ -99,7 +99,7 @@ def angle_random_walk_normalised(
     lo, hi = deviation_bounds(value, degrees, confidence)
     per_si = ANGLE_RANDOM_WALK.per_si
     return NormalisedRandomWalk(
-        coefficient=Coefficient(
+        coefficient=NoiseCoefficient(
             value=value * per_si,
             lo=lo * per_si,
             hi=hi * per_si,

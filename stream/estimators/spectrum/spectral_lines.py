@@ -42,7 +42,7 @@ class Spectrum:
     segments: int
 
 
-class Line(msgspec.Struct, frozen=True, kw_only=True):
+class SpectralLine(msgspec.Struct, frozen=True, kw_only=True):
     """A sinusoid in the signal; the amplitude is that of the peak, in the report unit of the signal.
 
     `background_ratio` is the density at the line's bin over the background there; `false_alarm_probability` bounds
@@ -98,7 +98,7 @@ def welch_edf(segments: int, pairs: int) -> float:
     return 2.0 * segments**2 / (segments + 2.0 * pairs * WINDOW_CORRELATION**2)
 
 
-def find_lines(average: WelchAverage, false_alarm_probability: float, confidence: float) -> tuple[Line, ...]:
+def find_lines(average: WelchAverage, false_alarm_probability: float, confidence: float) -> tuple[SpectralLine, ...]:
     """Lines whose false-alarm probability over the whole spectrum is at most the given one, lowest frequency first.
 
     Notes
@@ -192,7 +192,7 @@ def hann_response(offset_bins: FloatArray) -> FloatArray:
     return np.asarray(0.5 * np.sinc(offset_bins) + 0.25 * near, np.float64)
 
 
-def _fit(average: WelchAverage, peak: int, background: float, chance: float, confidence: float) -> Line:
+def _fit(average: WelchAverage, peak: int, background: float, chance: float, confidence: float) -> SpectralLine:
     """The line at bin `peak`.
 
     Notes
@@ -237,7 +237,7 @@ def _fit(average: WelchAverage, peak: int, background: float, chance: float, con
     power_half_width = z * math.hypot(math.sqrt(covariance[0, 0]), 2.0 * image * power)
     offset_half_width = z * math.hypot(math.sqrt(covariance[1, 1]), image)
     scale, width = math.sqrt(0.75 * background * average.bin_width_hz), average.bin_width_hz
-    return Line(
+    return SpectralLine(
         frequency_hz=(peak + offset) * width,
         frequency_lo_hz=(peak + offset - offset_half_width) * width,
         frequency_hi_hz=(peak + offset + offset_half_width) * width,
