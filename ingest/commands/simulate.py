@@ -88,7 +88,7 @@ def _held(folder: Path) -> Iterator[int]:
 
 
 def _start(role: str, folder: Path, held: int, stop: Stop) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "ingest.simulator.station_roles", role, str(folder)]
+    command = [sys.executable, "-m", "ingest.simulator.processes", role, str(folder)]
     process = subprocess.Popen(  # noqa: S603  a module of ours
         command, stdout=subprocess.PIPE, text=True, start_new_session=True, pass_fds=(held,)
     )

@@ -13,10 +13,9 @@ from ingest.instruments.vibration_table import VibrationTable, VibrationTableOpt
 from ingest.instruments.voltmeter import Voltmeter, VoltmeterOptions
 from ingest.simulator.scpi.chamber import SimulatedChamber
 from ingest.simulator.scpi.device import SimulatedDevice
-from ingest.simulator.scpi.rate_table import SimulatedRateTable
+from ingest.simulator.scpi.electrical import SimulatedVoltmeter
 from ingest.simulator.scpi.server import ScpiServer
-from ingest.simulator.scpi.vibration_table import SimulatedVibrationTable
-from ingest.simulator.scpi.voltmeter import SimulatedVoltmeter
+from ingest.simulator.scpi.tables import SimulatedRateTable, SimulatedVibrationTable
 from ingest.station_clock import StationClock
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput, InstrumentError

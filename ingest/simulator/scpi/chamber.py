@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ingest.simulator.scpi.device import SimulatedDevice, single, within
-from ingest.simulator.timeline import Stretch, Timeline
+from ingest.simulator.scpi.timeline import Segment, Timeline
 from ingest.station_clock import StationClock
 from stream.batch import FloatArray, IntArray
 
@@ -22,11 +22,8 @@ class SimulatedChamber(SimulatedDevice):
 
     Parameters
     ----------
-    clock: The station's clock.
-    start_deg_c: Temperature at the start.
-    ramp_deg_c_per_min: How fast the controller's ramp moves to the temperature that is set.
+    ramp_deg_c_per_min: Rate of the controller's ramp to the temperature that is set.
     lag_s: Time constant with which the air follows the ramp.
-    lowest_deg_c, highest_deg_c: What can be set.
 
     Notes
     -----
@@ -72,7 +69,7 @@ class SimulatedChamber(SimulatedDevice):
     def _set(self, value: float) -> None:
         target = self.setpoint_deg_c = within(value, *self._range)
 
-        def plan(now_ns: int, present: _Air, dt_s: float) -> list[Stretch[_Air]]:
+        def plan(now_ns: int, present: _Air, dt_s: float) -> list[Segment[_Air]]:
             air = single(_air(present, np.array([dt_s])))
             ramp = present.ramp_deg_c + present.slope_deg_c_per_s * dt_s
             slope = float(np.copysign(self._slope, target - ramp))
@@ -80,8 +77,8 @@ class SimulatedChamber(SimulatedDevice):
             end_s = abs(target - ramp) / self._slope
             at_end = single(_air(moving, np.array([end_s])))
             return [
-                Stretch(now_ns, moving),
-                Stretch(now_ns + round(end_s * 1e9), _Air(at_end, target, 0.0, self._lag_s)),
+                Segment(now_ns, moving),
+                Segment(now_ns + round(end_s * 1e9), _Air(at_end, target, 0.0, self._lag_s)),
             ]
 
         self._line.change(plan)
