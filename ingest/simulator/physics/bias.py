@@ -156,11 +156,11 @@ class BiasEffect:
         p = self._bias
         for axis in range(3):
             if p.acceleration_deg_per_h_per_g[axis] != 0.0:
-                out += p.acceleration_deg_per_h_per_g[axis] * conditions.specific_force_g[axis]
+                out += p.acceleration_deg_per_h_per_g[axis] * conditions["specific_force_g"][axis]
             if p.acceleration_squared_deg_per_h_per_g2[axis] != 0.0:
-                squared = np.square(conditions.specific_force_g[axis])
+                squared = np.square(conditions["specific_force_g"][axis])
                 out += p.acceleration_squared_deg_per_h_per_g2[axis] * squared
             if p.magnetic_deg_per_h_per_gauss[axis] != 0.0:
-                out += p.magnetic_deg_per_h_per_gauss[axis] * conditions.magnetic_field_gauss[axis]
+                out += p.magnetic_deg_per_h_per_gauss[axis] * conditions["magnetic_field_gauss"][axis]
         if p.supply_deg_per_h_per_v != 0.0:
-            out += p.supply_deg_per_h_per_v * (conditions.supply_v - p.supply_nominal_v)
+            out += p.supply_deg_per_h_per_v * (conditions["supply_v"] - p.supply_nominal_v)

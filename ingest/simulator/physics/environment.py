@@ -5,9 +5,8 @@ make a right-handed frame.
 """
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -17,8 +16,10 @@ from stream.errors import BadInput
 NOMINAL_TEMPERATURE_DEG_C = 25.0
 NOMINAL_SUPPLY_V = 5.0
 
+Channel = Literal["rates_deg_per_s", "specific_force_g", "magnetic_field_gauss", "temperature_deg_c", "supply_v"]
+
 _NO_VECTOR = (0.0, 0.0, 0.0)
-_DEFAULTS: Mapping[str, tuple[float, ...]] = MappingProxyType(
+_DEFAULTS: Mapping[Channel, tuple[float, ...]] = MappingProxyType(
     {
         "rates_deg_per_s": _NO_VECTOR,
         "specific_force_g": _NO_VECTOR,
@@ -84,11 +85,11 @@ class PiecewiseEnvironment:
             raise BadInput("a piecewise environment needs at least one knot, at finite times in seconds")
         if (np.diff(self._times_s) < 0).any():
             raise BadInput("the knots of a piecewise environment are out of order: sort them by time")
-        if unknown := set(channels) - set(_DEFAULTS):
+        if unknown := channels.keys() - set(_DEFAULTS):
             raise BadInput(f"environment: no channel {min(unknown)}, only {', '.join(_DEFAULTS)}")
         self._knots = {name: self._rows(name, channels.get(name)) for name in _DEFAULTS}
 
-    def _rows(self, name: str, values: Sequence[Any] | None) -> FloatArray:
+    def _rows(self, name: Channel, values: Sequence[Any] | None) -> FloatArray:
         """Knots of a channel as rows, one per component."""
         default = _DEFAULTS[name]
         n = len(self._times_s)
@@ -103,7 +104,7 @@ class PiecewiseEnvironment:
             raise BadInput(f"environment: {name} holds a value that is not finite")
         return np.ascontiguousarray(rows)
 
-    def _at(self, name: str, t_ns: IntArray) -> FloatArray:
+    def _at(self, name: Channel, t_ns: IntArray) -> FloatArray:
         rows = self._knots[name]
         if (rows == rows[:, :1]).all():
             return np.repeat(rows[:, :1], len(t_ns), axis=1)
@@ -120,11 +121,11 @@ class PiecewiseEnvironment:
 
     def temperature_deg_c(self, t_ns: IntArray) -> FloatArray:
         """See `Environment`."""
-        return self._at("temperature_deg_c", t_ns)[0]
+        return self._at("temperature_deg_c", t_ns).reshape(-1)
 
     def supply_v(self, t_ns: IntArray) -> FloatArray:
         """See `Environment`."""
-        return self._at("supply_v", t_ns)[0]
+        return self._at("supply_v", t_ns).reshape(-1)
 
     def magnetic_field_gauss(self, t_ns: IntArray) -> FloatArray:
         """See `Environment`."""
@@ -141,7 +142,8 @@ class StaticEnvironment(PiecewiseEnvironment):
     """
 
     def __init__(self, **channels: float | Sequence[float]) -> None:
-        super().__init__([0.0], **{name: [value] for name, value in channels.items()})
+        knots: dict[str, Any] = {name: [value] for name, value in channels.items()}
+        super().__init__([0.0], **knots)
 
 
 class Conditions:
@@ -158,36 +160,16 @@ class Conditions:
         self._environment, self._t_ns, self._who = environment, t_ns, who
         self.elapsed_s = elapsed_s
 
-    @cached_property
-    def rates_deg_per_s(self) -> FloatArray:
-        """Rates about x, y, z, shape (3, n)."""
-        return self.rates_at(self._t_ns)
+        self._known: dict[Channel, FloatArray] = {}
 
-    def rates_at(self, t_ns: IntArray) -> FloatArray:
-        """Rates about x, y, z at other times, shape (3, len(t_ns))."""
-        return self._checked("rates_deg_per_s", t_ns)
+    def __getitem__(self, name: Channel) -> FloatArray:
+        """A channel, shape (n,), or (3, n) for vectors."""
+        if name not in self._known:
+            self._known[name] = self.at(name, self._t_ns)
+        return self._known[name]
 
-    @cached_property
-    def specific_force_g(self) -> FloatArray:
-        """Specific force along x, y, z, shape (3, n)."""
-        return self._checked("specific_force_g", self._t_ns)
-
-    @cached_property
-    def temperature_deg_c(self) -> FloatArray:
-        """Temperature at the housing, shape (n,)."""
-        return self._checked("temperature_deg_c", self._t_ns)
-
-    @cached_property
-    def supply_v(self) -> FloatArray:
-        """Supply voltage, shape (n,)."""
-        return self._checked("supply_v", self._t_ns)
-
-    @cached_property
-    def magnetic_field_gauss(self) -> FloatArray:
-        """Magnetic flux density along x, y, z, shape (3, n)."""
-        return self._checked("magnetic_field_gauss", self._t_ns)
-
-    def _checked(self, name: str, t_ns: IntArray) -> FloatArray:
+    def at(self, name: Channel, t_ns: IntArray) -> FloatArray:
+        """A channel at other times."""
         values = np.ascontiguousarray(getattr(self._environment, name)(t_ns), np.float64)
         components = len(_DEFAULTS[name])
         shape = (components, len(t_ns)) if components > 1 else (len(t_ns),)

@@ -174,7 +174,7 @@ class SimulatedGyro:
         conditions = Conditions(self._environment, acting_ns, np.asarray(since_ns * 1e-9, np.float64), self._who)
         inside: FloatArray | None = None
         if self._thermal.makes_bias or self.scale_effect.needs_temperature:
-            inside = self._thermal.inside_deg_c(conditions.temperature_deg_c)
+            inside = self._thermal.inside_deg_c(conditions["temperature_deg_c"])
         out = self.scale_effect.apply(self._sensed(conditions, acting_ns), conditions, inside)
         out += self._output_referred(first, conditions, inside) / SECONDS_PER_HOUR
         return out
@@ -183,12 +183,12 @@ class SimulatedGyro:
         """Rate behind misalignment, bandwidth, delay and dead zone, deg/s."""
         misalignment = self.parameters.misalignment
         if self._low_pass is None:
-            rate = sensed_rate(misalignment, conditions.rates_deg_per_s)
+            rate = sensed_rate(misalignment, conditions["rates_deg_per_s"])
         else:
             t_ns = np.empty(2 * len(acting_ns), np.int64)
             t_ns[0::2] = np.maximum(acting_ns - self._hold_ns // 2, self.start_ns)
             t_ns[1::2] = acting_ns
-            rate = self._low_pass.follow(sensed_rate(misalignment, conditions.rates_at(t_ns)))
+            rate = self._low_pass.follow(sensed_rate(misalignment, conditions.at("rates_deg_per_s", t_ns)))
         return rate if self._dead_zone is None else outside_dead_zone(self._dead_zone, rate)
 
     def _output_referred(self, first: int, conditions: Conditions, inside: FloatArray | None) -> FloatArray:

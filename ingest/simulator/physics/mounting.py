@@ -193,7 +193,7 @@ class ChamberEnvironment(StaticEnvironment):
         known = self._second + len(self._nodes)
         if (missing := int(t_s[-1]) + 2 - known) > 0:
             self._nodes = np.concatenate([self._nodes, self._next_nodes(known, missing)])
-        temperature = np.interp(t_s, self._second + np.arange(len(self._nodes)), self._nodes)
+        temperature: FloatArray = np.interp(t_s, self._second + np.arange(len(self._nodes)), self._nodes)
         passed = int(t_s[-1]) - self._second
         self._nodes, self._second = self._nodes[passed:], self._second + passed
         return temperature

@@ -106,7 +106,7 @@ class ScaleEffect:
             above = temperature - NOMINAL_TEMPERATURE_DEG_C
             ppm = ppm + above * (p.temperature_ppm_per_deg_c + above * p.temperature_ppm_per_deg_c2)
         if p.acceleration_ppm_per_g != 0.0:
-            ppm = ppm + p.acceleration_ppm_per_g * conditions.specific_force_g[0]
+            ppm = ppm + p.acceleration_ppm_per_g * conditions["specific_force_g"][0]
         if p.ageing_ppm_per_1000_h != 0.0:
             age_h = self._age_h + conditions.elapsed_s / SECONDS_PER_HOUR
             ppm = ppm + p.ageing_ppm_per_1000_h * (age_h / _HOURS_PER_KILOHOUR)
