@@ -83,6 +83,7 @@ def show(name: str, choices: tuple[str, ...], *, as_json: bool) -> None:
 @reporting
 def check(name: str, settings: str | None, station: Path | None, choices: tuple[str, ...], *, as_json: bool) -> None:
     """Check a procedure, and whether a station can do it."""
+    from ingest.procedures.file import near_name
     from ingest.procedures.procedure import SETTINGS, load_procedure
     from ingest.station.station import load_station
 
@@ -93,7 +94,8 @@ def check(name: str, settings: str | None, station: Path | None, choices: tuple[
     if settings is not None:
         able = [each.strip() for each in settings.split(",") if each.strip()]
         if unknown := [each for each in able if each not in SETTINGS]:
-            raise BadInput(f"--settings: {unknown[0]!r} is no setting; there is {', '.join(SETTINGS)}")
+            near = near_name(unknown[0], SETTINGS)
+            raise BadInput(f"--settings: {unknown[0]!r} is no setting{near}; there is {', '.join(SETTINGS)}")
         unmet = found.unmet(able, given)
     if station is not None:
         unmet = found.unmet(load_station(station).settings, given)

@@ -215,7 +215,15 @@ def own(folder: Path, text: str) -> Path:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("[[step]]\nname='a'\nrecrod_s=1", r"unknown field `recrod_s` - at `\$\.step\[0\]`"),
+        ("[[step]]\nname='a'\nrecrod_s=1", r"unknown field `recrod_s` - at `\$\.step\[0\]`, did you mean record_s\?"),
+        ("sorce=['a']\n[[step]]\nname='a'", r"unknown field `sorce`, did you mean source\?"),
+        ("[[step]]\nname='a'\nprompt={eng='A'}", r"`eng` - at `\$\.step\[0\]\.prompt`, did you mean en\?"),
+        ("[[step]]\nname='a'\nzzzz=1", r"unknown field `zzzz` - at `\$\.step\[0\]`$"),
+        (
+            "[[step]]\nfor='r'\nseries={kind='R5',most=1}\n[[step.step]]\nname='a'\nseries={kind='R5',cuont=1}",
+            r"unknown field `(most|cuont)` - at `\$\.step\[0\].*series`",
+        ),
+        ("[parameters.a]\ndefualt=5\n[[step]]\nname='a'", r"`defualt` - at `\$\.parameters.*`, did you mean default\?"),
         ("[[step]]\nname='a'\nrecord_s=-1", r"\$\.step\[0\]\.record_s: -1 s; expected are 0 to"),
         ("[[step]]\nname='a'\nsettle_s=true", r"Expected .* got `bool` - at `\$\.step\[0\]\.settle_s`"),
         ("[[step]]\nname='a'\nrecord_s='$x'", r"\$\.step\[0\]\.record_s: \$x is neither"),
@@ -224,7 +232,8 @@ def own(folder: Path, text: str) -> Path:
         ("[[step]]\nname='a'\npower='blink'", r"\$\.step\[0\]\.power: 'blink' is none of off, on, cycle, none"),
         ("[[step]]\nname='a'\noff_s=5", r"\$\.step\[0\]\.off_s: the units are not switched off here"),
         ("[[step]]\nname='a'\npower='off'\nrecord_s=5", r"\$\.step\[0\]: records 5 s while the units have no power"),
-        ("[[step]]\nname='a'\nwait_settled=['speed']", r"wait_settled: 'speed' is no setting"),
+        ("[[step]]\nname='a'\nwait_settled=['speed']", r"wait_settled: 'speed' is no setting; there is rate"),
+        ("[[step]]\nname='a'\nwait_settled=['temprature']", r"is no setting, did you mean temperature\?; there is"),
         ("[[step]]\nname='a'\nwait_settled=['rate']", r"wait_settled: rate has not been set"),
         ("[[step]]\nname='a'\namplitude_deg_per_s=1", r"an amplitude without a frequency_hz"),
         ("[[step]]\nname='a'\nfrequency_hz=0", r"frequency_hz: 0 Hz is not positive"),
@@ -335,6 +344,8 @@ def test_a_procedure_uses_another_with_parameters_of_its_own(tmp_path: Path) -> 
     ("given", "told"),
     [
         ({"nothing": "1"}, "has no parameter 'nothing'; it has"),
+        ({"max_rate": "1"}, r"has no parameter 'max_rate', did you mean max_rate_deg_per_s\?; it has"),
+        ({"power_between_rates": "cycles"}, r"'cycles' is none of cycle, none, did you mean cycle\?"),
         ({"max_rate_deg_per_s": "fast"}, "'fast' is no number in deg/s"),
         ({"max_rate_deg_per_s": "-3"}, "below the least"),
         ({"max_rate_deg_per_s": "nan"}, "no finite number"),

@@ -143,7 +143,7 @@ class ReadoutEffect:
         n = len(rate_deg_per_s)
         counts, ready = np.empty(n, np.int32), np.ones(n, np.bool_)
         if start_up is not None:
-            elapsed_s: FloatArray = (first + np.arange(n, dtype=np.int64)) * self._interval_ns * 1e-9
+            elapsed_s = np.asarray((first + np.arange(n, dtype=np.int64)) * self._interval_ns * 1e-9, np.float64)
             ready = elapsed_s >= start_up.invalid_s
             size, time_constant_s = start_up.transient_deg_per_s, start_up.time_constant_s
             _add_transient(elapsed_s, start_up.invalid_s, size, time_constant_s, rate_deg_per_s)
