@@ -6,8 +6,6 @@ the course before the time that an answer states does not change any more.
 
 import json
 import socket
-import socketserver
-import threading
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -60,58 +58,33 @@ class SimulatedBench(NamedTuple):
         )
 
 
-class CourseServer:
-    """Sends the courses of simulated instruments on request.
-
-    Parameters
-    ----------
-    devices: By name; those without a course are left out.
-    port: Port to listen at on the loopback; any free one by default.
+class CourseDevice(SimulatedDevice):
+    """Answers with the courses of simulated instruments since given times; served beside the instruments.
 
     Examples
     --------
+    >>> from ingest.simulator.scpi.server import ScpiServer
     >>> clock = StationClock(speed=1000.0)
     >>> real, copy = (SimulatedRateTable(clock, ripple_deg_per_s=0.0) for _ in range(2))
-    >>> with CourseServer({"table": real}) as server, CourseClient("127.0.0.1", server.port, {"table": copy}) as client:
-    ...     real.handle("RATE:SETP 20")
-    ...     clock.sleep(10.0)
-    ...     now_ns = client.update()
+    >>> with ScpiServer({"world": CourseDevice(clock, {"table": real})}) as server:
+    ...     with CourseClient(server.host, server.port("world"), {"table": copy}) as client:
+    ...         real.handle("RATE:SETP 20")
+    ...         clock.sleep(10.0)
+    ...         now_ns = client.update()
     >>> float(copy.rate_deg_per_s(now_ns)), float(copy.angle_deg(now_ns)) == float(real.angle_deg(now_ns))
     (20.0, True)
     """
 
-    def __init__(self, devices: Mapping[str, SimulatedDevice], port: int = 0) -> None:
-        courses = {name: device.course for name, device in devices.items() if device.course is not None}
+    def __init__(self, clock: StationClock, devices: Mapping[str, SimulatedDevice]) -> None:
+        super().__init__("GYROFLEET,SIMULATED COURSES,0,1", clock, {}, {})
+        self._courses = {name: device.course for name, device in devices.items() if device.course is not None}
 
-        class Handler(socketserver.StreamRequestHandler):
-            def handle(self) -> None:
-                for line in self.rfile:
-                    since = json.loads(line)
-                    found = {name: course.since(since.get(name, 0)) for name, course in courses.items()}
-                    answer = {
-                        "now_ns": min(now_ns for now_ns, _ in found.values()),
-                        "courses": {name: segments for name, (_, segments) in found.items()},
-                    }
-                    self.wfile.write(json.dumps(answer).encode() + b"\n")
-
-        class Server(socketserver.ThreadingTCPServer):
-            allow_reuse_address = True
-            daemon_threads = True
-
-        self._server = Server(("127.0.0.1", port), Handler)
-        self.port: int = self._server.server_address[1]
-        threading.Thread(target=self._server.serve_forever, name="gyrofleet-courses", daemon=True).start()
-
-    def close(self) -> None:
-        """Stop the server."""
-        self._server.shutdown()
-        self._server.server_close()
-
-    def __enter__(self) -> "CourseServer":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def handle(self, line: str) -> str:
+        """Answer a line of JSON, times by instrument, with the time now and the segments from those times on."""
+        since = json.loads(line)
+        found = {name: course.since(since.get(name, 0)) for name, course in self._courses.items()}
+        now_ns = min(now_ns for now_ns, _ in found.values())
+        return json.dumps({"now_ns": now_ns, "courses": {name: segments for name, (_, segments) in found.items()}})
 
 
 class CourseClient:

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from ingest.simulator.bench import CourseClient, CourseServer, SimulatedBench
+from ingest.simulator.bench import CourseClient, CourseDevice, SimulatedBench
 from ingest.simulator.physics.gyro import SimulatedGyro
 from ingest.simulator.physics.mounting import TableEnvironment
 from ingest.simulator.physics.plan import Plan, load_plan
@@ -143,11 +143,8 @@ def play_instruments(folder: Path) -> None:
     simulation = read_simulation(folder)
     bench = _bench(simulation)
     bench.supply.handle("VOLT 5;CURR 5;OUTP ON")
-    with (
-        ScpiServer(bench.named, ports=simulation.ports),
-        CourseServer(bench.named, simulation.ports["world"]),
-        until_stopped() as stop,
-    ):
+    courses = CourseDevice(bench.supply.clock, bench.named)
+    with ScpiServer({**bench.named, "world": courses}, ports=simulation.ports), until_stopped() as stop:
         print("ready", flush=True)
         while not (stop.wait(_LOOK_S) or _is_orphan()):
             pass

@@ -163,10 +163,11 @@ def test_a_parameter_is_checked(given: dict[str, str], told: str) -> None:
 
 
 def test_a_list_of_numbers_is_a_parameter_too() -> None:
-    steps = recorded("system_level_asymmetry", speeds_deg_per_s="12, 15")
+    asymmetry = load_procedure("system_level_asymmetry")
+    steps = [step for step in asymmetry.steps({"speeds_deg_per_s": "12, 15"}) if step.is_recorded]
     assert {abs(step.settings["rate"]) for step in steps if "rate" in step.settings} == {12.0, 15.0}
     with pytest.raises(BadInput, match="above the most"):
-        recorded("system_level_asymmetry", speeds_deg_per_s="12,45")
+        asymmetry.steps({"speeds_deg_per_s": "12,45"})
 
 
 def test_the_duration_is_the_sum_of_what_is_waited_for(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ingest.simulator.bench import CourseClient, CourseServer
+from ingest.simulator.bench import CourseClient, CourseDevice
 from ingest.simulator.physics.gyro import SimulatedGyro
 from ingest.simulator.physics.mounting import TableEnvironment
 from ingest.simulator.physics.plan import parse_plan
@@ -17,6 +17,7 @@ from ingest.simulator.processes import GyroBus, power_ons_so_far
 from ingest.simulator.scpi.chamber import SimulatedChamber
 from ingest.simulator.scpi.device import SimulatedDevice
 from ingest.simulator.scpi.electrical import SimulatedSupply
+from ingest.simulator.scpi.server import ScpiServer
 from ingest.simulator.scpi.tables import SimulatedRateTable
 from ingest.station_clock import StationClock
 from stream.errors import InstrumentError
@@ -127,7 +128,11 @@ def test_copies_follow_through_many_commands_and_learn_that_the_world_has_ended(
     clock = StationClock(speed=1000.0)
     real, copy = SimulatedRateTable(clock), SimulatedRateTable(clock)
     rng = np.random.default_rng(7)
-    with CourseServer({"table": real}) as server, CourseClient("127.0.0.1", server.port, {"table": copy}) as world:
+    courses = CourseDevice(clock, {"table": real})
+    with (
+        ScpiServer({"world": courses}) as server,
+        CourseClient("127.0.0.1", server.port("world"), {"table": copy}) as world,
+    ):
         before_ns = clock.now_ns()
         for _ in range(30):
             real.handle(f"RATE:SETP {rng.uniform(-50, 50):.3f}")
@@ -137,4 +142,4 @@ def test_copies_follow_through_many_commands_and_learn_that_the_world_has_ended(
             assert (copy.rate_deg_per_s(t_ns) == real.rate_deg_per_s(t_ns)).all()
             assert (copy.angle_deg(t_ns) == real.angle_deg(t_ns)).all()
     with pytest.raises(InstrumentError, match="cannot be reached"):
-        CourseClient("127.0.0.1", server.port, {"table": copy})
+        CourseClient("127.0.0.1", server.port("world"), {"table": copy})

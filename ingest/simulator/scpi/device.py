@@ -73,6 +73,10 @@ class SimulatedDevice:
         }
         self._queries = [(_header(name), handler) for name, handler in {**common, **queries}.items()]
 
+    def now(self, quantity: Callable[[int], FloatArray], decimals: int) -> str:
+        """The present value of a quantity, as an answer."""
+        return f"{single(quantity(self.clock.now_ns())):.{decimals}f}"
+
     def handle(self, line: str) -> str | None:
         """Execute a line; returns the answer, if there is one."""
         with self._lock:

@@ -10,6 +10,8 @@ from ingest.simulator.scpi.timeline import Segment, Timeline
 from ingest.station_clock import StationClock
 from stream.batch import FloatArray, IntArray
 
+_MAX_VOLTAGE_V, _MAX_CURRENT_A = 36.0, 10.0
+_RISE_S = 0.02  # time constant of the voltage
 _OVERLOAD = "+9.90000000E+37"
 _MAINS_HZ = 50.0
 _POINTS = 16  # of the mean over its averaging time
@@ -26,10 +28,7 @@ class _Output(NamedTuple):
 class SimulatedSupply(SimulatedDevice):
     """Power supply: ``VOLT``, ``CURR``, ``OUTP``, their queries, ``MEAS:VOLT?`` and ``MEAS:CURR?``.
 
-    Parameters
-    ----------
-    load_ohm: Resistance of the load.
-    rise_s: Time constant of the voltage.
+    The load is a resistor.
 
     Examples
     --------
@@ -39,34 +38,25 @@ class SimulatedSupply(SimulatedDevice):
     (5.0, 1.0)
     """
 
-    def __init__(
-        self,
-        clock: StationClock,
-        *,
-        load_ohm: float = 10.0,
-        rise_s: float = 0.02,
-        max_voltage_v: float = 36.0,
-        max_current_a: float = 10.0,
-    ) -> None:
+    def __init__(self, clock: StationClock, *, load_ohm: float = 10.0) -> None:
         super().__init__(
             "GYROFLEET,SIMULATED SUPPLY,0,1",
             clock,
             {
-                "[SOURce:]VOLTage": lambda value: self._set(set_v=within(value, 0.0, max_voltage_v)),
-                "[SOURce:]CURRent": lambda value: self._set(limit_a=within(value, 0.0, max_current_a)),
+                "[SOURce:]VOLTage": lambda value: self._set(set_v=within(value, 0.0, _MAX_VOLTAGE_V)),
+                "[SOURce:]CURRent": lambda value: self._set(limit_a=within(value, 0.0, _MAX_CURRENT_A)),
                 "OUTPut[:STATe]": lambda value: self._set(on=float(within(value, 0.0, 1.0) != 0.0)),
             },
             {
                 "[SOURce:]VOLTage?": lambda: f"{self._line.now.set_v:.4f}",
                 "[SOURce:]CURRent?": lambda: f"{self._line.now.limit_a:.4f}",
                 "OUTPut[:STATe]?": lambda: f"{self._line.now.on:.0f}",
-                "MEASure:VOLTage?": lambda: f"{single(self.voltage_v(clock.now_ns())):.4f}",
-                "MEASure:CURRent?": lambda: f"{single(self.current_a(clock.now_ns())):.4f}",
+                "MEASure:VOLTage?": lambda: self.now(self.voltage_v, 4),
+                "MEASure:CURRent?": lambda: self.now(self.current_a, 4),
             },
         )
         self._load_ohm = load_ohm
-        self._rise_s = rise_s
-        self.course = self._line = Timeline(clock, _Output(0.0, max_current_a, 0.0, 0.0), self._voltage)
+        self.course = self._line = Timeline(clock, _Output(0.0, _MAX_CURRENT_A, 0.0, 0.0), self._voltage)
 
     def voltage_v(self, t_ns: IntArray | int) -> FloatArray:
         """Voltage at the load at these times of the past, V."""
@@ -89,7 +79,7 @@ class SimulatedSupply(SimulatedDevice):
 
     def _voltage(self, state: _Output, dt_s: FloatArray) -> FloatArray:
         target = min(state.set_v, state.limit_a * self._load_ohm) if state.on else 0.0
-        return np.asarray(target + (state.at_start_v - target) * np.exp(-dt_s / self._rise_s), np.float64)
+        return np.asarray(target + (state.at_start_v - target) * np.exp(-dt_s / _RISE_S), np.float64)
 
 
 class SimulatedVoltmeter(SimulatedDevice):

@@ -11,6 +11,14 @@ from ingest.simulator.scpi.timeline import Segment, Timeline
 from ingest.station_clock import StationClock
 from stream.batch import FloatArray, IntArray
 
+_MAX_RATE_DEG_PER_S = 400.0
+_ACCELERATION_DEG_PER_S2 = 100.0
+_POSITIONING_RATE_DEG_PER_S = 30.0
+_RIPPLE_RAD_PER_S = 2.0 * np.pi * 7.0
+_MAX_AMPLITUDE_DEG_PER_S = 200.0
+_MAX_FREQUENCY_HZ = 1000.0
+_SWELL_S = 0.3  # time constant with which the amplitude follows its setting
+_TRACE_DT_NS = 500_000
 _MOST_IN_TRACE = 8192
 
 
@@ -19,7 +27,6 @@ class _Motion(NamedTuple):
     rate_deg_per_s: float
     acceleration_deg_per_s2: float
     ripple_deg_per_s: float
-    ripple_hz: float
 
 
 class SimulatedRateTable(SimulatedDevice):
@@ -27,8 +34,7 @@ class SimulatedRateTable(SimulatedDevice):
 
     Parameters
     ----------
-    positioning_rate_deg_per_s: Largest rate on the way to a position.
-    ripple_deg_per_s, ripple_hz: Amplitude and frequency of a sine on the rate while it turns; at rest there is none.
+    ripple_deg_per_s: Amplitude of a sine on the rate while it turns; at rest there is none.
 
     Notes
     -----
@@ -43,51 +49,38 @@ class SimulatedRateTable(SimulatedDevice):
     -20.0
     """
 
-    def __init__(
-        self,
-        clock: StationClock,
-        *,
-        max_rate_deg_per_s: float = 400.0,
-        acceleration_deg_per_s2: float = 100.0,
-        positioning_rate_deg_per_s: float = 30.0,
-        ripple_deg_per_s: float = 2e-4,
-        ripple_hz: float = 7.0,
-    ) -> None:
+    def __init__(self, clock: StationClock, *, ripple_deg_per_s: float = 2e-4) -> None:
         super().__init__(
             "GYROFLEET,SIMULATED RATE TABLE,0,1",
             clock,
             {"RATE:SETPoint": self._set_rate, "ANGLe:SETPoint": self._set_angle},
             {
-                "RATE:ACTual?": lambda: f"{single(self.rate_deg_per_s(clock.now_ns())):.6f}",
-                "ANGLe:ACTual?": lambda: f"{single(self.angle_deg(clock.now_ns())):.6f}",
+                "RATE:ACTual?": lambda: self.now(self.rate_deg_per_s, 6),
+                "ANGLe:ACTual?": lambda: self.now(self.angle_deg, 6),
             },
         )
-        self._max_rate = max_rate_deg_per_s
-        self._acceleration = acceleration_deg_per_s2
-        self._positioning_rate = positioning_rate_deg_per_s
-        self._ripple = ripple_deg_per_s, ripple_hz
-        at_rest = _Motion(0.0, 0.0, 0.0, 0.0, ripple_hz)
-        self.course = self._rate = Timeline(clock, at_rest, _rate)
+        self._ripple_deg_per_s = ripple_deg_per_s
+        self.course = self._line = Timeline(clock, _Motion(0.0, 0.0, 0.0, 0.0), _rate)
 
     def rate_deg_per_s(self, t_ns: IntArray | int) -> FloatArray:
         """Rate at these times of the past, deg/s."""
-        return self._rate.at(t_ns)
+        return self._line.at(t_ns)
 
     def angle_deg(self, t_ns: IntArray | int) -> FloatArray:
         """Angle at these times of the past, deg, over several turns."""
-        return self._rate.at(t_ns, _angle)
+        return self._line.at(t_ns, _angle)
 
     def _set_rate(self, value: float) -> None:
-        target = within(value, -self._max_rate, self._max_rate)
-        self._move(lambda motion: [_to_rate(motion.rate_deg_per_s, target, self._acceleration)], target)
+        target = within(value, -_MAX_RATE_DEG_PER_S, _MAX_RATE_DEG_PER_S)
+        self._move(lambda motion: [_to_rate(motion.rate_deg_per_s, target)], target)
 
     def _set_angle(self, value: float) -> None:
-        a, fastest = self._acceleration, self._positioning_rate
+        a = _ACCELERATION_DEG_PER_S2
 
         def legs(motion: _Motion) -> list[tuple[float, float]]:
-            stop = _to_rate(motion.rate_deg_per_s, 0.0, a)
+            stop = _to_rate(motion.rate_deg_per_s, 0.0)
             way = value - (motion.angle_deg + motion.rate_deg_per_s * stop[0] / 2.0)
-            peak = min(fastest, math.sqrt(a * abs(way)))
+            peak = min(_POSITIONING_RATE_DEG_PER_S, math.sqrt(a * abs(way)))
             up = math.copysign(a, way)
             level_s = max(0.0, abs(way) - peak**2 / a) / peak if peak else 0.0
             return [stop, (peak / a, up), (level_s, 0.0), (peak / a, -up)]
@@ -108,26 +101,26 @@ class SimulatedRateTable(SimulatedDevice):
                 motion = _after(motion, duration_s)
                 t_ns += round(duration_s * 1e9)
             end = motion.angle_deg if angle is None else angle
-            ripple = self._ripple[0] if rate else 0.0
-            segments.append(Segment(t_ns, _Motion(end, rate, 0.0, ripple, self._ripple[1])))
+            ripple = self._ripple_deg_per_s if rate else 0.0
+            segments.append(Segment(t_ns, _Motion(end, rate, 0.0, ripple)))
             return segments
 
-        self._rate.change(plan)
+        self._line.change(plan)
 
 
-def _to_rate(rate: float, target: float, acceleration: float) -> tuple[float, float]:
+def _to_rate(rate: float, target: float) -> tuple[float, float]:
     """Seconds, and acceleration, from one rate to another."""
-    return abs(target - rate) / acceleration, math.copysign(acceleration, target - rate)
+    change = target - rate
+    return abs(change) / _ACCELERATION_DEG_PER_S2, math.copysign(_ACCELERATION_DEG_PER_S2, change)
 
 
 def _rate(motion: _Motion, dt_s: FloatArray) -> FloatArray:
-    ripple = motion.ripple_deg_per_s * np.sin(2.0 * np.pi * motion.ripple_hz * dt_s)
+    ripple = motion.ripple_deg_per_s * np.sin(_RIPPLE_RAD_PER_S * dt_s)
     return np.asarray(motion.rate_deg_per_s + motion.acceleration_deg_per_s2 * dt_s + ripple, np.float64)
 
 
 def _angle(motion: _Motion, dt_s: FloatArray) -> FloatArray:
-    omega = 2.0 * np.pi * motion.ripple_hz
-    ripple = motion.ripple_deg_per_s * (1.0 - np.cos(omega * dt_s)) / omega
+    ripple = motion.ripple_deg_per_s * (1.0 - np.cos(_RIPPLE_RAD_PER_S * dt_s)) / _RIPPLE_RAD_PER_S
     steady = motion.rate_deg_per_s * dt_s + 0.5 * motion.acceleration_deg_per_s2 * dt_s**2
     return np.asarray(motion.angle_deg + steady + ripple, np.float64)
 
@@ -146,20 +139,15 @@ class _Sine(NamedTuple):
     frequency_hz: float
     amplitude_deg_per_s: float
     amplitude_at_start_deg_per_s: float
-    swell_s: float
 
 
 class SimulatedVibrationTable(SimulatedDevice):
     """Angular-vibration table: ``FREQ:SETP``, ``AMPL:SETP``, ``FREQ:ACT?``, ``AMPL:ACT?`` and ``RATE:TRAC?``.
 
-    Parameters
-    ----------
-    swell_s: Time constant with which the amplitude follows its setting.
-    trace_hz: Sample rate of the trace, which holds the last 8192 samples.
-
     Notes
     -----
-    rate = A(t) sin(phase + 2 pi f t), A(t) = A + (A0 - A) exp(-t/swell); the phase is continuous.
+    rate = A(t) sin(phase + 2 pi f t), A(t) = A + (A0 - A) exp(-t/swell); the phase is continuous. The trace has a
+    sample every 0.5 ms, and holds the last 8192.
 
     Examples
     --------
@@ -169,34 +157,25 @@ class SimulatedVibrationTable(SimulatedDevice):
     20.0
     """
 
-    def __init__(
-        self,
-        clock: StationClock,
-        *,
-        swell_s: float = 0.3,
-        trace_hz: float = 2000.0,
-        max_amplitude_deg_per_s: float = 200.0,
-        max_frequency_hz: float = 1000.0,
-    ) -> None:
+    def __init__(self, clock: StationClock) -> None:
         super().__init__(
             "GYROFLEET,SIMULATED VIBRATION TABLE,0,1",
             clock,
             {
-                "FREQuency:SETPoint": lambda value: self._set(frequency_hz=within(value, 1e-3, max_frequency_hz)),
+                "FREQuency:SETPoint": lambda value: self._set(frequency_hz=within(value, 1e-3, _MAX_FREQUENCY_HZ)),
                 "AMPLitude:SETPoint": lambda value: self._set(
-                    amplitude_deg_per_s=within(value, 0.0, max_amplitude_deg_per_s)
+                    amplitude_deg_per_s=within(value, 0.0, _MAX_AMPLITUDE_DEG_PER_S)
                 ),
             },
             {
                 "FREQuency:ACTual?": lambda: f"{self.frequency_hz:.6f}",
-                "AMPLitude:ACTual?": lambda: f"{single(self.amplitude_deg_per_s(clock.now_ns())):.6f}",
-                "RATE:ACTual?": lambda: f"{single(self.rate_deg_per_s(clock.now_ns())):.6f}",
+                "AMPLitude:ACTual?": lambda: self.now(self.amplitude_deg_per_s, 6),
+                "RATE:ACTual?": lambda: self.now(self.rate_deg_per_s, 6),
                 "RATE:TRACe?": self._trace,
             },
         )
         self.frequency_hz = 1.0
-        self.course = self._line = Timeline(clock, _Sine(0.0, 0.0, 1.0, 0.0, 0.0, swell_s), _sine_rate)
-        self._trace_dt_ns = round(1e9 / trace_hz)
+        self.course = self._line = Timeline(clock, _Sine(0.0, 0.0, 1.0, 0.0, 0.0), _sine_rate)
         self._traced_ns = clock.now_ns()
 
     def rate_deg_per_s(self, t_ns: IntArray | int) -> FloatArray:
@@ -227,7 +206,7 @@ class SimulatedVibrationTable(SimulatedDevice):
 
     def _trace(self) -> str:
         """Rates since the last query: t0_ns,dt_ns,rate,rate,..."""
-        dt_ns = self._trace_dt_ns
+        dt_ns = _TRACE_DT_NS
         end = self.clock.now_ns() // dt_ns
         begin = max(self._traced_ns // dt_ns + 1, end - _MOST_IN_TRACE + 1)
         self._traced_ns = end * dt_ns
@@ -237,7 +216,7 @@ class SimulatedVibrationTable(SimulatedDevice):
 
 def _amplitude(sine: _Sine, dt_s: FloatArray) -> FloatArray:
     behind = sine.amplitude_at_start_deg_per_s - sine.amplitude_deg_per_s
-    return np.asarray(sine.amplitude_deg_per_s + behind * np.exp(-dt_s / sine.swell_s), np.float64)
+    return np.asarray(sine.amplitude_deg_per_s + behind * np.exp(-dt_s / _SWELL_S), np.float64)
 
 
 def _sine_rate(sine: _Sine, dt_s: FloatArray) -> FloatArray:
@@ -247,7 +226,7 @@ def _sine_rate(sine: _Sine, dt_s: FloatArray) -> FloatArray:
 
 def _sine_angle(sine: _Sine, dt_s: FloatArray) -> FloatArray:
     """Integrals of sin(p + w t) and exp(-t/s) sin(p + w t)."""
-    omega, decay = 2.0 * np.pi * sine.frequency_hz, 1.0 / sine.swell_s
+    omega, decay = 2.0 * np.pi * sine.frequency_hz, 1.0 / _SWELL_S
     phase = sine.phase_rad + omega * dt_s
     steady = (np.cos(sine.phase_rad) - np.cos(phase)) / omega
     swell = -(np.exp(-decay * dt_s) * (decay * np.sin(phase) + omega * np.cos(phase))) / (decay**2 + omega**2)
