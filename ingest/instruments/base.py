@@ -46,6 +46,8 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 class Instrument(ABC):
     """One instrument; its methods are called from one thread at a time, under `lock` where several threads use it.
 
+    They raise InstrumentError if it cannot be reached, is another one, or refuses.
+
     Parameters
     ----------
     name: Its name at the station; its samples are those of a unit of this name.
@@ -74,51 +76,26 @@ class Instrument(ABC):
 
     @abstractmethod
     def open(self) -> str:
-        """Connect; returns its identity.
-
-        Raises
-        ------
-        InstrumentError: If it cannot be reached or is another one.
-        """
+        """Connect; returns its identity."""
 
     @abstractmethod
     def close(self) -> None:
         """Disconnect; never raises."""
 
     def set(self, what: str, value: float) -> None:
-        """Command one of its settings, in that setting's unit; returns at once.
-
-        Raises
-        ------
-        InstrumentError: If it cannot be reached, refuses, or the value is beyond its range.
-        """
+        """Command one of its settings, in that setting's unit; returns at once."""
         raise BadInput(f"the {self.names['en']} {self.name} cannot be set to a {what} of {value:g}")
 
     def is_settled(self, what: str) -> bool:  # noqa: ARG002
-        """Whether a setting has reached its last value.
-
-        Raises
-        ------
-        InstrumentError: If it cannot be reached.
-        """
+        """Whether a setting has reached its last value."""
         return True
 
     def sample(self) -> list[Reading]:
-        """Measure every signal once.
-
-        Raises
-        ------
-        InstrumentError: If it cannot be reached, or its answer is no measurement.
-        """
+        """Measure every signal once."""
         return []
 
     def make_safe(self) -> None:  # noqa: B027  most are always safe
-        """Bring it to a state in which it can be left alone: a table at rest, a chamber at room temperature.
-
-        Raises
-        ------
-        InstrumentError: If it cannot be reached.
-        """
+        """Bring it to a state in which it can be left alone: a table at rest, a chamber at room temperature."""
 
     def __enter__(self) -> Self:
         self.open()

@@ -73,7 +73,7 @@ class ScpiConnection:
 
     A request that fails because the connection does is repeated once over a new connection, so every command must
     be repeatable: ``RATE 10``, never ``RATE UP``. After a failure the connection is closed, so that a late answer is
-    never taken for that to the next query.
+    never taken for that to the next query. The methods raise InstrumentError if it cannot be reached or refuses.
 
     Parameters
     ----------
@@ -109,12 +109,7 @@ class ScpiConnection:
         return self._line is not None
 
     def open(self) -> str:
-        """Connect; returns the answer to ``*IDN?``.
-
-        Raises
-        ------
-        InstrumentError: If it cannot be reached or is another one.
-        """
+        """Connect; returns the answer to ``*IDN?``."""
         with self._lock:
             self._is_wanted = True
             self._disconnect()
@@ -128,21 +123,11 @@ class ScpiConnection:
             self._disconnect()
 
     def ask(self, query: str) -> Answer:
-        """Send a query.
-
-        Raises
-        ------
-        InstrumentError: If it does not answer, twice.
-        """
+        """Send a query."""
         return self._twice(lambda: self._exchange(query), query)
 
     def number(self, query: str, pattern: str = NUMBER) -> tuple[float, Answer]:
-        """Query a number: the first group of `pattern`, which must match the whole answer.
-
-        Raises
-        ------
-        InstrumentError: If it does not answer, the answer is no number, or it reports an overload.
-        """
+        """Query a number: the first group of `pattern`, which must match the whole answer."""
         answer = self.ask(query)
         found = re.fullmatch(pattern, answer.text)
         try:
@@ -162,12 +147,7 @@ class ScpiConnection:
         return value, answer
 
     def command(self, command: str) -> None:
-        """Send a command, and check that it was accepted.
-
-        Raises
-        ------
-        InstrumentError: If it cannot be reached, or refuses.
-        """
+        """Send a command, and check that it was accepted."""
         self._twice(lambda: self._give(command), command)
 
     def _give(self, command: str) -> None:
@@ -284,12 +264,7 @@ class _ConnectionFailed(InstrumentError):
 
 
 def checked_pattern(what: str, pattern: str) -> str:
-    """Return `pattern` if it is a regular expression.
-
-    Raises
-    ------
-    BadInput: If it is not.
-    """
+    """Return `pattern` if it is a regular expression."""
     try:
         re.compile(pattern)
     except re.error as error:

@@ -21,10 +21,6 @@ class Settling:
     band: Largest distance from it.
     stable_s: Time inside the band; at 0, one measurement inside it is enough.
 
-    Raises
-    ------
-    BadInput: If band or time is negative.
-
     Examples
     --------
     >>> settling = Settling(target=40.0, band=0.5, stable_s=60.0)

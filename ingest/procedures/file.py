@@ -244,12 +244,7 @@ def _near_key(message: str) -> str:
 
 
 def check_value(parameter: Parameter, value: float | str, where: str) -> None:
-    """Check one value of a parameter against its bounds and choices.
-
-    Raises
-    ------
-    BadInput: If it is out of bounds, or none of the choices.
-    """
+    """Check one value of a parameter against its bounds and choices."""
     if isinstance(value, str):
         if parameter.choices and value not in parameter.choices:
             choices = parameter.choices

@@ -61,10 +61,6 @@ class StationRates(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     chamber_deg_c_per_min: Mean ramp of the chamber.
     room_deg_c: Temperature at the start.
     prompt_s: Time of an operator for one prompt.
-
-    Raises
-    ------
-    BadInput: If one of them is not positive (`prompt_s`: negative).
     """
 
     table_acceleration_deg_per_s2: float = 50.0

@@ -162,10 +162,6 @@ def series(kind: Kind, numbers: dict[str, float], given: str = "series") -> list
     numbers: Its numbers by name.
     given: Its key, for messages.
 
-    Raises
-    ------
-    BadInput: If a number is missing, not taken by this kind, or out of range.
-
     Examples
     --------
     >>> series("R5", {"max": 10.0, "count": 3.0})

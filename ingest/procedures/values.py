@@ -30,10 +30,6 @@ def number_of(value: Scalar | bool, variables: Variables, where: str) -> float:
     variables: Parameters and loop variables by name.
     where: File and key, for messages.
 
-    Raises
-    ------
-    BadInput: If it cannot be read, holds an unknown name, or is not finite.
-
     Examples
     --------
     >>> number_of("$base + 0.5 * $step", {"base": 10.0, "step": 4.0}, "x.toml: $.step[0].rate_deg_per_s")

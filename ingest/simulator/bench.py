@@ -88,12 +88,7 @@ class CourseDevice(SimulatedDevice):
 
 
 class CourseClient:
-    """Updates copies of instruments, by the same names, with the courses of those in another process.
-
-    Raises
-    ------
-    InstrumentError: If the server cannot be reached.
-    """
+    """Updates copies of instruments, by the same names, with the courses of those in another process."""
 
     def __init__(self, host: str, port: int, copies: Mapping[str, SimulatedDevice]) -> None:
         self._copies = dict(copies)
@@ -107,12 +102,7 @@ class CourseClient:
         self._lines = self._socket.makefile("rb")
 
     def update(self) -> int:
-        """Update the copies; returns the time up to which they are valid, nanoseconds.
-
-        Raises
-        ------
-        InstrumentError: If the process of the instruments has ended.
-        """
+        """Update the copies; returns the time up to which they are valid, nanoseconds."""
         try:
             self._socket.sendall(json.dumps(self._since).encode() + b"\n")
             answer: dict[str, Any] = json.loads(self._lines.readline() or b"null") or {}

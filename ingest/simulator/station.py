@@ -1,5 +1,6 @@
 """Simulated gyros as batches of rate and temperature: any stretch of their samples, reproducible at any time."""
 
+import heapq
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 from uuid import NAMESPACE_URL, UUID, uuid5
@@ -157,7 +158,7 @@ class SimulatedStation:
         epochs = [self.epoch(power_cycle, unit) for unit in self._fleet.units]
 
         def groups(signal: _Signal) -> Iterator[list[SampleBatch]]:
-            """For each time at which a batch is full, those of all units."""
+            """The batches of all units that are full at the same time."""
             is_rate = signal.name == RATE_SIGNAL
             wanted = [first.get((unit, signal.name), 0) for unit in self._fleet.units]
             total = -((power_cycle.t0_ns - end_ns) // signal.dt_ns)
@@ -167,13 +168,16 @@ class SimulatedStation:
                 counts = [unit.rate_counts(n) if is_rate else unit.temperature_counts(n) for unit in units]
                 for seq in range(start, start + n, signal.batch):
                     stop = min(seq + signal.batch, total)
-                    yield [
+                    group = [
                         self._batch(i, run, epochs[i], signal, power_cycle, seq, drawn[seq - start : stop - start])
                         for i, drawn in enumerate(counts)
                         if seq >= wanted[i]
                     ]
+                    if group:
+                        yield group
 
-        yield from _merged(groups(self._rate), groups(self._temperature))
+        for group in heapq.merge(groups(self._rate), groups(self._temperature), key=lambda group: group[0].last_ns):
+            yield from group
 
     def _batch(
         self, i: int, run: str, epoch: UUID, signal: _Signal, power_cycle: PowerCycle, seq: int, counts: CountArray
@@ -190,18 +194,3 @@ class SimulatedStation:
             counts=counts,
             scale=signal.scale,
         )
-
-
-def _merged(many: Iterator[list[SampleBatch]], few: Iterator[list[SampleBatch]]) -> Iterator[SampleBatch]:
-    """Merge two streams of groups by the time of their last samples."""
-    waiting = next(few, None)
-    for group in many:
-        if not group:
-            continue
-        while waiting is not None and (not waiting or waiting[0].last_ns < group[0].last_ns):
-            yield from waiting
-            waiting = next(few, None)
-        yield from group
-    while waiting is not None:
-        yield from waiting
-        waiting = next(few, None)

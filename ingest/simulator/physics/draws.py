@@ -22,12 +22,7 @@ _UNIT, _POWER_ON, _DAY = range(3)
 
 
 def checked(parameters: Parameters, who: str) -> Parameters:
-    """Return parameters that are finite and within their bounds.
-
-    Raises
-    ------
-    BadInput: Naming the one that is not.
-    """
+    """Return parameters that are finite and within their bounds."""
     try:
         # JSON has null in place of numbers that are not finite
         return msgspec.json.decode(msgspec.json.encode(parameters), type=type(parameters))

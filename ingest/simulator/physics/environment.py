@@ -67,10 +67,6 @@ class PiecewiseEnvironment:
         knot holds at that time.
     channels: By the names of `Environment`, a value per knot, for vectors x, y, z per knot. By default 0, 25 degC, 5 V.
 
-    Raises
-    ------
-    BadInput: If a channel has another number of values, or a value or a time is not finite or out of order.
-
     Examples
     --------
     >>> ramp = PiecewiseEnvironment([0, 60], temperature_deg_c=[20, 30])

@@ -143,12 +143,7 @@ class SimulatedGyro:
         return max(0, (t_ns - self.start_ns) // self.parameters.sample_interval_ns + 1 - self._next)
 
     def samples(self, n: int) -> Samples:
-        """Return the next `n` samples.
-
-        Raises
-        ------
-        BadInput: If `n` is negative, or a value of the environment is not finite.
-        """
+        """Return the next `n` samples."""
         if n < 0:
             raise BadInput(f"{self._who}: {n} samples are requested, at least 0 is needed")
         first = self._next

@@ -76,10 +76,6 @@ class Plan(msgspec.Struct, frozen=True):
         day: Day of the power-on; by default from `power_ons_per_day`, from 1 on.
         age_h: Hours of operation before; by default `hours_per_power_on` for every earlier power-on.
         environment, start_ns: See `SimulatedGyro`.
-
-        Raises
-        ------
-        BadInput: If the plan has no such unit, or the number is below 1.
         """
         if unit not in self.parameters:
             raise BadInput(f"simulated fleet: no unit {unit!r} in the plan; it has {', '.join(self.units) or 'none'}")
