@@ -87,7 +87,7 @@ def show(name: str, choices: tuple[str, ...], *, as_json: bool) -> None:
 @procedure.command("check")
 @click.argument("name", type=PROCEDURE, metavar="NAME|FILE")
 @click.option(
-    "--settings", help="What the station's instruments can be set to, as rate,temperature; else that is not checked."
+    "--settings", help="Settings of the station's instruments, as rate,temperature; without them it is not checked."
 )
 @click.option("--station", type=click.Path(path_type=Path), help="The station's file, instead of --settings.")
 @_set_option
@@ -199,7 +199,7 @@ def estimate_time(
 
 
 def duration(seconds: float) -> str:
-    """Seconds as people say them.
+    """Seconds as a readable duration.
 
     Examples
     --------
