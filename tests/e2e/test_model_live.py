@@ -22,8 +22,7 @@ from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
 from analytics.loop.model.model_use import Stage, activate, read_uses
 from analytics.loop.model.noise import NoiseCoefficients
 from ingest.run.pipeline import EmbeddedPipeline
-from ingest.simulator.demo_fleet import ODD_UNIT as UNIT
-from ingest.simulator.demo_fleet import cycle_runs
+from ingest.simulator import demo_fleet
 from ingest.simulator.physics.bias import Bias
 from ingest.simulator.physics.gyro import GyroParameters
 from ingest.simulator.physics.noise import Noise
@@ -41,6 +40,7 @@ from stream.transport.zenoh_bus import ZenohBus
 from stream.wire.batches import decode_batch
 
 PLACE = Place("plant", "bench")
+UNIT = demo_fleet.ODD_UNIT
 DAY_NS = 86_400 * 10**9
 T0_NS = 1_700_000_000 * 10**9
 GYRO = GyroParameters(
@@ -87,7 +87,7 @@ def measure(folder: Path, day: int, runs: int) -> list[str]:
     """Send runs of a day, the first of which is a temperature cycle, through the whole path."""
     names = []
     with _Compensated(folder) as pipeline:
-        for run in cycle_runs(T0_NS + day * DAY_NS)[:runs]:
+        for run in demo_fleet.cycle_runs(T0_NS + day * DAY_NS)[:runs]:
             names.append(f"day-{day}-{run.number}")
             send_cycle(pipeline, PLACE, Plan(day + 1, {UNIT: GYRO}), run, names[-1])
         pipeline.finish()
@@ -136,7 +136,7 @@ def test_found_promoted_compensated_and_rolled_back(tmp_path: Path, monkeypatch:
     assert watch_store(store) == []
 
     # the effect has gone: the model is refused, and the next run is not compensated any more
-    monkeypatch.setattr(cycle_runs, "ODD_UNIT", "none")
+    monkeypatch.setattr(demo_fleet, "ODD_UNIT", "none")
     measure(folder, 4, 1)
     refused, off = watch_store(store)
     assert isinstance(refused, ResidualWatched)
