@@ -97,7 +97,7 @@ class CatalogKnowledge:
             "select document from events join units using (run, unit, uid) where run in (select unnest($runs))", where
         )
         stated = self._catalog.rows(
-            "select run, document->>'$.details' from lake_documents "
+            "select run, document->>'$.details' from internal.lake_documents "
             "where kind in ('RunStarted', 'StationStated') and run in (select unnest($runs)) "
             "order by run, case kind when 'RunStarted' then -arrival_ns else arrival_ns end",
             where,

@@ -17,7 +17,7 @@ from stream.identity import Place
 
 _PLACE = Place("store", "specifications")
 _ROLE = "gyrofleet limits"
-_SQL = "select document, arrival_ns from lake_documents where kind = $kind"
+_SQL = "select document, arrival_ns from internal.lake_documents where kind = $kind"
 
 
 class Link(NamedTuple):

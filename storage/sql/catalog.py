@@ -22,6 +22,9 @@ from stream.errors import QueryError, StoreError
 
 VIEWS = ("samples", "signals", "runs", "units", "steps", "estimates", "events", "rollup_1s", "rollup_10s", "clocks")
 
+STORAGE_VERSION = "v1.0.0"
+"""Version of the file format of a written catalogue: DuckDB from 1.0 reads it."""
+
 Told = Callable[[int, int], None]
 
 _READING = {duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN}
@@ -70,6 +73,11 @@ def layers() -> tuple[Layer, ...]:
     return tuple(each.load()() for each in found)
 
 
+def known_tables() -> list[str]:
+    """Names of the tables for users: the store's own and those of all layers."""
+    return [*VIEWS, *(table for layer in layers() for table in layer.tables)]
+
+
 class Catalog:
     """The views of a store: ``samples``, ``signals``, ``runs``, ``units``, ``steps``, ``estimates``, and others.
 
@@ -111,19 +119,24 @@ class Catalog:
         self.told = told
         self.kept = store.folder if kept is None else kept
         self.frozen = frozen
-        self._connection = duckdb.connect(":memory:" if file is None else str(file))
-        self._connection.execute("set timezone = 'UTC'")
+        config = {} if file is None else {"storage_compatibility_version": STORAGE_VERSION}
+        self._connection = duckdb.connect(":memory:" if file is None else str(file), config=config)
+        self._connection.execute("set timezone = 'UTC'; create schema internal")
         self.parts = read_manifest(store).parts if parts is None else tuple(parts)
         self._unfilled = list(layers())
         for table in ("samples", "events", "estimates", "rollup_1s", "rollup_10s", "clocks"):
-            self._attach(f"lake_{table}", table, self.parts)
-        self._attach("lake_channels_kept", "channels", [part for part in self.parts if part.dropped is None])
-        self._attach("lake_channels_dropped", "channels", [part for part in self.parts if part.dropped is not None])
+            self._attach(f"internal.lake_{table}", table, self.parts)
+        self._attach("internal.lake_channels_kept", "channels", [part for part in self.parts if part.dropped is None])
+        self._attach(
+            "internal.lake_channels_dropped", "channels", [part for part in self.parts if part.dropped is not None]
+        )
         for script in sorted(files("storage.sql").joinpath("schema").iterdir(), key=lambda each: each.name):
             if script.name.endswith(".sql"):
                 self._run(script.read_text())
         self.define(
-            conversion_macros(unit for (unit,) in self._selected("select distinct unit_of_measure from lake_channels"))
+            conversion_macros(
+                unit for (unit,) in self._selected("select distinct unit_of_measure from internal.lake_channels")
+            )
         )
         folders = [store.lake, *(self.kept / layer.folder for layer in layers())]
         allowed = ", ".join("'" + str(each.resolve()).replace("'", "''") + "'" for each in folders)
@@ -141,9 +154,8 @@ class Catalog:
     def _attach(self, source: str, table: str, parts: Iterable[Part]) -> None:
         """A view of a table over the parts that have it; DuckDB opens the first file now, the others when asked."""
         file = f"{table}.parquet"
-        paths = [
-            str(self.store.lake / part.name / file) for part in parts if file in part.files and part.files[file].rows
-        ]
+        lake = self.store.lake.resolve()
+        paths = [str(lake / part.name / file) for part in parts if file in part.files and part.files[file].rows]
         if not paths:
             columns = ", ".join(f'"{column.name}" {_SQL_TYPES[column.type]}' for column in TABLES[table])
             self._connection.execute(f"create table {source} ({columns}, filename varchar)")
@@ -173,10 +185,11 @@ class Catalog:
             raise QueryError(_told(error)) from error
 
     def put(self, name: str, table: pa.Table) -> None:
-        """Make a table of these rows, in place of one of that name."""
+        """Create or replace a table; one that no layer lists goes to the schema `internal`."""
+        schema = "main" if name in known_tables() else "internal"
         self._connection.register("put_rows", table)
         try:
-            self.define(f'create or replace table "{name}" as select * from put_rows')  # noqa: S608  a layer's own name
+            self.define(f'create or replace table {schema}."{name}" as select * from put_rows')  # noqa: S608  a layer's own name
         finally:
             self._connection.unregister("put_rows")
 

@@ -41,7 +41,8 @@ def comment_columns(catalog: Catalog) -> None:
     known = [*VIEWS, *(table for layer in layers() for table in layer.tables)]
     words = {table: column_words(table) for table in known}
     columns = catalog.rows(
-        "select table_name, column_name from duckdb_columns() where table_name in (select unnest($known))",
+        "select table_name, column_name from duckdb_columns() "
+        "where schema_name = 'main' and table_name in (select unnest($known))",
         {"known": known},
     )
     statements = []

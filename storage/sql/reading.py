@@ -84,7 +84,7 @@ def read_signal(catalog: Catalog, record: SignalRecord) -> Iterator[SampleBatch]
     if record.kept_raw is not None and record.kept_raw < record.samples:
         raise _gone(catalog, record.unit, record.signal, record.run, record.samples - record.kept_raw, record.samples)
     channels = catalog.rows(
-        'select channel, epoch, dt_ns, is_counts, scale, "offset", irregular from lake_channels '
+        'select channel, epoch, dt_ns, is_counts, scale, "offset", irregular from internal.lake_channels '
         "where unit = $unit and signal = $signal and run = $run order by t_first_ns",
         {"unit": record.unit, "signal": record.signal, "run": record.run},
     )
@@ -120,7 +120,8 @@ class _Stretch(NamedTuple):
 def _channel_rows(catalog: Catalog, channel: int, column: str) -> Iterator[pa.RecordBatch]:
     """Numbers, times and data of a channel in the order of its numbers."""
     rows = catalog.rows(
-        "select seq_first, seq_next, filename from lake_channel_parts where channel = $channel order by seq_first",
+        "select seq_first, seq_next, filename from internal.lake_channel_parts "
+        "where channel = $channel order by seq_first",
         {"channel": channel},
     )
     stretches = [_Stretch(first, after, Path(path).parent) for first, after, path in rows]
@@ -129,7 +130,10 @@ def _channel_rows(catalog: Catalog, channel: int, column: str) -> Iterator[pa.Re
             yield from _part_rows(stretch.folder / SAMPLES_FILE, channel, column)
         return
     # a segment that was mended later holds numbers between those of another part
-    sql = "select seq, t_ns, base + above as counts, value from lake_samples where channel = $channel order by seq"
+    sql = (
+        "select seq, t_ns, base + above as counts, value from internal.lake_samples "
+        "where channel = $channel order by seq"
+    )
     for batch in catalog.batches(sql, {"channel": channel}, _ROWS):
         yield batch.select(["seq", "t_ns", column])
 
@@ -172,7 +176,7 @@ def stored_between(
     """
     where: dict[str, Any] = {"unit": unit, "signal": signal, "run": run, "first": first_ns, "last": last_ns}
     (dropped,) = catalog.rows(
-        "select coalesce(sum(samples), 0)::bigint, count(*) from lake_channels_dropped where unit = $unit and "
+        "select coalesce(sum(samples), 0)::bigint, count(*) from internal.lake_channels_dropped where unit = $unit and "
         "signal = $signal and run = $run and t_first_ns <= $last and t_last_ns >= $first",
         where,
     )
@@ -180,7 +184,7 @@ def stored_between(
         raise _gone(catalog, unit, signal, run, dropped[0], dropped[0])
     table = catalog.reader(
         'select s.t_ns, coalesce(s.value, (s.base + s.above) * c.scale + c."offset") as value '
-        "from lake_samples s join lake_channels c using (channel) "
+        "from internal.lake_samples s join internal.lake_channels c using (channel) "
         "where c.unit = $unit and c.signal = $signal and c.run = $run and s.t_ns between $first and $last "
         "order by s.t_ns",
         where,

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import duckdb
 
-from storage.sql.catalog import VIEWS, Catalog, layers
+from storage.sql.catalog import Catalog, known_tables, layers
 from storage.sql.columns import column_words, comment_columns
 from storage.store import Store
 from stream.errors import BadInput, GyrofleetError, NotFound
@@ -33,14 +33,12 @@ def told_tables(catalog: Catalog) -> list[dict[str, object]]:
             catalog.rows(f"select 1 from {layer.tables[0]} limit 0")  # noqa: S608  a layer's own name
         except GyrofleetError as error:
             failed |= dict.fromkeys(layer.tables, f"cannot be made: {error}")
-    told = "select view_name, comment from duckdb_views() union all select table_name, comment from duckdb_tables()"
+    told = (
+        "select view_name, comment from duckdb_views() where schema_name = 'main' "
+        "union all select table_name, comment from duckdb_tables() where schema_name = 'main'"
+    )
     comments: dict[str, str | None] = {name: comment for name, comment in catalog.rows(told)}  # noqa: C416
     return [{"table": name, "what": failed.get(name) or comments.get(name) or ""} for name in known_tables()]
-
-
-def known_tables() -> list[str]:
-    """Names of the store's own tables and of those of all layers."""
-    return [*VIEWS, *(table for layer in layers() for table in layer.tables)]
 
 
 def columns_of(catalog: Catalog, name: str) -> list[dict[str, object]]:

@@ -4,14 +4,14 @@ create view units as
 with mounted as (
   select run, unit, site, station, t_ns, uid, document,
     count(*) over (partition by run, unit) as mountings
-  from lake_documents where kind = 'UnitMounted'
+  from internal.lake_documents where kind = 'UnitMounted'
   qualify row_number() over (partition by run, unit order by t_ns desc, arrival_ns desc, uid desc) = 1
 ), started as (
   select run,
     document->>'$.lot' as lot,
     document->>'$.operator' as operator,
     coalesce((document->>'$.date_known')::boolean, true) as date_known
-  from lake_documents where kind = 'RunStarted'
+  from internal.lake_documents where kind = 'RunStarted'
   qualify row_number() over (partition by run order by arrival_ns) = 1
 )
 select
