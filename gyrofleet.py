@@ -10,6 +10,7 @@ import atexit
 import importlib
 import importlib.util
 import os
+import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -136,18 +137,21 @@ for _command in _commands():
 
 
 def front_door() -> NoReturn:
-    """Run the command line, and end the process with its exit code.
+    """Run the command line, and end the process with its exit code; with that of SIGPIPE if the output pipe closes.
 
-    The code is the command's own: a library's thread that is still at work while its library is taken down aborts the
-    process (seen as -6 behind a message that had been told in order), so that is not waited for.
+    The process ends without unloading its libraries: a thread of a library that still runs then would abort it.
     """
+    from stream.console import output_is_closed
+
     code = 0
     try:
         main()
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else int(end.code is not None)
-    with suppress(OSError):  # whoever read the output has gone
-        atexit._run_exitfuncs()  # noqa: SLF001  what Python does before it takes the libraries down
+        if code == 1 and output_is_closed():  # click's code for a broken pipe
+            code = 128 + signal.SIGPIPE
+    with suppress(OSError):
+        atexit._run_exitfuncs()  # noqa: SLF001  what Python does before it unloads the libraries
         sys.stdout.flush()
         sys.stderr.flush()
     os._exit(code)

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -76,7 +77,8 @@ def record(
     def warn(text: str) -> None:
         with said:
             if as_json:
-                print_json({"event": "warning", "at": _now(), "text": text})
+                with suppress(BrokenPipeError):  # the next progress line ends the command, not the writer's thread
+                    print_json({"event": "warning", "at": _now(), "text": text})
             console.print(f"{_now()} warning: {text}", soft_wrap=True, markup=False)
 
     store = Store.create(folder)

@@ -250,7 +250,7 @@ class Catalog:
             raise
         self._fill(sql)
 
-    def user_reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
+    def user_reader(self, sql: str, parameters: object = None, rows: int = 16_384) -> pa.RecordBatchReader:
         """The result of a user's statement, which may name the store's views and no file; read through `guarded`.
 
         Raises

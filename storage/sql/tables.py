@@ -25,7 +25,7 @@ def examples() -> dict[str, str]:
     return EXAMPLES | {question: sql for layer in layers() for question, sql in layer.examples.items()}
 
 
-def told_tables(catalog: Catalog) -> list[dict[str, object]]:
+def described_tables(catalog: Catalog) -> list[dict[str, object]]:
     """Name and comment of every table that is meant to be asked; of a layer that cannot be made, why."""
     failed: dict[str, str] = {}
     for layer in layers():

@@ -21,7 +21,7 @@ from storage.commands.sql import sql
 from storage.specifications.chain import append_document, read_chain
 from storage.sql.catalog import VIEWS, Catalog, layers
 from storage.sql.columns import column_words, read_words
-from storage.sql.tables import columns_of, examples, export_catalogue, known_tables, told_tables
+from storage.sql.tables import columns_of, described_tables, examples, export_catalogue, known_tables
 from storage.store import Store
 from stream.errors import BadInput, NotFound, QueryError
 from stream.events import EstimatePoint, EstimatePublished, SpecificationAction, SpecificationEntered, new_uid
@@ -92,7 +92,7 @@ def fill(tested: Any) -> None:
 
 def test_every_table_says_what_it_is(store: Store) -> None:
     with Catalog(store) as catalog:
-        told = {row["table"]: row["what"] for row in told_tables(catalog)}
+        told = {row["table"]: row["what"] for row in described_tables(catalog)}
     assert list(told) == [*VIEWS, *(table for layer in layers() for table in layer.tables)]
     assert [name for name, what in told.items() if not what or "cannot be made" in str(what)] == []
 
@@ -286,7 +286,7 @@ def test_a_layer_that_cannot_be_made_harms_no_other_table(store: Store, tmp_path
                 catalog.rows("select count(*) from unit_metrics")
         ((samples,),) = catalog.rows("select sum(samples) from signals where signal = 'rate'")
         assert samples == 4 * 3600 + 4 * 600
-        told = {row["table"]: str(row["what"]) for row in told_tables(catalog)}
+        told = {row["table"]: str(row["what"]) for row in described_tables(catalog)}
         assert told["samples"].startswith("every sample")
         assert "cannot be made: " in told["unit_metrics"]
         assert "broken-A.toml" in told["unit_metrics"]
