@@ -14,10 +14,10 @@ from storage.findings import KEPT_DAMAGED, Finding
 from storage.lake.lake import Lake, build_missing, builder_lock
 from storage.log.event_log import EventLog
 from storage.log.files import quarantine_unknown
-from storage.log.notes import noted
 from storage.log.recovery import Recovery, examine_segment, salvage_segment
 from storage.log.sequence import LostStretch
 from storage.log.sequence import Place as Position
+from storage.log.store_documents import store_document
 from storage.manifests.log import LOST, ManifestWriter, SegmentEntry, manifest_path, read_log_manifest, rewrite_manifest
 from storage.segments.records import EVENTS, LogRecord
 from storage.specifications.copies import mend_copies
@@ -47,10 +47,6 @@ def recover(store: Store, *, quarantine: bool = False) -> Iterator[Action]:
     ----------
     store: Which store.
     quarantine: Also move files that are not the store's out of its log, to ``log/aside``.
-
-    Raises
-    ------
-    StoreError: If another process writes the store, or the disk refuses.
     """
     try:
         with WriterLock(store, "gyrofleet recover"), builder_lock(store):
@@ -156,7 +152,7 @@ def _document(
     details = {"segment": segment, "lost": [vars(each) for each in lost], **more}
     parts = [store.identity, what, segment, *(str(part) for each in lost for part in stretch_id(vars(each)))]
     uid = uuid5(NAMESPACE_OID, "\0".join(parts)).hex
-    return msgspec.structs.replace(noted(store.identity, what, text, details), uid=uid)
+    return msgspec.structs.replace(store_document(store.identity, what, text, details), uid=uid)
 
 
 def _mend_checkpoints(findings: list[Finding]) -> Iterator[Action]:
@@ -185,7 +181,7 @@ def _mend_lake(store: Store) -> Iterator[Action]:
     lake = Lake(store)
     for finding in lake_findings(store, verify_log(store)):
         if finding.kind == "lake_disagrees":
-            lake.remake(Path(finding.where).name, aside=True)
+            lake.rebuild_part(Path(finding.where).name, aside=True)
             yield Action("lake_mended", finding.where, finding.remedy)
 
 

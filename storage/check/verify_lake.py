@@ -1,6 +1,5 @@
 """The lake compared with its manifest and the log: what is wrong, where, and how it is put right."""
 
-import hashlib
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,11 +7,12 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from storage.lake.lake import Lake, remade_manifest
+from storage.lake.lake import Lake, rebuilt_manifest
 from storage.lake.part import without_samples
 from storage.lake.tables import open_table
 from storage.manifests.lake import (
     MANIFEST,
+    NEW_LAKE,
     PART,
     LakeManifestDamaged,
     Manifest,
@@ -23,11 +23,10 @@ from storage.manifests.lake import (
     read_part,
     write_manifest,
 )
-from storage.manifests.lake_switch import NEW_LAKE
+from storage.segments.disk import sha256_of
 from storage.store import Store
 from stream.errors import StoreError
 
-_BLOCK = 1 << 20
 _SETTLED_WITHIN_S = 60.0
 
 
@@ -109,10 +108,6 @@ def mend(store: Store) -> Iterator[LakeProblem]:
     """Put right what `lake_problems` finds; a problem is yielded when it is. The caller holds `builder_lock`.
 
     What is damaged is moved to ``lake-aside/``, never removed. Parts are rebuilt from the log.
-
-    Raises
-    ------
-    StoreError: If a part cannot be rebuilt, as its segment is damaged too; the others are mended first.
     """
     found = list(lake_problems(store))
     for problem in found:
@@ -125,7 +120,7 @@ def mend(store: Store) -> Iterator[LakeProblem]:
     for name in dict.fromkeys(problem.part for problem in found if problem.part):
         try:
             if name in {part.name for part in lake.manifest.parts}:  # else its folder had gone, and it is missing now
-                lake.remake(name, aside=True)
+                lake.rebuild_part(name, aside=True)
         except StoreError as error:
             failure = failure or error
             continue
@@ -163,7 +158,7 @@ def _wrong_with(path: Path, file: PartFile) -> str | None:
         size = path.stat().st_size
         if size != file.bytes:
             return f"{size} bytes, {file.bytes} are expected"
-        if _sha256(path) != file.sha256:
+        if sha256_of(path) != file.sha256:
             return "its content does not agree with its hash"
         with open_table(path) as table:
             rows = table.metadata.num_rows
@@ -172,11 +167,6 @@ def _wrong_with(path: Path, file: PartFile) -> str | None:
     except (StoreError, OSError, pa.ArrowException) as error:
         return str(error)
     return None if rows == file.rows else f"{rows} rows, {file.rows} are expected"
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256", _bufsize=_BLOCK).hexdigest()
 
 
 def _problem(part: Part, file: str, what: str) -> LakeProblem:
@@ -189,4 +179,4 @@ def _remake_manifest(store: Store) -> None:
         aside = store.folder / "lake-aside"
         aside.mkdir(exist_ok=True)
         (store.lake / MANIFEST).rename(aside / f"{MANIFEST}.{time.time_ns()}")
-    write_manifest(store, remade_manifest(store))
+    write_manifest(store, rebuilt_manifest(store))

@@ -1,6 +1,5 @@
 """Is the log what was written: its manifest, every byte of its segments, and the numbers of every stream."""
 
-import hashlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -9,12 +8,13 @@ from uuid import UUID
 
 from storage.findings import Finding, Severity
 from storage.log.files import sealed_segments, unknown_files
-from storage.log.notes import is_foreign
 from storage.log.recovery import left_open, reached_in
 from storage.log.sequence import DOCUMENTS, LostStretch, SequenceCheck, place_of
+from storage.log.store_documents import is_foreign
 from storage.log.tail import open_records
 from storage.manifests.lake import read_manifest
 from storage.manifests.log import SegmentEntry, manifest_path, read_log_manifest
+from storage.segments.disk import sha256_of
 from storage.segments.reader import SegmentScan, read_segment
 from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store, writer_is_active
@@ -170,7 +170,7 @@ def _verify_segment(path: Path, state: LogState) -> bool:
         state.add("segment_unlisted", Severity.UNFINISHED, str(path), what, "read it whole and list it")
     elif path.stat().st_size != entry.size:
         reasons.append(f"{path.stat().st_size:,} bytes instead of {entry.size:,}")
-    elif _sha256(path) != entry.sha256:
+    elif sha256_of(path) != entry.sha256:
         reasons.append("its SHA-256 is not that of the manifest")
     samples = messages = 0
     try:
@@ -262,8 +262,3 @@ def _verify_numbers(state: LogState) -> None:
         what = f"numbers {place.seq} to {place.next_seq - 1} are there twice"
         where = f"{place.stream.key} {place.stream.epoch}"
         state.add("numbers_repeated", Severity.DAMAGE, where, what, "report this: no fault of a disk does it")
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -55,7 +55,7 @@ def lake(
             console.print(text, soft_wrap=True, markup=False)
 
     with builder_lock(store), until_stopped() as stopped:
-        service = LakeService(store, tell=tell, rule=rule, grace_s=grace_s)
+        service = LakeService(store, report=tell, rule=rule, grace_s=grace_s)
         if not once:
             tell("building", f"making the lake of {folder} from sealed segments; Ctrl-C ends")
         while True:
@@ -84,8 +84,7 @@ def rebuild(folder: Path, *, force: bool, raw: bool, as_json: bool) -> None:
         return
     from storage.lake.lake import builder_lock
     from storage.lake.rebuild import rebuild as steps
-    from storage.manifests.lake import read_manifest
-    from storage.manifests.lake_switch import left_aside
+    from storage.manifests.lake import left_aside, read_manifest
     from storage.store import Store
 
     store = Store.open(folder)

@@ -60,8 +60,7 @@ def sql(
     gyrofleet sql "select unit, signal, run, samples from signals"
     gyrofleet sql "select unit, avg(value), stddev(value) from samples group by unit"
     """  # noqa: D301  click's mark for lines that are not to be joined
-    from storage.store import Store
-    from storage.store_files import check_outside
+    from storage.store import Store, check_outside
     from stream.errors import BadInput
 
     if as_csv + as_json + (parquet_path is not None) > 1:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 from storage.log.event_log import EventLog
-from storage.log.seal import forged
 from storage.log.sequence import Place
+from storage.log.store_documents import forgery
 from storage.recording.recent_messages import RecentMessages
 from storage.segments.records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogRecord
 from storage.store import Store
@@ -107,12 +107,7 @@ class Intake:
         self._rejected_at = time.monotonic()
 
     def take(self, key: str, payload: bytes, arrival_ns: int) -> None:
-        """Take one message.
-
-        Raises
-        ------
-        OSError: If it cannot be written.
-        """
+        """Take one message."""
         self.counts.messages += 1
         try:
             parsed = _parse_key(key)
@@ -173,7 +168,7 @@ class Intake:
     def _take_document(self, key: str, parsed: EventKey | EstimateKey, payload: bytes, arrival_ns: int) -> None:
         message = decode_received(payload)
         document = message.document
-        if (reason := forged(self._store, document)) is not None:
+        if (reason := forgery(self._store, document)) is not None:
             raise WireError(f"{_told(document)}: {reason}")
         is_end = isinstance(parsed, EventKey) and type(document).__name__ == "RunEnded"
         stream = StreamId(key, message.epoch)

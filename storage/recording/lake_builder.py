@@ -45,12 +45,7 @@ class LakeBuilder:
             self._state.notify_all()
 
     def close(self) -> None:
-        """Bring there what is sealed, and stop.
-
-        Raises
-        ------
-        StoreError: If a segment could not be brought there.
-        """
+        """Bring there what is sealed, and stop."""
         with self._state:
             self._closing = self._is_wanted = True
             self._state.notify_all()
@@ -59,12 +54,7 @@ class LakeBuilder:
             raise self._failure
 
     def wait_until_caught_up(self) -> None:
-        """Wait until what was sealed before the start is there.
-
-        Raises
-        ------
-        StoreError: If it cannot be brought there.
-        """
+        """Wait until what was sealed before the start is there."""
         self._caught_up.wait()
         if self._failure is not None:
             raise self._failure

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from storage.log.notes import LAKE
+from storage.log.store_documents import LAKE
 from storage.store import Store, WriterLock, writer_endpoint
 from stream.delivery.publisher import DurablePublisher
 from stream.events import AnyDocument
@@ -25,11 +25,6 @@ def note(
     place: Where the documents are from.
     builds_lake: Whether they are also brought to the lake where no recorder is at work; a recorder does so in its own
         time.
-
-    Raises
-    ------
-    DeliveryError: If the recorder does not acknowledge them.
-    StoreError: If a process writes the store that takes no messages, or the log cannot be written.
     """
     endpoint = writer_endpoint(store.folder)
     if endpoint is not None:

@@ -14,9 +14,9 @@ from uuid import uuid4
 
 from storage.log.event_log import EventLog
 from storage.log.files import sealed_segments
-from storage.log.notes import noted
 from storage.log.recovery import Recovery
 from storage.log.sequence import Place as Position
+from storage.log.store_documents import store_document
 from storage.manifests.lake import read_manifest
 from storage.recording.disk_watch import DiskWatch, monotonic_and_wall_ns
 from storage.recording.intake import Intake, RecorderCounts
@@ -119,12 +119,7 @@ class Recorder:
         self._writer.join()
 
     def close(self) -> None:
-        """Write what has arrived, seal, bring everything to the lake, and stop.
-
-        Raises
-        ------
-        StoreError: If not everything could be written.
-        """
+        """Write what has arrived, seal, bring everything to the lake, and stop."""
         self.end()
         if self._builder is not None:
             self._builder.close()
@@ -132,22 +127,12 @@ class Recorder:
             raise self.failure
 
     def wait_for_lake(self) -> None:
-        """Wait until everything that was sealed before this recorder started is in the lake.
-
-        Raises
-        ------
-        StoreError: If it cannot be brought there.
-        """
+        """Wait until everything that was sealed before this recorder started is in the lake."""
         if self._builder is not None:
             self._builder.wait_until_caught_up()
 
     def settle(self) -> None:
-        """Seal what has come, and wait until it is in the lake, whoever makes that.
-
-        Raises
-        ------
-        StoreError: If it does not come there.
-        """
+        """Seal what has come, and wait until it is in the lake, whoever makes that."""
         until = time.monotonic() + _SETTLE_S
         with self._state:
             number = self._settle_wanted = self._settle_wanted + 1
@@ -402,7 +387,7 @@ class Recorder:
         """Put a document of our own into the log."""
         stream = StreamId(_NOTES_KEY, self._epoch)
         seq = self._log.marks.get(stream, 0)
-        document = noted(self._store.identity, what, text, details)
+        document = store_document(self._store.identity, what, text, details)
         now_ns = document.t_ns
         record = LogRecord(_NOTES_KEY, EVENTS, now_ns, now_ns, encode_event(document, self._epoch, seq))
         self._log.append(Position(stream, seq, seq + 1, now_ns, now_ns, ""), record)

@@ -81,12 +81,7 @@ def read_origin(path: Path) -> tuple[str, str] | None:
 
 
 def read_marks(path: Path) -> dict[str, str]:
-    """Positions that a sealed segment's streams have reached, from its end.
-
-    Raises
-    ------
-    StoreError: If the segment is damaged there.
-    """
+    """Positions that a sealed segment's streams have reached, from its end."""
     try:
         with _mapped(path) as content:
             found = _marks_in(content)
@@ -113,12 +108,7 @@ def _marks_in(content: Buffer) -> dict[str, str] | None:
 
 
 def read_segment(path: Path) -> Iterator[LogRecord]:
-    """Messages of a sealed segment in the order they were written, every CRC checked.
-
-    Raises
-    ------
-    StoreError: If the segment is damaged.
-    """
+    """Messages of a sealed segment in the order they were written, every CRC checked."""
     channels: dict[int, tuple[str, str]] = {}
     try:
         with _mapped(path) as content:

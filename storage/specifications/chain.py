@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from storage.log.seal import sealed_specification
+from storage.log.store_documents import signed_specification
 from storage.log.tail import documents_beyond
 from storage.recording.noting import note
 from storage.sql.catalog import Catalog
@@ -129,7 +129,7 @@ def append_document(store: Store, document: SpecificationEntered) -> None:
     ------
     StoreError, DeliveryError: If it cannot be written.
     """
-    note(store, [sealed_specification(store, document)], role=_ROLE, place=_PLACE, builds_lake=True)
+    note(store, [signed_specification(store, document)], role=_ROLE, place=_PLACE, builds_lake=True)
 
 
 def _breaks(links: Iterable[Link], followers: dict[str, list[str]]) -> Iterator[Break]:

@@ -98,10 +98,6 @@ class Catalog:
     Attributes
     ----------
     parts: Parts of the lake that it sees, in the order of their segments.
-
-    Raises
-    ------
-    StoreError: If the lake is damaged.
     """
 
     def __init__(
@@ -173,12 +169,7 @@ class Catalog:
             ) from error
 
     def define(self, sql: str) -> None:
-        """Run statements that define tables, views and macros; for layers.
-
-        Raises
-        ------
-        QueryError: If one fails.
-        """
+        """Run statements that define tables, views and macros; for layers."""
         try:
             self._connection.execute(sql)
         except duckdb.Error as error:
@@ -213,10 +204,6 @@ class Catalog:
         """The result of one of our own statements that read, to be taken piece by piece through `guarded`.
 
         A user's statement goes through `user_reader`.
-
-        Raises
-        ------
-        QueryError: If the statement would write, is more than one, or fails.
         """
         self._fill(sql)
         try:
@@ -234,13 +221,7 @@ class Catalog:
             raise _failed(error) from error
 
     def prepare(self, sql: str) -> None:
-        """Check a user's statement, and make the tables of layers that it names.
-
-        Raises
-        ------
-        QueryError: If it would do more than read the views, is more than one, or cannot be parsed.
-        NotKept: If the catalogue is frozen and a table would have to be computed.
-        """
+        """Check a user's statement, and make the tables of layers that it names."""
         macros = {"adev", *(table for layer in layers() for table in layer.tables)}
         try:
             check_statement(self._connection, sql, macros)
@@ -251,12 +232,7 @@ class Catalog:
         self._fill(sql)
 
     def user_reader(self, sql: str, parameters: object = None, rows: int = 16_384) -> pa.RecordBatchReader:
-        """The result of a user's statement, which may name the store's views and no file; read through `guarded`.
-
-        Raises
-        ------
-        QueryError: If it would do more than read the views, is more than one, or fails.
-        """
+        """The result of a user's statement, which may name the store's views and no file; read through `guarded`."""
         self.prepare(sql)
         try:
             cursor = self._connection.cursor()
@@ -266,12 +242,7 @@ class Catalog:
             raise _failed(error) from error
 
     def guarded(self, reader: pa.RecordBatchReader) -> Iterator[pa.RecordBatch]:
-        """The pieces of a result.
-
-        Raises
-        ------
-        QueryError: If the statement fails on its way.
-        """
+        """The pieces of a result."""
         try:
             yield from reader
         except (duckdb.Error, pa.ArrowException, OSError) as error:

@@ -36,12 +36,7 @@ def write_frame(file: IO[bytes], kind: Kind, content: bytes | memoryview = b"") 
 
 
 def read_frame(file: IO[bytes]) -> tuple[Kind, bytes]:
-    """Receive a frame.
-
-    Raises
-    ------
-    Closed: If the other side has ended.
-    """
+    """Receive a frame."""
     kind, length = _HEAD.unpack(_exactly(file, _HEAD.size))
     return Kind(kind), _exactly(file, length)
 

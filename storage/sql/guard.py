@@ -39,10 +39,6 @@ def check_statement(connection: duckdb.DuckDBPyConnection, sql: str, macros: Col
     sql: The statement.
     macros: Table macros that are the store's own.
 
-    Raises
-    ------
-    QueryError: If it is refused, or cannot be parsed.
-
     Examples
     --------
     >>> connection = duckdb.connect()

@@ -44,10 +44,6 @@ def allow_reading_only(paths: Iterable[Path]) -> bool:
     -------
     bool
         False where the kernel has no Landlock; nothing is restricted then.
-
-    Raises
-    ------
-    OSError: If the kernel refuses.
     """
     version = landlock_version()
     if version == 0:

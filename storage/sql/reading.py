@@ -43,10 +43,6 @@ def find_signal(
     unit, signal: Which signal.
     run: Of which run. A run of unknown date counts as measured when it was recorded.
     at_least_s: Where no run is named, one with so long a record comes before shorter ones.
-
-    Raises
-    ------
-    NotFound: If the store does not hold it; the message lists what it does hold.
     """
     _check_held(catalog, "unit", unit, "", {})
     _check_held(catalog, "signal", signal, f" of unit {unit}", {"unit": unit})
@@ -74,13 +70,7 @@ def _check_held(catalog: Catalog, column: str, wanted: str, of: str, given: dict
 
 
 def read_signal(catalog: Catalog, record: SignalRecord) -> Iterator[SampleBatch]:
-    """Batches of a signal in the order of time, read piece by piece.
-
-    Raises
-    ------
-    NotFound: If raw rows of it were dropped: a part of a signal is not the signal.
-    StoreError: If a file of the lake is damaged.
-    """
+    """Batches of a signal in the order of time, read piece by piece."""
     if record.kept_raw is not None and record.kept_raw < record.samples:
         raise _gone(catalog, record.unit, record.signal, record.run, record.samples - record.kept_raw, record.samples)
     channels = catalog.rows(
@@ -168,12 +158,7 @@ def _gone(catalog: Catalog, unit: str, signal: str, run: str, gone: int, of: int
 def stored_between(
     catalog: Catalog, unit: str, signal: str, run: str, first_ns: int, last_ns: int
 ) -> tuple[IntArray, FloatArray]:
-    """Times (ns, ascending) and values of a signal's samples between two moments, both inclusive.
-
-    Raises
-    ------
-    NotFound: If raw rows of that time were dropped.
-    """
+    """Times (ns, ascending) and values of a signal's samples between two moments, both inclusive."""
     where: dict[str, Any] = {"unit": unit, "signal": signal, "run": run, "first": first_ns, "last": last_ns}
     (dropped,) = catalog.rows(
         "select coalesce(sum(samples), 0)::bigint, count(*) from internal.lake_channels_dropped where unit = $unit and "

@@ -42,12 +42,7 @@ def described_tables(catalog: Catalog) -> list[dict[str, object]]:
 
 
 def columns_of(catalog: Catalog, name: str) -> list[dict[str, object]]:
-    """Columns of a table: name, type, and what it holds.
-
-    Raises
-    ------
-    NotFound: If there is no such table.
-    """
+    """Columns of a table: name, type, and what it holds."""
     if name not in known_tables():
         raise NotFound(f"there is no table {name!r}; tables are {', '.join(known_tables())}")
     words = column_words(name)
@@ -60,10 +55,6 @@ def export_catalogue(store: Store, path: Path) -> None:
     """Write a DuckDB database: views over the store's Parquet files where they lie, metrics as tables.
 
     It shows the store as it is now; made again it replaces the file.
-
-    Raises
-    ------
-    BadInput: If the file cannot be written.
     """
     fresh = path.with_name(path.name + ".part")
     fresh.unlink(missing_ok=True)

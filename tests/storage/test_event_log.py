@@ -11,7 +11,7 @@ from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader, make_reader
 
 from storage.log.event_log import EventLog
-from storage.log.recovery import salvage_segment, take_in
+from storage.log.recovery import salvage_segment, unlisted_entry
 from storage.log.sequence import SequenceCheck, place_of
 from storage.manifests.log import (
     FIRST,
@@ -265,7 +265,7 @@ def test_the_manifest_lists_every_segment_with_its_hash(tmp_path: Path) -> None:
     assert [(entry.samples, entry.messages) for entry in entries.values()] == [(100, 1)] * 3 + [(0, 1)]
     assert [entry.ended for entry in entries.values()] == [(), (), (), ("r1",)]
     for entry in entries.values():
-        found, _ = take_in(store, store.log / entry.segment)
+        found, _ = unlisted_entry(store, store.log / entry.segment)
         assert (found.sha256, found.size, found.samples) == (entry.sha256, entry.size, entry.samples)
 
 
