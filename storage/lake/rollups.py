@@ -1,6 +1,7 @@
 """Rollups: count, mean, M2, minimum and maximum of each second and each ten seconds of the source's clock."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -54,7 +55,7 @@ def merge(rollup: Rollup, every: int = 1) -> Rollup:
         return rollup
     if np.any(np.diff(bucket) < 0):
         order = np.argsort(bucket, kind="stable")
-        bucket, rollup = bucket[order], Rollup(*(column[order] for column in rollup))
+        bucket, rollup = bucket[order], _each(lambda column: column[order], rollup)
     is_first = np.diff(bucket, prepend=bucket[0] - 1) != 0
     starts = np.flatnonzero(is_first)
     n = np.add.reduceat(rollup.n, starts)
@@ -68,11 +69,16 @@ def merge(rollup: Rollup, every: int = 1) -> Rollup:
     )
 
 
+def _each(function: Callable[..., Any], *rollups: Rollup) -> Rollup:
+    columns: list[Any] = list(map(function, *rollups))
+    return Rollup(*columns)
+
+
 def joined(rollups: list[Rollup]) -> Rollup:
     """Join rollups of successive stretches of one channel."""
     if len(rollups) == 1:
         return rollups[0]
-    return merge(Rollup(*(np.concatenate(columns) for columns in zip(*rollups, strict=True))))
+    return merge(_each(lambda *columns: np.concatenate(columns), *rollups))
 
 
 def rollup_table(channel: int, rollup: Rollup) -> pa.Table:

@@ -1,4 +1,4 @@
-"""What a recorder answers to who wants to send: who alone may send a unit's run, and what the store has of it."""
+"""A recorder's answers to sources: exclusive claims on units' runs, and what the store has of them."""
 
 import threading
 import time
@@ -41,7 +41,7 @@ class _Held(NamedTuple):
 
 
 class Claims:
-    """Who alone may send samples of a unit in a run.
+    """Exclusive rights to send samples of a unit in a run.
 
     Examples
     --------
@@ -49,14 +49,14 @@ class Claims:
     >>> claims.claim(Claim("a", "import of a.csv", (("U1", "r1"),)), now=0.0)
     >>> claims.claim(Claim("b", "import of b.csv", (("U2", "r1"), ("U1", "r1"))), now=1.0)
     ['U1', 'r1', 'import of a.csv']
-    >>> claims.claim(Claim("b", "import of b.csv", (("U1", "r1"),)), now=4.0)  # the other is silent since
+    >>> claims.claim(Claim("b", "import of b.csv", (("U1", "r1"),)), now=4.0)  # the first was not renewed
     """
 
     def __init__(self) -> None:
         self._held: dict[tuple[str, str], _Held] = {}
 
     def claim(self, claim: Claim, now: float) -> list[str] | None:
-        """Grant or renew a claim; where another holds one of it: unit, run and who that is, and nothing is granted."""
+        """Grant or renew a claim; if another holder has part of it, its unit, run and description."""
         for unit, run in claim.owners:
             held = self._held.get((unit, run))
             if held is not None and held.holder != claim.holder and held.until > now:
@@ -66,18 +66,14 @@ class Claims:
         return None
 
     def release(self, holder: str) -> None:
-        """The holder has ended."""
+        """Release all claims of a holder."""
         self._held = {owner: held for owner, held in self._held.items() if held.holder != holder}
 
 
 class RecorderService:
-    """Answers the requests on a bus for the recorder of one store, in threads of its own.
+    """Answers requests on a bus for the recorder of one store, in its own threads.
 
-    Parameters
-    ----------
-    store: Which store.
-    bus: Where requests come from.
-    settle: Brings all that has come to the lake; raises StoreError where it cannot.
+    `settle` brings everything received to the lake.
     """
 
     def __init__(self, store: Store, bus: Bus, settle: Callable[[], None]) -> None:
@@ -87,7 +83,7 @@ class RecorderService:
         self._claims = Claims()
         self._catalog: Catalog | None = None
         self._closing = False
-        # a claim is answered at once, whatever else takes its time
+        # claims are answered at once, whatever else takes time
         self._quick: Queue[Request] = Queue(_MOST_WAITING)
         self._slow: Queue[Request] = Queue(_MOST_WAITING)
         self._threads = [
@@ -99,7 +95,7 @@ class RecorderService:
         bus.subscribe(REQUEST_KEY, self._on_request)
 
     def close(self) -> None:
-        """Answer nothing more."""
+        """Stop answering."""
         self._closing = True
         for thread in self._threads:
             thread.join()
@@ -109,14 +105,14 @@ class RecorderService:
         try:
             request = decode_request(payload)
         except WireError:
-            return  # nobody to answer to
+            return  # no one to answer
         if request.store not in {"", self._store.identity} or self._closing:
             return
         is_quick = isinstance(request.question, Hello | Claim | Release)
         try:
             (self._quick if is_quick else self._slow).put_nowait(request)
         except Full:
-            return  # asked again
+            return  # it is requested again
 
     def _loop(self, queue: "Queue[Request]") -> None:
         while not self._closing:
@@ -128,7 +124,7 @@ class RecorderService:
                 reply = Reply(request.id, self._store.identity, self._answer(request.question))
             except GyrofleetError as error:
                 reply = Reply(request.id, self._store.identity, error=str(error))
-            except Exception as error:  # noqa: BLE001  whatever it is, who asked is to know it
+            except Exception as error:  # noqa: BLE001  the requester gets any error
                 reply = Reply(request.id, self._store.identity, error=f"{type(error).__name__}: {error}")
             try:
                 self._bus.publish(reply_key(request.id[:64]), encode(reply))
@@ -163,7 +159,7 @@ class RecorderService:
 
     def _lake(self) -> "Catalog":
         if self._catalog is None:
-            from storage.sql.catalog import Catalog  # a recorder that nobody asks needs no DuckDB
+            from storage.sql.catalog import Catalog  # a recorder without requests needs no DuckDB
 
             self._catalog = Catalog(self._store)
         return self._catalog

@@ -11,7 +11,7 @@ from storage.lake.lake import Lake
 from storage.lake.tables import SAMPLES_FILE
 from storage.log.store_documents import signed, store_document
 from storage.manifests.lake import Manifest, Part
-from storage.recording.noting import note
+from storage.recording.client import record_documents
 from storage.upkeep.retention_clock import check_clock
 from stream.errors import BadInput
 from stream.events import RAW_ROWS_DROPPED, RAW_ROWS_RESTORED, StoreNoted
@@ -120,7 +120,7 @@ def apply_rule(lake: Lake, rule: Rule, *, now_ns: int | None = None) -> Dropped:
     if not chosen:
         return dropped
     document = signed(lake.store, _document(lake.store.identity, chosen, rule, dropped))
-    note(lake.store, [document], role="gyrofleet retain")
+    record_documents(lake.store, [document], role="gyrofleet retain")
     lake.drop_raw({segment: document.uid for part in chosen for segment in part.segments})
     return dropped
 
@@ -138,7 +138,7 @@ def restore_raw(lake: Lake) -> Dropped:
     text = f"raw rows of {len(there)} segments, dropped before, were restored from the log"
     details = {"segments": sorted(there), "documents": sorted(set(there.values()))}
     document = signed(lake.store, store_document(lake.store.identity, RAW_ROWS_RESTORED, text, details))
-    note(lake.store, [document], role="gyrofleet rebuild --raw")
+    record_documents(lake.store, [document], role="gyrofleet rebuild --raw")
     lake.restore_raw({segment: (*lake.manifest.restored.get(segment, ()), by) for segment, by in there.items()})
     back = [part for part in lake.manifest.parts if part.dropped is None and part.name not in before]
     return _sum(back)

@@ -19,9 +19,8 @@ from click.testing import CliRunner
 from storage import open_store
 from storage.commands.sql import sql
 from storage.specifications.chain import append_document, read_chain
-from storage.sql.catalog import VIEWS, Catalog, layers
-from storage.sql.columns import column_words, read_words
-from storage.sql.tables import columns_of, described_tables, examples, export_catalogue, known_tables
+from storage.sql.catalog import VIEWS, Catalog, known_tables, layers
+from storage.sql.tables import column_texts, columns_of, described_tables, examples, export_catalogue, read_texts
 from storage.store import Store
 from stream.errors import BadInput, NotFound, QueryError
 from stream.events import EstimatePoint, EstimatePublished, SpecificationAction, SpecificationEntered, new_uid
@@ -109,7 +108,7 @@ def test_every_column_says_what_it_holds(store: Store) -> None:
 def test_words_are_of_tables_and_columns_that_there_are(store: Store) -> None:
     """A column that was renamed takes its words with it."""
     written = [
-        read_words(files("storage.sql").joinpath("schema", "columns.toml")),
+        read_texts(files("storage.sql").joinpath("schema", "columns.toml")),
         *(layer.columns for layer in layers()),
     ]
     with Catalog(store) as catalog:
@@ -301,9 +300,9 @@ def test_a_layer_that_cannot_be_made_harms_no_other_table(store: Store, tmp_path
 
 
 def test_words_of_a_table_go_before_those_of_every(store: Store) -> None:
-    assert column_words("unit_metrics")["n"] == "how many single results it rests on"
-    assert column_words("rate_steps")["n"] == "samples in the evaluated part"
-    assert column_words("estimates")["n"] == "terms that it rests on"
+    assert column_texts("unit_metrics")["n"] == "how many single results it rests on"
+    assert column_texts("rate_steps")["n"] == "samples in the evaluated part"
+    assert column_texts("estimates")["n"] == "terms that it rests on"
 
 
 def test_what_the_guide_asks_runs(store: Store) -> None:

@@ -11,8 +11,7 @@ from typing import Any
 import duckdb
 import pytest
 
-from storage.sql.catalog import VIEWS
-from storage.sql.tables import known_tables
+from storage.sql.catalog import VIEWS, known_tables
 
 ROWS = 300_000
 MANY = f"select i, repeat('x', 600) as text from range({ROWS}) t(i)"
