@@ -18,7 +18,7 @@ _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 @click.command("sql")
 @click.argument("statement", required=False)
 @store_option
-@click.option("--tables", is_flag=True, help="List the tables, or the columns of STATEMENT where it is a table's name.")
+@click.option("--tables", is_flag=True, help="List the tables, or the columns of the table named by STATEMENT.")
 @click.option(
     "--catalogue",
     "catalogue_path",
@@ -51,15 +51,15 @@ def sql(
 ) -> None:
     """Ask the store in SQL: samples, runs, steps, unit_metrics, and others; --tables lists them.
 
-    STATEMENT runs in a process that can read the store and nothing else. A statement that would do more, fails, or
-    takes more than --max-time, --max-memory or --max-rows allow, ends with exit code 2.
+    STATEMENT runs in a process that can only read the store. One that would do more, fails, or exceeds --max-time,
+    --max-memory or --max-rows, ends with exit code 2.
 
     \b
     gyrofleet sql --tables
     gyrofleet sql --tables samples
     gyrofleet sql "select unit, signal, run, samples from signals"
     gyrofleet sql "select unit, avg(value), stddev(value) from samples group by unit"
-    """  # noqa: D301  click's mark for lines that are not to be joined
+    """  # noqa: D301  click's mark of lines that must not be joined
     from storage.store import Store, check_outside
     from stream.errors import BadInput
 

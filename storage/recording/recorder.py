@@ -9,25 +9,20 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import Any, Self
-from uuid import uuid4
+from typing import Self
 
 from storage.log.event_log import EventLog
 from storage.log.files import sealed_segments
-from storage.log.recovery import Recovery
-from storage.log.sequence import Place as Position
-from storage.log.store_documents import store_document
 from storage.manifests.lake import read_manifest
-from storage.recording.disk_watch import DiskWatch, monotonic_and_wall_ns
+from storage.recording.disk_watch import DiskWatch
 from storage.recording.intake import Intake, RecorderCounts
 from storage.recording.lake_builder import LakeBuilder
+from storage.recording.reports import Reports
 from storage.recording.service import RecorderService
 from storage.segments.disk import DISK, Disk
-from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store
 from stream.delivery.publisher import StreamId, StreamPosition, encode_acknowledgement
 from stream.errors import GyrofleetError, StoreError
-from stream.events import encode_event
 from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING, Place, event_key
 from stream.transport.bus import Bus
 
@@ -80,6 +75,7 @@ class Recorder:
         self._on_warning = on_warning
         self._on_failure = on_failure
         self._intake = Intake(log, store)
+        self._reports = Reports(store, log, self._intake, self._warn)
         self._watch = DiskWatch(store.folder, disk)
         self.failure: GyrofleetError | None = None
         self.paused: str | None = None
@@ -87,15 +83,11 @@ class Recorder:
         self._incoming_bytes = 0
         self._state = threading.Condition()
         self._closing = False
-        self._epoch = uuid4().hex
-        self._ended_runs = self._late = self._reported_recoveries = 0
-        self._conflicts_at = -math.inf
-        self._log_warnings = len(log.warnings)
+        self._ended_runs = self._late = 0
         self._settle_wanted = self._settle_done = self._settle_from = self._received = self._processed = 0
         self._seal_at: float | None = None
         self._quiet_at: float | None = None
         self._synced_at = self._troubled_at = time.monotonic()
-        self._wall_ahead_ns: int | None = None
         self._builder = LakeBuilder(store, on_lake=on_lake, on_warning=self._warn) if builds_lake else None
         self._writer = threading.Thread(target=self._write_loop, name="gyrofleet-recorder", daemon=True)
         self._writer.start()
@@ -200,7 +192,7 @@ class Recorder:
 
     def _write_chunk(self) -> bool:
         """Write a chunk of messages; whether it was the last."""
-        self._log_recoveries()
+        self._reports.recoveries()
         settling = self._settle_wanted
         taken, is_last = self._next_messages()
         # also if the disk fails: then they are not acknowledged, and are sent again
@@ -222,7 +214,7 @@ class Recorder:
             self._monitor(now)
         due = min((at for at in (self._seal_at, self._quiet_at) if at is not None), default=math.inf)
         if is_last:
-            self._log_conflicts(math.inf)
+            self._reports.conflicts(math.inf)
         is_settled = settling > self._settle_done and self._processed >= self._settle_from
         if is_last or is_settled or self._log.due or now >= due:
             self._seal()
@@ -267,12 +259,10 @@ class Recorder:
     def _seal(self) -> None:
         self._seal_at = self._quiet_at = None
         recovered = self._log.recover()  # segments that were abandoned since
-        self._log_recoveries()
+        self._reports.recoveries()
         self._sync()
         sealed = self._log.seal()
-        for warning in self._log.warnings[self._log_warnings :]:
-            self._warn(warning)
-        self._log_warnings = len(self._log.warnings)
+        self._reports.log_warnings()
         self.counts.segments += sealed is not None
         if self._builder is not None and (recovered or sealed is not None):
             self._builder.wake()
@@ -282,42 +272,12 @@ class Recorder:
         full, warning = self._watch.look(now)
         if warning is not None:
             self._warn(warning)
-            self._append_document("disk_low", warning, {})
+            self._reports.append("disk_low", warning, {})
         if full is not None:
             self._seal()
             self._pause(full, self._watch.has_room_again)
-        steps, self._intake.clock_steps = self._intake.clock_steps, []
-        for step in steps[:100]:
-            text = f"{step.key}: the source's clock went back by {step.back_ns / 1e9:.9g} s at sample {step.seq}"
-            self._append_document(
-                "source_clock_back", text, {"run": step.run, "seq": step.seq, "back_ns": step.back_ns}
-            )
-        self._log_conflicts(now)
-        monotonic_ns, wall_ns = monotonic_and_wall_ns()
-        ahead_ns = wall_ns - monotonic_ns
-        before_ns, self._wall_ahead_ns = self._wall_ahead_ns, ahead_ns
-        if before_ns is not None and abs(ahead_ns - before_ns) > _CLOCK_STEP_NS:
-            step_ns = ahead_ns - before_ns
-            text = f"the recorder's clock, which gives arrival times, was set by {step_ns / 1e9:+.3f} s"
-            self._warn(text)
-            self._append_document("arrival_clock_step", text, {"step_ns": step_ns})
-
-    def _log_conflicts(self, now: float) -> None:
-        """Report numbers that were received with two contents, in at most one document a second."""
-        if not self._intake.conflicts or now < self._conflicts_at + _CONFLICTS_EVERY_S:
-            return
-        self._conflicts_at = now
-        found, self._intake.conflicts = self._intake.conflicts, []
-        first = found[0]
-        more = f" and {len(found) - 1} more messages" if len(found) > 1 else ""
-        text = (
-            f"{first.key}: numbers {first.seq} to {first.next_seq - 1} of epoch {first.epoch} were received with other "
-            f"content than is recorded{more}; they are kept beside it in the log: two sources send under one name, or "
-            f"one restarted its numbers"
-        )
-        self._warn(text)
-        details = {"conflicts": [vars(each) for each in found[:100]], "count": len(found)}
-        self._append_document("number_conflict", text, details)
+        self._reports.clock_steps()
+        self._reports.conflicts(now)
 
     def _interrupt(self, error: OSError) -> None:
         """After a disk error, fall back to what is durable and continue in a new segment."""
@@ -341,7 +301,7 @@ class Recorder:
             until = time.monotonic() + _RETRY_S
             self._pause(text, lambda: time.monotonic() >= until)
         else:
-            self._append_document("disk_error", text, {"error": str(error)})
+            self._reports.append("disk_error", text, {"error": str(error)})
         # request what was undone at once, not only after the source's timeout
         self._request_rewind(undone)
 
@@ -366,32 +326,7 @@ class Recorder:
         paused_s = time.monotonic() - began
         text = f"recording resumes after a pause of {paused_s:.1f} s: {reason}"
         self._warn(text)
-        self._append_document("recording_paused", text, {"paused_s": paused_s, "reason": reason})
-
-    def _log_recoveries(self) -> None:
-        while self._reported_recoveries < len(self._log.recovered):
-            self._log_recovery(self._log.recovered[self._reported_recoveries])
-            self._reported_recoveries += 1
-
-    def _log_recovery(self, recovery: Recovery) -> None:
-        text = f"{recovery.segment} was not finished: {recovery.records:,} messages recovered"
-        if recovery.damaged_chunks:
-            text += f", {recovery.damaged_bytes:,} bytes in {recovery.damaged_chunks} pieces could not be read"
-        lost = [str(each) for each in recovery.lost]
-        if lost:
-            text += f"; lost: {'; '.join(lost[:5])}" + (f" and {len(lost) - 5} more" if len(lost) > 5 else "")
-        kept = None if recovery.kept_aside is None else recovery.kept_aside.name
-        details = {"segment": recovery.segment, "lost": [vars(each) for each in recovery.lost], "kept_aside": kept}
-        self._append_document("segment_recovered", text, details)
-
-    def _append_document(self, what: str, text: str, details: dict[str, Any]) -> None:
-        """Append a document of the store to the log."""
-        stream = StreamId(_DOCUMENTS_KEY, self._epoch)
-        seq = self._log.marks.get(stream, 0)
-        document = store_document(self._store.identity, what, text, details)
-        now_ns = document.t_ns
-        record = LogRecord(_DOCUMENTS_KEY, EVENTS, now_ns, now_ns, encode_event(document, self._epoch, seq))
-        self._log.append(Position(stream, seq, seq + 1, now_ns, now_ns, ""), record)
+        self._reports.append("recording_paused", text, {"paused_s": paused_s, "reason": reason})
 
     def _warn(self, text: str) -> None:
         if self._on_warning is not None:

@@ -186,7 +186,7 @@ def test_the_command_tells_tables_and_columns(store: Store) -> None:
     assert rows["rate_command"] == {
         "column": "rate_command",
         "type": "DOUBLE",
-        "what": "rate that the table was told, deg/s",
+        "what": "commanded rate of the table, deg/s",
     }
     assert runner.invoke(sql, ["--tables", "nothing", "--store", str(store.folder)]).exit_code != 0
 
@@ -215,7 +215,7 @@ def test_the_exported_catalogue_answers_alike_in_any_duckdb(store: Store, tmp_pa
         shown = plain.sql(
             "select comment from duckdb_columns() where table_name = 'samples' and column_name = 'counts'"
         )
-        assert shown.fetchall() == [("as the device gave it; null where it gives no counts",)]
+        assert shown.fetchall() == [("raw counts of the device; null if it gives none",)]
         told = plain.sql(
             "select table_name || '.' || column_name from duckdb_columns() "
             f"where table_name in {tuple(known_tables())} and comment is null"

@@ -1,4 +1,4 @@
--- Times are UTC. Where a run's date is unknown (runs.date_known), they count from the run's start as 1970-01-01.
+-- Times are UTC. If a run's date is unknown (runs.date_known), they count from the run's start as 1970-01-01.
 
 create view signals as
 select
@@ -81,7 +81,7 @@ left join resumed g using (run);
 create view steps as
 select
   b.run, b.unit,
-  row_number() over (partition by b.run, b.unit order by b.t_ns, b.uid) as "index",  -- two may begin at one time
+  row_number() over (partition by b.run, b.unit order by b.t_ns, b.uid) as "index",  -- two may start at one time
   b.document->>'$.words.procedure' as "procedure",
   b.document->>'$.words.step' as step,
   try_cast(b.document->>'$.words.repeat' as bigint) as repeat,
@@ -110,7 +110,7 @@ select
   tau_s, value, lo, hi, unit_of_measure, confidence, edf, n, final, reason,
   samples, missing, sample_interval_s, t_ns, uid
 from internal.lake_estimates
--- sent twice it is one; the parts of a name are there so that a filter on them comes before
+-- duplicates count once; with the parts of the name, filters on them are applied before
 qualify row_number() over (partition by unit, signal, run, estimator, uid, tau_s order by arrival_ns) = 1;
 
 create view events as

@@ -1,6 +1,5 @@
--- Buckets of 1 s and 10 s of the source's clock. One that two segments share is put together by the formula of Chan,
--- Golub and LeVeque: the sums of squares about the means, and of the means about theirs. In tidy signals only edges can
--- be shared, so all others pass as they are.
+-- Buckets of 1 s and 10 s of the source's clock. Buckets shared by segments are merged by the formula of Chan, Golub and
+-- LeVeque, from the sums of squares and the means. In tidy signals only edges can be shared; other buckets are final.
 create view internal.lake_rollups as
 select 1 as seconds, * from internal.lake_rollup_1s
 union all
@@ -10,7 +9,7 @@ create view internal.lake_buckets as
 with shared as (
   select r.seconds, c.unit, c.signal, c.run, c.unit_of_measure, r.bucket, r.n, r.mean, r.m2, r.lo, r.hi,
     sum(r.n) over same as n_all,
-    -- in one order, so that the same rows give the same bits
+    -- in a fixed order, so that the result is bit-identical
     sum(r.n * r.mean) over (same order by r.n, r.mean, r.m2 rows between unbounded preceding and unbounded following)
       / sum(r.n) over same as mean_all
   from internal.lake_rollups r join internal.lake_channels c using (channel)

@@ -1,7 +1,6 @@
--- The source's clock against the recorder's, from the lower envelope of arrival minus source time: delays only add.
--- drift_ppm is positive where the source's clock is fast. Its pieces begin where the source's time leaps, and where a
--- signal is powered on; they share one slope, each with a level of its own. Stretches far above their line were held up
--- on the way as a whole and are left out.
+-- The source's clock relative to the recorder's, from the lower envelope of arrival minus source time, since delays are
+-- positive. drift_ppm is positive if the source's clock is fast. Pieces begin at leaps of the source's time and at
+-- power-ons; they share one slope, each with its own level. Stretches far above the line were delayed and are left out.
 create view internal.lake_clock_pieces as
 with leap as (
   select k.*, c.unit, c.signal, c.run, c.dt_ns, c.irregular,
@@ -23,7 +22,7 @@ with level as (
   from internal.lake_clock_pieces
   group by unit, signal, run, channel, piece
 )
--- a gap in the samples leaves the level of the delays as it was; a clock that was set moves it by as much
+-- a gap in the samples leaves the level of the delays; setting the clock moves it by as much
 select *,
   level_ns - lag(level_ns) over (partition by channel order by piece) as rise_ns
 from level;
@@ -61,7 +60,7 @@ with point as (
     count(*) filter (step_ns < 0) as backward,
     count(*) filter (is_jump) as jumps,
     arg_max(step_ns, abs(step_ns)) filter (is_jump) as largest_jump_ns
-  -- as doubles: the sum of two leaps of centuries does not fit 64 bits
+  -- as doubles: the sum of two leaps of centuries exceeds 64 bits
   from (select *, abs(rise_ns::double + step_ns) < abs(step_ns) / 2 as is_jump from internal.lake_clock_levels)
   group by unit, signal, run
 ), stretch as (
