@@ -180,12 +180,4 @@ def _repair_lake(store: Store) -> Iterator[Action]:
 
 
 def _describe(recovery: Recovery) -> str:
-    text = f"{recovery.records:,} messages recovered of {recovery.segment}"
-    if recovery.damaged_chunks:
-        text += f", {recovery.damaged_bytes:,} bytes in {recovery.damaged_chunks} pieces could not be read"
-    if lost := recovery.lost:
-        more = f" and {len(lost) - 5} more" if len(lost) > 5 else ""
-        text += f"; lost: {'; '.join(str(each) for each in lost[:5])}{more}"
-    if recovery.kept_aside is not None:
-        text += f"; the original: {recovery.kept_aside}"
-    return text
+    return f"{recovery}" + ("" if recovery.kept_aside is None else f"; the original: {recovery.kept_aside}")

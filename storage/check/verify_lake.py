@@ -36,9 +36,6 @@ class LakeProblem(NamedTuple):
     part: str
     file: str
     what: str
-    segments: tuple[str, ...]
-    t_first_ns: int | None
-    t_last_ns: int | None
     remedy: str
 
 
@@ -83,7 +80,7 @@ def _problems(store: Store, sound: dict[str, Part]) -> Iterator[LakeProblem]:
         manifest = read_manifest(store)
     except LakeManifestDamaged as error:
         remedy = "rebuild the manifest from the parts' descriptions, and missing parts from the log"
-        yield LakeProblem("", MANIFEST, str(error), (), None, None, remedy)
+        yield LakeProblem("", MANIFEST, str(error), remedy)
         manifest = Manifest(parts=tuple(found_parts(store)))
     seen: set[str] = set()
     for part in manifest.parts:
@@ -166,7 +163,7 @@ def _wrong_with(path: Path, file: PartFile) -> str | None:
 
 def _problem(part: Part, file: str, what: str) -> LakeProblem:
     remedy = f"quarantine {part.name} and rebuild its {len(part.segments)} segments from the log"
-    return LakeProblem(part.name, file, what, part.segments, part.t_first_ns, part.t_last_ns, remedy)
+    return LakeProblem(part.name, file, what, remedy)
 
 
 def _rebuild_manifest(store: Store) -> None:

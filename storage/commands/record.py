@@ -12,7 +12,6 @@ import click
 from stream.console import notes, print_json, reporting, store_option, until_stopped
 
 if TYPE_CHECKING:
-    from storage.log.recovery import Recovery
     from storage.recording.recorder import Recorder
 
 _SHOWN_REJECTIONS = 5
@@ -89,7 +88,8 @@ def record(
         for warning in log.warnings:
             warn(warning)
         for recovery in log.recovered:
-            _print_recovery(recovery)
+            original = "" if recovery.kept_aside is None else f"; the original file: {recovery.kept_aside}"
+            console.print(f"{recovery}, left open by an earlier process{original}", soft_wrap=True, markup=False)
         with (
             ZenohBus(listen=[] if connect else [endpoint], connect=[connect] if connect else []) as bus,
             Recorder(
@@ -130,18 +130,6 @@ def router(listen: str, *, as_json: bool) -> None:
             notes().print(f"routing messages at {listen}; Ctrl-C ends")
         while not stopped.wait(1.0):
             pass
-
-
-def _print_recovery(recovery: "Recovery") -> None:
-    console = notes()
-    line = f"recovered {recovery.records:,} messages of {recovery.segment}, left open by an earlier process"
-    if recovery.damaged_chunks:
-        line += f"; {recovery.damaged_bytes:,} bytes in {recovery.damaged_chunks} pieces could not be read"
-    console.print(line, soft_wrap=True, markup=False)
-    for lost in recovery.lost[:_SHOWN_REJECTIONS]:
-        console.print(f"  lost: {lost}", soft_wrap=True, markup=False)
-    if recovery.kept_aside is not None:
-        console.print(f"  the original file: {recovery.kept_aside}", soft_wrap=True, markup=False)
 
 
 class _Progress:

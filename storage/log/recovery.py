@@ -7,7 +7,7 @@ copied, and the whole file is quarantined.
 import mmap
 import re
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from storage.log.files import is_own, next_free
@@ -34,21 +34,29 @@ class Recovery:
     ----------
     segment: Original name of the file.
     records: Messages that it has now.
-    damaged_bytes, damaged_chunks: Unreadable bytes, and the number of pieces they are in.
-    lost: Samples and documents that are missing, by their numbers.
     kept_aside: The quarantined original, if anything of it was left out.
     entry: The sealed segment; None if there was no message.
     positions: Positions that its streams have reached.
     """
 
     segment: str
-    records: int
-    damaged_bytes: int
-    damaged_chunks: int
-    lost: tuple[LostStretch, ...]
-    kept_aside: Path | None
-    entry: SegmentEntry | None
-    positions: dict[StreamId, int]
+    records: int = 0
+    damaged_bytes: int = 0
+    damaged_chunks: int = 0
+    lost: tuple[LostStretch, ...] = ()
+    kept_aside: Path | None = None
+    entry: SegmentEntry | None = None
+    positions: dict[StreamId, int] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        """In words, with the first five losses."""
+        text = f"{self.records:,} messages recovered of {self.segment}"
+        if self.damaged_chunks:
+            text += f", {self.damaged_bytes:,} bytes in {self.damaged_chunks} pieces could not be read"
+        if self.lost:
+            more = f" and {len(self.lost) - 5} more" if len(self.lost) > 5 else ""
+            text += f"; lost: {'; '.join(str(each) for each in self.lost[:5])}{more}"
+        return text
 
 
 def left_open(store: Store) -> list[Path]:
@@ -76,7 +84,7 @@ def recover_segment(store: Store, path: Path, known: dict[StreamId, int], disk: 
     sealed = store.log / (match[1] if match else path.name.removesuffix(".open"))
     if sealed.exists():
         if _is_copied(path, limit, sealed):  # by a process that ended before it could remove this one
-            return Recovery(path.name, 0, 0, 0, (), _quarantine(store, path, disk), None, {})
+            return Recovery(path.name, kept_aside=_quarantine(store, path, disk))
         sealed = next_free(sealed)  # another process sealed one of that number: both are kept
     return _seal(store, path, sealed, SegmentScan(path, limit), known, disk)
 
@@ -106,10 +114,7 @@ def examine_segment(path: Path, known: dict[StreamId, int]) -> Recovery:
             tally.add(record, place)
     for stream, next_seq in reached_in(path).items():
         check.reach(stream, next_seq)
-    damaged = sum(span.end - span.begin for span in scan.damaged)
-    return Recovery(
-        path.name, tally.messages, damaged, len(scan.damaged), tuple(check.lost), None, None, tally.positions
-    )
+    return _salvaged(path, scan, tally, check, None)
 
 
 def reached_in(sealed: Path) -> dict[StreamId, int]:
@@ -152,9 +157,9 @@ def _seal(
         return replace(recovery, segment=path.name, kept_aside=_quarantine(store, path, disk))
     if not tally.messages and scan.torn is None:
         disk.remove(path)  # created, and nothing was written
-        return Recovery(path.name, 0, 0, 0, (), None, None, {})
+        return Recovery(path.name)
     if not tally.messages:
-        return Recovery(path.name, 0, 0, 0, (), _quarantine(store, path, disk), None, {})
+        return Recovery(path.name, kept_aside=_quarantine(store, path, disk))
     aside = None if scan.torn is None else _keep_tail(store, path, scan.whole_bytes, disk)
     suffix = path.name.removeprefix(sealed.name)
     with (
@@ -166,7 +171,7 @@ def _seal(
         writer = SegmentWriter(sealed, suffix, disk, found=(whole, scan.summary), open_path=path)
     entry = tally.entry(writer.seal(tally.marks), "recovered")
     disk.sync_folder(sealed.parent)
-    return Recovery(path.name, tally.messages, 0, 0, (), aside, entry, tally.positions)
+    return Recovery(path.name, tally.messages, kept_aside=aside, entry=entry, positions=tally.positions)
 
 
 def _copy(
@@ -198,14 +203,19 @@ def _copy(
     raise_positions(tally.positions, reached)  # lost messages stay known
     if writer is None and tally.positions:
         writer = SegmentWriter(sealed, _COPY, disk, store=store.identity)
-    damaged = sum(span.end - span.begin for span in scan.damaged)
     entry = None
     if writer is not None:
         entry = tally.entry(writer.seal(tally.marks, replaces=replaces), "salvaged")
         disk.sync_folder(sealed.parent)
-    return Recovery(
-        sealed.name, tally.messages, damaged, len(scan.damaged), tuple(check.lost), None, entry, tally.positions
-    )
+    return _salvaged(sealed, scan, tally, check, entry)
+
+
+def _salvaged(
+    path: Path, scan: SegmentScan, tally: SegmentTally, check: SequenceCheck, entry: SegmentEntry | None
+) -> Recovery:
+    damaged = sum(span.end - span.begin for span in scan.damaged)
+    lost = tuple(check.lost)
+    return Recovery(path.name, tally.messages, damaged, len(scan.damaged), lost, None, entry, tally.positions)
 
 
 def _aside(store: Store, path: Path) -> Path:

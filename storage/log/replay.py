@@ -145,20 +145,19 @@ class Comparing:
         assert isinstance(document, Estimated)
         self.found.made += 1
         stored = self._open.pop(document.uid, None)
-        if stored is None:
-            _list(self.found.extra, name_of(document))
-        elif stored.digest == _digest(document):
+        if stored is not None and stored.digest == _digest(document):
             self.found.equal += 1
-        else:
-            _list(self.found.different, name_of(document))
+            return
+        names = self.found.extra if stored is None else self.found.different
+        if len(names) < _LISTED:
+            names.append(name_of(document))
 
     def drain(self) -> None:
         """Do nothing: no message is ever outstanding."""
 
     def result(self) -> Comparison:
         """The comparison, once all documents have been made."""
-        for stored in self._open.values():
-            _list(self.found.missing, stored.name)
+        self.found.missing = [stored.name for stored in self._open.values()][:_LISTED]
         return self.found
 
 
@@ -190,8 +189,3 @@ def _average_of(document: EstimatePublished) -> list[float]:
 
 def _digest(document: AnyDocument) -> bytes:
     return hashlib.blake2b(msgspec.json.encode(document), digest_size=16).digest()
-
-
-def _list(names: list[str], name: str) -> None:
-    if len(names) < _LISTED:
-        names.append(name)

@@ -22,24 +22,7 @@ from stream.errors import DeliveryError, GyrofleetError, StoreError, WireError
 from stream.events import AnyDocument
 from stream.identity import Place, event_key
 from stream.transport.bus import Bus
-from stream.wire.requests import (
-    LEASE_S,
-    RENEW_S,
-    REQUEST_KEY,
-    AskRuns,
-    AskSamples,
-    AskSignals,
-    Claim,
-    Hello,
-    Question,
-    Release,
-    Reply,
-    Request,
-    Settle,
-    decode_reply,
-    encode,
-    reply_key,
-)
+from stream.wire import requests
 
 _AGAIN_S = 2.0
 _OTHERS_S = 0.2
@@ -64,11 +47,11 @@ class RecorderClient:
         self._bus = bus
         self._state = threading.Condition()
         self.store = ""
-        found = self._ask(Hello(), patience_s, others_s=_OTHERS_S)
+        found = self._ask(requests.Hello(), patience_s, others_s=_OTHERS_S)
         stores = [reply.store for reply in found]
         self.store = wanted if wanted in stores else stores[0]
 
-    def ask(self, question: Question, patience_s: float = _PATIENCE_S) -> Any:
+    def ask(self, question: requests.Question, patience_s: float = _PATIENCE_S) -> Any:
         """The answer to a question.
 
         Raises
@@ -83,20 +66,20 @@ class RecorderClient:
 
     def settle(self) -> None:
         """Wait until everything the recorder has received is in its lake."""
-        self.ask(Settle(), _SETTLE_S)
+        self.ask(requests.Settle(), _SETTLE_S)
 
     def signals(self, runs: list[str]) -> list[KnownSignal]:
         """The signals of these runs."""
-        return [KnownSignal(*row) for row in self.ask(AskSignals(tuple(runs)))]
+        return [KnownSignal(*row) for row in self.ask(requests.AskSignals(tuple(runs)))]
 
     def runs(self, runs: list[str]) -> KnownRuns:
         """What is known of these runs."""
-        found = KnownRuns(*self.ask(AskRuns(tuple(runs))))
+        found = KnownRuns(*self.ask(requests.AskRuns(tuple(runs))))
         return found._replace(steps=[KnownStep(*step) for step in found.steps])
 
     def samples(self, unit: str, signal: str, run: str, first_ns: int, last_ns: int) -> tuple[IntArray, FloatArray]:
         """Times (ns, ascending) and values between two times, inclusive."""
-        answer = self.ask(AskSamples(unit, signal, run, first_ns, last_ns))
+        answer = self.ask(requests.AskSamples(unit, signal, run, first_ns, last_ns))
         if answer is not None:
             return unpacked(*answer)
         if last_ns <= first_ns:
@@ -108,24 +91,24 @@ class RecorderClient:
         ]
         return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
-    def _ask(self, question: Question, patience_s: float, others_s: float = 0.0) -> list[Reply]:
+    def _ask(self, question: requests.Question, patience_s: float, others_s: float = 0.0) -> list[requests.Reply]:
         """All answers to a question within `others_s` of the first."""
-        request = Request(uuid4().hex, self.store, question)
-        found: list[Reply] = []
+        request = requests.Request(uuid4().hex, self.store, question)
+        found: list[requests.Reply] = []
 
         def take(_key: str, payload: bytes) -> None:
             with suppress(WireError):
-                reply = decode_reply(payload)
+                reply = requests.decode_reply(payload)
                 with self._state:
                     if reply.store not in {each.store for each in found} and self.store in {"", reply.store}:
                         found.append(reply)
                         self._state.notify_all()
 
-        self._bus.subscribe(reply_key(request.id), take)
+        self._bus.subscribe(requests.reply_key(request.id), take)
         until = time.monotonic() + patience_s
         try:
             while True:
-                self._bus.publish(REQUEST_KEY, encode(request))
+                self._bus.publish(requests.REQUEST_KEY, requests.encode(request))
                 with self._state:
                     if self._state.wait_for(lambda: bool(found), min(_AGAIN_S, max(0.0, until - time.monotonic()))):
                         break
@@ -138,7 +121,7 @@ class RecorderClient:
             with self._state:
                 return list(found)
         finally:
-            self._bus.unsubscribe(reply_key(request.id))
+            self._bus.unsubscribe(requests.reply_key(request.id))
 
 
 class HeldClaim:
@@ -167,9 +150,9 @@ class HeldClaim:
         self._client = client
         self.on_loss = on_loss
         text = f"{what} on {socket.gethostname()}, process {os.getpid()}"
-        self._claim = Claim(holder or uuid4().hex, text, tuple(sorted(set(owners))))
+        self._claim = requests.Claim(holder or uuid4().hex, text, tuple(sorted(set(owners))))
         self._stop = threading.Event()
-        until = time.monotonic() + LEASE_S + 2.0  # the lease of a killed source ends
+        until = time.monotonic() + requests.LEASE_S + 2.0  # the lease of a killed source ends
         while (reason := self._refused()) is not None:
             if time.monotonic() >= until:
                 raise StoreError(reason)
@@ -188,7 +171,7 @@ class HeldClaim:
         )
 
     def _renew(self) -> None:
-        while not self._stop.wait(RENEW_S):
+        while not self._stop.wait(requests.RENEW_S):
             try:
                 reason = self._refused(_AGAIN_S)
             except GyrofleetError:
@@ -203,7 +186,7 @@ class HeldClaim:
         self._stop.set()
         self._thread.join()
         with suppress(GyrofleetError):
-            self._client.ask(Release(self._claim.holder), _RELEASE_S)
+            self._client.ask(requests.Release(self._claim.holder), _RELEASE_S)
 
     def __enter__(self) -> Self:
         return self

@@ -6,7 +6,6 @@ from typing import Any
 from uuid import uuid4
 
 from storage.log.event_log import EventLog
-from storage.log.recovery import Recovery
 from storage.log.sequence import Place as Position
 from storage.log.store_documents import store_document
 from storage.recording.disk_watch import monotonic_and_wall_ns
@@ -53,18 +52,11 @@ class Reports:
     def recoveries(self) -> None:
         """Document segments that were recovered since the last call."""
         while self._recoveries < len(self._log.recovered):
-            self._recovery(self._log.recovered[self._recoveries])
+            recovery = self._log.recovered[self._recoveries]
             self._recoveries += 1
-
-    def _recovery(self, recovery: Recovery) -> None:
-        text = f"{recovery.segment} was not finished: {recovery.records:,} messages recovered"
-        if recovery.damaged_chunks:
-            text += f", {recovery.damaged_bytes:,} bytes in {recovery.damaged_chunks} pieces could not be read"
-        if lost := [str(each) for each in recovery.lost]:
-            text += f"; lost: {'; '.join(lost[:5])}" + (f" and {len(lost) - 5} more" if len(lost) > 5 else "")
-        kept = None if recovery.kept_aside is None else recovery.kept_aside.name
-        details = {"segment": recovery.segment, "lost": [vars(each) for each in recovery.lost], "kept_aside": kept}
-        self.append("segment_recovered", text, details)
+            kept = None if recovery.kept_aside is None else recovery.kept_aside.name
+            details = {"segment": recovery.segment, "lost": [vars(each) for each in recovery.lost], "kept_aside": kept}
+            self.append("segment_recovered", f"{recovery}; it was left open", details)
 
     def clock_steps(self) -> None:
         """Document steps of the sources' clocks and of the recorder's own."""

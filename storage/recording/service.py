@@ -9,24 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from storage.store import Store
 from stream.errors import GyrofleetError, StoreError, WireError
 from stream.transport.bus import Bus
-from stream.wire.requests import (
-    LEASE_S,
-    MOST_ROWS,
-    REQUEST_KEY,
-    AskRuns,
-    AskSamples,
-    AskSignals,
-    Claim,
-    Hello,
-    Question,
-    Release,
-    Reply,
-    Request,
-    Settle,
-    decode_request,
-    encode,
-    reply_key,
-)
+from stream.wire import requests
 
 if TYPE_CHECKING:
     from storage.sql.catalog import Catalog
@@ -46,23 +29,23 @@ class Claims:
     Examples
     --------
     >>> claims = Claims()
-    >>> claims.claim(Claim("a", "import of a.csv", (("U1", "r1"),)), now=0.0)
-    >>> claims.claim(Claim("b", "import of b.csv", (("U2", "r1"), ("U1", "r1"))), now=1.0)
+    >>> claims.claim(requests.Claim("a", "import of a.csv", (("U1", "r1"),)), now=0.0)
+    >>> claims.claim(requests.Claim("b", "import of b.csv", (("U2", "r1"), ("U1", "r1"))), now=1.0)
     ['U1', 'r1', 'import of a.csv']
-    >>> claims.claim(Claim("b", "import of b.csv", (("U1", "r1"),)), now=4.0)  # the first was not renewed
+    >>> claims.claim(requests.Claim("b", "import of b.csv", (("U1", "r1"),)), now=4.0)  # the first was not renewed
     """
 
     def __init__(self) -> None:
         self._held: dict[tuple[str, str], _Held] = {}
 
-    def claim(self, claim: Claim, now: float) -> list[str] | None:
+    def claim(self, claim: requests.Claim, now: float) -> list[str] | None:
         """Grant or renew a claim; if another holder has part of it, its unit, run and description."""
         for unit, run in claim.owners:
             held = self._held.get((unit, run))
             if held is not None and held.holder != claim.holder and held.until > now:
                 return [unit, run, held.text]
         for owner in claim.owners:
-            self._held[owner] = _Held(claim.holder, claim.text[:300], now + LEASE_S)
+            self._held[owner] = _Held(claim.holder, claim.text[:300], now + requests.LEASE_S)
         return None
 
     def release(self, holder: str) -> None:
@@ -84,15 +67,15 @@ class RecorderService:
         self._catalog: Catalog | None = None
         self._closing = False
         # claims are answered at once, whatever else takes time
-        self._quick: Queue[Request] = Queue(_MOST_WAITING)
-        self._slow: Queue[Request] = Queue(_MOST_WAITING)
+        self._quick: Queue[requests.Request] = Queue(_MOST_WAITING)
+        self._slow: Queue[requests.Request] = Queue(_MOST_WAITING)
         self._threads = [
             threading.Thread(target=self._loop, args=(queue,), name="gyrofleet-service", daemon=True)
             for queue in (self._quick, self._slow)
         ]
         for thread in self._threads:
             thread.start()
-        bus.subscribe(REQUEST_KEY, self._on_request)
+        bus.subscribe(requests.REQUEST_KEY, self._on_request)
 
     def close(self) -> None:
         """Stop answering."""
@@ -103,44 +86,44 @@ class RecorderService:
 
     def _on_request(self, _key: str, payload: bytes) -> None:
         try:
-            request = decode_request(payload)
+            request = requests.decode_request(payload)
         except WireError:
             return  # no one to answer
         if request.store not in {"", self._store.identity} or self._closing:
             return
-        is_quick = isinstance(request.question, Hello | Claim | Release)
+        is_quick = isinstance(request.question, requests.Hello | requests.Claim | requests.Release)
         try:
             (self._quick if is_quick else self._slow).put_nowait(request)
         except Full:
             return  # it is requested again
 
-    def _loop(self, queue: "Queue[Request]") -> None:
+    def _loop(self, queue: "Queue[requests.Request]") -> None:
         while not self._closing:
             try:
                 request = queue.get(timeout=0.1)
             except Empty:
                 continue
             try:
-                reply = Reply(request.id, self._store.identity, self._answer(request.question))
+                reply = requests.Reply(request.id, self._store.identity, self._answer(request.question))
             except GyrofleetError as error:
-                reply = Reply(request.id, self._store.identity, error=str(error))
+                reply = requests.Reply(request.id, self._store.identity, error=str(error))
             except Exception as error:  # noqa: BLE001  the requester gets any error
-                reply = Reply(request.id, self._store.identity, error=f"{type(error).__name__}: {error}")
+                reply = requests.Reply(request.id, self._store.identity, error=f"{type(error).__name__}: {error}")
             try:
-                self._bus.publish(reply_key(request.id[:64]), encode(reply))
+                self._bus.publish(requests.reply_key(request.id[:64]), requests.encode(reply))
             except GyrofleetError:
                 return  # the bus is closed
 
-    def _answer(self, question: Question) -> Any:
+    def _answer(self, question: requests.Question) -> Any:
         match question:
-            case Hello():
+            case requests.Hello():
                 return str(self._store.folder.absolute())
-            case Claim():
+            case requests.Claim():
                 return self._claims.claim(question, time.monotonic())
-            case Release():
+            case requests.Release():
                 self._claims.release(question.holder)
                 return None
-            case Settle():
+            case requests.Settle():
                 self._forget()
                 self._settle()
                 return None
@@ -148,13 +131,13 @@ class RecorderService:
 
         knowledge = CatalogKnowledge(self._lake())
         match question:
-            case AskSignals():
+            case requests.AskSignals():
                 return knowledge.signals(list(question.runs))
-            case AskRuns():
+            case requests.AskRuns():
                 return knowledge.runs(list(question.runs))
-            case AskSamples(unit, signal, run, first_ns, last_ns):
+            case requests.AskSamples(unit, signal, run, first_ns, last_ns):
                 times_ns, values = knowledge.samples(unit, signal, run, first_ns, last_ns)
-                return packed(times_ns, values) if len(times_ns) <= MOST_ROWS else None
+                return packed(times_ns, values) if len(times_ns) <= requests.MOST_ROWS else None
         raise StoreError(f"a recorder of this version does not answer {type(question).__name__}")
 
     def _lake(self) -> "Catalog":
