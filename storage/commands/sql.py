@@ -58,8 +58,8 @@ def sql(
     gyrofleet sql --tables
     gyrofleet sql --tables samples
     gyrofleet sql "select unit, signal, run, samples from signals"
-    gyrofleet sql "select unit, avg(value), stddev(value) from samples group by unit"
-    """  # noqa: D301  click's mark of lines that must not be joined
+    gyrofleet sql "select unit, run, avg(value) from samples group by all"
+    """  # noqa: D301  click's mark for lines that are not to be joined
     from storage.store import Store, check_outside
     from stream.errors import BadInput
 
