@@ -9,7 +9,7 @@ import msgspec
 from storage.check.verify import checkpoint_findings, kept_findings, lake_findings, only_in_lake
 from storage.check.verify_lake import repair_lake
 from storage.check.verify_log import LogState, stretch_id, verify_log
-from storage.findings import KEPT_DAMAGED, Finding
+from storage.findings import KEPT_DAMAGED
 from storage.lake.lake import Lake, build_missing, builder_lock
 from storage.lake.lake import quarantine as quarantine_file
 from storage.log.event_log import EventLog
@@ -54,10 +54,16 @@ def recover(store: Store, *, quarantine: bool = False) -> Iterator[Action]:
                     yield Action("file_quarantined", str(unknown.path), f"{unknown.why}; kept as {target}")
             yield from _repair_log(store)
             yield from _repair_lake(store)
-            yield from _repair_checkpoints(checkpoint_findings(store, verify_log(store)))
+            for finding in checkpoint_findings(store, verify_log(store)):
+                if finding.kind == "checkpoint_damaged":
+                    yield Action("checkpoint_set_aside", finding.where, f"kept as {keep_aside(Path(finding.where))}")
             for aside in mend_copies(store):
                 yield Action("specification_copied", str(aside.parent), f"written from the log; the old file: {aside}")
-            yield from _repair_kept(store)
+            for finding in kept_findings(store):
+                # derived, and computed again on demand
+                if finding.kind == KEPT_DAMAGED and Path(finding.where).exists():
+                    kept = quarantine_file(store, Path(finding.where))
+                    yield Action("kept_set_aside", finding.where, f"kept as {kept}")
     except OSError as error:
         raise StoreError(f"{store.folder} cannot be repaired: {error}; repair the disk and run it again") from error
 
@@ -150,21 +156,6 @@ def _document(
     parts = [store.identity, what, segment, *(str(part) for each in lost for part in stretch_id(vars(each)))]
     uid = uuid5(NAMESPACE_OID, "\0".join(parts)).hex
     return msgspec.structs.replace(store_document(store.identity, what, text, details), uid=uid)
-
-
-def _repair_checkpoints(findings: list[Finding]) -> Iterator[Action]:
-    for finding in findings:
-        if finding.kind == "checkpoint_damaged":
-            aside = keep_aside(Path(finding.where))
-            yield Action("checkpoint_set_aside", finding.where, f"kept as {aside}")
-
-
-def _repair_kept(store: Store) -> Iterator[Action]:
-    """Quarantine damaged files of layers; they are derived, and computed again on demand."""
-    for finding in kept_findings(store):
-        path = Path(finding.where)
-        if finding.kind == KEPT_DAMAGED and path.exists():
-            yield Action("kept_set_aside", finding.where, f"kept as {quarantine_file(store, path)}")
 
 
 def _repair_lake(store: Store) -> Iterator[Action]:

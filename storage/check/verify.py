@@ -129,7 +129,9 @@ def _compare_with_log(store: Store, state: LogState, part: Part) -> Finding | No
         return None
     expected = sum(state.samples[f"{segment}.mcap"] for segment in there)
     changed = gone | (salvaged(state) & set(there))
-    others = [segment for segment in there if segment not in changed and _is_of_another(state, part, segment)]
+    hashes = {name.removesuffix(".mcap"): entry.sha256 for name, entry in state.entries.items()}
+    sources = {segment: sha256 for segment, sha256 in part.sources.items() if segment in hashes}
+    others = [each for each in there if each not in changed and sources.get(each) not in {None, hashes.get(each)}]
     held = part.samples + part.quarantined_samples
     if held > expected and changed and not others:
         what = f"{held - expected:,} samples that the log has lost are still in the lake"
@@ -141,11 +143,6 @@ def _compare_with_log(store: Store, state: LogState, part: Part) -> Finding | No
     else:
         return None
     return Finding("lake_disagrees", Severity.DAMAGE, where, what, "quarantine it and rebuild it from the log")
-
-
-def _is_of_another(state: LogState, part: Part, segment: str) -> bool:
-    entry = state.entries.get(f"{segment}.mcap")
-    return entry is not None and part.sources.get(segment, entry.sha256) != entry.sha256
 
 
 def _said(state: LogState) -> set[str]:

@@ -104,7 +104,9 @@ def repair_lake(store: Store) -> Iterator[LakeProblem]:
     found = list(lake_problems(store))
     for problem in found:
         if not problem.part:
-            _rebuild_manifest(store)
+            if (store.lake / MANIFEST).exists():
+                quarantine(store, store.lake / MANIFEST)
+            write_manifest(store, rebuilt_manifest(store))
             yield problem
     if not any(problem.part for problem in found):
         return
@@ -164,9 +166,3 @@ def _wrong_with(path: Path, file: PartFile) -> str | None:
 def _problem(part: Part, file: str, what: str) -> LakeProblem:
     remedy = f"quarantine {part.name} and rebuild its {len(part.segments)} segments from the log"
     return LakeProblem(part.name, file, what, remedy)
-
-
-def _rebuild_manifest(store: Store) -> None:
-    if (store.lake / MANIFEST).exists():
-        quarantine(store, store.lake / MANIFEST)
-    write_manifest(store, rebuilt_manifest(store))

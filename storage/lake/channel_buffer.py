@@ -2,6 +2,7 @@
 
 from array import array
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -13,6 +14,7 @@ from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
 from stream.identity import Place
 
 _FIELDS = 6  # of a message: seq, n, t0_ns, last_ns, dt_ns, arrival_ns
+_OF_FIRST = ("unit", "signal", "run", "unit_of_measure", "scale", "offset", "dt_ns")
 _BLOCK = 4096
 _STRETCH = 256
 _SMOOTH = 0.9
@@ -55,22 +57,15 @@ class ChannelBuffer:
         self.irregular |= batch.irregular
         self._messages.extend((batch.seq, n, batch.t0_ns, last_ns, batch.dt_ns, arrival_ns))
 
-    def row(self) -> dict[str, object]:
+    def row(self) -> dict[str, Any]:
         """Its row in the table of channels."""
         first, messages = self.first, self._matrix()
-        return {
+        return {name: getattr(first, name) for name in _OF_FIRST} | {
             "channel": self.identity,
             "site": self.place.site,
             "station": self.place.station,
-            "unit": first.unit,
-            "signal": first.signal,
-            "run": first.run,
             "epoch": str(first.epoch),
-            "unit_of_measure": first.unit_of_measure,
             "is_counts": first.counts is not None,
-            "scale": first.scale,
-            "offset": first.offset,
-            "dt_ns": first.dt_ns,
             "irregular": self.irregular,
             "samples": self.samples,
             "seq_first": int(messages.seq.min()),

@@ -250,17 +250,14 @@ class Lake:
             if part.dropped is not None or not due:
                 continue
             if len(due) == len(part.segments):
-                self._drop_raw_of(part, self.manifest.dropped[due[-1]])
+                without = without_samples(part, self.manifest.dropped[due[-1]])
+                write_part(self.store.lake / part.name, without)
+                parts = tuple(without if each.name == part.name else each for each in self.manifest.parts)
+                gone = Replaced(f"{part.name}/{SAMPLES_FILE}", time.time_ns())
+                self.commit(parts=parts, replaced=(*self.manifest.replaced, gone))
             else:
                 with suppress(StoreError):  # the segment is damaged: it keeps its rows until that is repaired
                     self.rebuild_part(part.name)
-
-    def _drop_raw_of(self, part: Part, document: str) -> None:
-        without = without_samples(part, document)
-        write_part(self.store.lake / part.name, without)
-        parts = tuple(without if each.name == part.name else each for each in self.manifest.parts)
-        gone = Replaced(f"{part.name}/{SAMPLES_FILE}", time.time_ns())
-        self.commit(parts=parts, replaced=(*self.manifest.replaced, gone))
 
 
 def is_from_log(part: Part, log: LogManifest) -> bool:

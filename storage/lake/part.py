@@ -5,7 +5,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import pyarrow as pa
@@ -90,8 +90,8 @@ class _Segment:
         self._store = store
         self.quarantine = Quarantine(store, segment)
         self.channels: dict[tuple[object, ...], ChannelBuffer] = {}
-        self.events: list[dict[str, object]] = []
-        self.estimates: list[dict[str, object]] = []
+        self.events: list[dict[str, Any]] = []
+        self.estimates: list[dict[str, Any]] = []
         self.drops = Drops({}, {})
         self.arrival_first_ns: int | None = None
         self.arrival_last_ns: int | None = None
@@ -130,7 +130,10 @@ class _Segment:
         if isinstance(document, EstimatePublished):
             # two estimators of one signal publish the same document
             if document.uid not in self._seen:
-                self.estimates += _estimate_rows(record, document)
+                place = _place(record)
+                common: dict[str, object] = {name: getattr(document, name) for name in _ESTIMATE_FIELDS}
+                common |= {"site": place.site, "station": place.station, "arrival_ns": record.arrival_ns}
+                self.estimates += [common | msgspec.structs.asdict(point) for point in document.points] or [common]
             self._seen.add(document.uid)
             return
         self.events.append(event_row(_place(record), document, record.arrival_ns))
@@ -186,9 +189,9 @@ def _written(segment: Path, fresh: Path, name: str, content: _Segment, without_r
         segments=(segment.stem,),
         sources={segment.stem: sha256_of(segment)},
         files=files,
-        samples=sum(int(str(row["samples"])) for row in rows),
-        t_first_ns=min((int(str(row["t_first_ns"])) for row in rows), default=None),
-        t_last_ns=max((int(str(row["t_last_ns"])) for row in rows), default=None),
+        samples=sum(row["samples"] for row in rows),
+        t_first_ns=min((row["t_first_ns"] for row in rows), default=None),
+        t_last_ns=max((row["t_last_ns"] for row in rows), default=None),
         arrival_first_ns=content.arrival_first_ns,
         arrival_last_ns=content.arrival_last_ns,
         quarantined=content.quarantine.messages,
@@ -236,10 +239,10 @@ def channel_id(key: str, batch: SampleBatch) -> int:
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "big", signed=True)
 
 
-def _write_tables(folder: Path, content: _Segment) -> tuple[dict[str, PartFile], list[dict[str, object]]]:
+def _write_tables(folder: Path, content: _Segment) -> tuple[dict[str, PartFile], list[dict[str, Any]]]:
     seconds, tens = [ROLLUP_COLUMNS.empty_table()], [ROLLUP_COLUMNS.empty_table()]
     clocks = [CLOCK_COLUMNS.empty_table()]
-    rows: list[dict[str, object]] = []
+    rows: list[dict[str, Any]] = []
     with part_writers(folder) as writer:
         samples = writer("samples")
         # each is freed once written: a segment can be too large to be in memory twice
@@ -272,10 +275,3 @@ def _write_tables(folder: Path, content: _Segment) -> tuple[dict[str, PartFile],
             each.write(table)
             files[f"{name}.parquet"] = each.finish()
     return files, rows
-
-
-def _estimate_rows(record: LogRecord, document: EstimatePublished) -> list[dict[str, object]]:
-    place = _place(record)
-    common: dict[str, object] = {name: getattr(document, name) for name in _ESTIMATE_FIELDS}
-    common |= {"site": place.site, "station": place.station, "arrival_ns": record.arrival_ns}
-    return [common | msgspec.structs.asdict(point) for point in document.points] or [common]

@@ -85,14 +85,6 @@ class Quarantine:
 
 def event_row(place: Place, document: AnyDocument, arrival_ns: int) -> dict[str, object]:
     """Row of a document in the table of events."""
-    return {
-        "site": place.site,
-        "station": place.station,
-        "kind": type(document).__name__,
-        "run": document.run,
-        "unit": getattr(document, "unit", None),
-        "uid": document.uid,
-        "t_ns": document.t_ns,
-        "arrival_ns": arrival_ns,
-        "document": msgspec.json.encode(document).decode(),
-    }
+    row = {name: getattr(document, name, None) for name in ("run", "unit", "uid", "t_ns")}
+    row |= {"site": place.site, "station": place.station, "kind": type(document).__name__, "arrival_ns": arrival_ns}
+    return row | {"document": msgspec.json.encode(document).decode()}

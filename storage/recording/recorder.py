@@ -181,14 +181,16 @@ class Recorder:
                     trouble = error
         except Exception as error:  # noqa: BLE001  a recorder that stops must report any failure
             self._log.abandon()
-            self._fail(
-                error
-                if isinstance(error, GyrofleetError)
-                else StoreError(
+            if not isinstance(error, GyrofleetError):
+                error = StoreError(
                     f"recording to {self._store.folder} stopped ({type(error).__name__}: {error}); what is "
                     f"acknowledged is safe, sources keep the rest; start it again"
                 )
-            )
+            with self._state:
+                self.failure = error
+                self._state.notify_all()
+            if self._on_failure is not None:
+                self._on_failure(error)
 
     def _write_chunk(self) -> bool:
         """Write a chunk of messages; whether it was the last."""
@@ -207,7 +209,9 @@ class Recorder:
             # once no more of it comes: a run that is extended for hours must not be cut into seconds
             self._late = self._intake.late
             self._quiet_at = now + _SEAL_GRACE_S
-        self._ask_rewinds()
+        if self._intake.rewinds:
+            missing, self._intake.rewinds = self._intake.rewinds, []
+            self._request_rewind(missing)
         if is_last or now - self._synced_at >= self._sync_interval_s:
             self._sync()
             self._synced_at = now
@@ -233,11 +237,6 @@ class Recorder:
             self._incoming_bytes -= sum(_size(key, payload) for key, payload, _ in taken)
             self._state.notify_all()
             return taken, self._closing and not self._incoming
-
-    def _ask_rewinds(self) -> None:
-        if self._intake.rewinds:
-            asked, self._intake.rewinds = self._intake.rewinds, []
-            self._request_rewind(asked)
 
     def _request_rewind(self, streams: Iterable[StreamId]) -> None:
         marks = self._log.marks
@@ -331,13 +330,6 @@ class Recorder:
     def _warn(self, text: str) -> None:
         if self._on_warning is not None:
             self._on_warning(text)
-
-    def _fail(self, failure: GyrofleetError) -> None:
-        with self._state:
-            is_first, self.failure = self.failure is None, self.failure or failure
-            self._state.notify_all()
-        if is_first and self._on_failure is not None:
-            self._on_failure(failure)
 
 
 def _size(key: str, payload: bytes) -> int:

@@ -121,23 +121,16 @@ class Catalog:
         for script in sorted(files("storage.sql").joinpath("schema").iterdir(), key=lambda each: each.name):
             if script.name.endswith(".sql"):
                 self._run(script.read_text())
-        self.define(
-            conversion_macros(
-                unit for (unit,) in self._selected("select distinct unit_of_measure from internal.lake_channels")
-            )
-        )
+        units = self._connection.execute("select distinct unit_of_measure from internal.lake_channels").fetchall()
+        self.define(conversion_macros(unit for (unit,) in units))
         folders = [store.lake, *(self.kept / layer.folder for layer in layers())]
         allowed = ", ".join("'" + str(each.resolve()).replace("'", "''") + "'" for each in folders)
         self._connection.execute(f"set allowed_directories = [{allowed}]")
         if memory_bytes is not None:
-            self._connection.execute(f"set memory_limit = '{memory_bytes}B'")
-            self._connection.execute("set temp_directory = ''")
-        self._connection.execute("set enable_external_access = false")
-        self._connection.execute("set python_enable_replacements = false")  # a table name is not a Python variable
+            self._connection.execute(f"set memory_limit = '{memory_bytes}B'; set temp_directory = ''")
+        # a table name is not a Python variable
+        self._connection.execute("set enable_external_access = false; set python_enable_replacements = false")
         self._connection.execute("set lock_configuration = true")
-
-    def _selected(self, sql: str) -> list[tuple[Any, ...]]:
-        return self._connection.execute(sql).fetchall()
 
     def _attach(self, source: str, table: str, parts: Iterable[Part]) -> None:
         """A view of a table over the parts that have it; DuckDB opens the first file now, the others on demand."""

@@ -121,13 +121,9 @@ def _check_tree(tree: dict[str, Any], functions: Collection[str]) -> None:
         elif kind == "FUNCTION" and str(each.get("function_name")).lower() in REFUSED_FUNCTIONS:
             raise _refused(f"the function {each['function_name']}()")
         elif kind in {"BASE_TABLE", "SHOW_REF"}:
-            _check_name(str(each.get("table_name") or ""))
-
-
-def _check_name(name: str) -> None:
-    """Refuse a table name that DuckDB would read as a file name."""
-    if re.search(r"[./\\*?:\[]", name.strip('\\"')):
-        raise _refused(f"the file {name}, and every other,")
+            name = str(each.get("table_name") or "")
+            if re.search(r"[./\\*?:\[]", name.strip('\\"')):  # DuckDB would read it as a file name
+                raise _refused(f"the file {name}, and every other,")
 
 
 def _objects(tree: Any) -> Iterator[dict[str, Any]]:
