@@ -129,9 +129,8 @@ def _compare_with_log(store: Store, state: LogState, part: Part) -> Finding | No
         return None
     expected = sum(state.samples[f"{segment}.mcap"] for segment in there)
     changed = gone | (salvaged(state) & set(there))
-    hashes = {name.removesuffix(".mcap"): entry.sha256 for name, entry in state.entries.items()}
-    sources = {segment: sha256 for segment, sha256 in part.sources.items() if segment in hashes}
-    others = [each for each in there if each not in changed and sources.get(each) not in {None, hashes.get(each)}]
+    entries = {each: state.entries.get(f"{each}.mcap") for each in there if each not in changed}
+    others = [each for each, entry in entries.items() if entry and part.sources.get(each, entry.sha256) != entry.sha256]
     held = part.samples + part.quarantined_samples
     if held > expected and changed and not others:
         what = f"{held - expected:,} samples that the log has lost are still in the lake"
