@@ -141,7 +141,7 @@ class Store:
                     text += f"; the old file: {aside}"
                 write_markers(folder, identity)
         except OSError as error:
-            raise StoreError(f"{marker} cannot be rebuilt: {error}; mend the disk and try again") from error
+            raise StoreError(f"{marker} cannot be rebuilt: {error}; repair the disk and try again") from error
         return store, text
 
 

@@ -50,7 +50,7 @@ class MetricsLayer:
         """Bring the metrics up to date, and define the tables."""
         from analytics.evaluation.evaluation import unit_metrics
 
-        unit_metrics(catalog, catalog.told)
+        unit_metrics(catalog, catalog.progress)
         define_tables(catalog)
 
     def findings(self, store: "Store") -> "list[Finding]":

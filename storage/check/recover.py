@@ -77,13 +77,13 @@ def _repair_log(store: Store) -> Iterator[Action]:
     state = verify_log(store)
     only = only_in_lake(store, state)
     documents = [*_of_damage(store, state), *_of_missing(store, state, only), *_of_recovered(store, log, state)]
-    said = {stretch_id(lost) for document in documents for lost in document.details.get("lost", [])}
-    undocumented = [lost for lost in state.undocumented if stretch_id(vars(lost)) not in said]
+    documented = {stretch_id(lost) for document in documents for lost in document.details.get("lost", [])}
+    undocumented = [lost for lost in state.undocumented if stretch_id(vars(lost)) not in documented]
     documents += [_document(store, "numbers_missing", str(lost), "", (lost,)) for lost in undocumented]
     _append(log, [document for document in documents if document.uid not in state.uids])
     for lost in undocumented:
         yield Action("loss_documented", f"{lost.key} {lost.epoch}", str(lost))
-    for name in state.unsaid:
+    for name in state.undocumented_salvage:
         yield Action("loss_documented", str(store.log / name), _SALVAGED)
     manifest = ManifestWriter(store)
     for path in state.damaged:
@@ -127,7 +127,7 @@ def _of_recovered(store: Store, log: EventLog, state: LogState) -> Iterator[Stor
         if recovery.lost or recovery.damaged_chunks:
             reported.add(recovery.segment.partition(".")[0])
             yield _document(store, "segment_recovered", _describe(recovery), recovery.segment, recovery.lost)
-    for name in state.unsaid:
+    for name in state.undocumented_salvage:
         if name.partition(".")[0] not in reported:
             yield _document(store, "segment_recovered", f"{name}: {_SALVAGED}", name, ())
 

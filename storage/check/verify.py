@@ -118,9 +118,9 @@ def _compare_with_log(store: Store, state: LogState, part: Part) -> Finding | No
     """What is wrong with a part of the lake compared with its segments."""
     where = str(store.lake / part.name)
     gone = {segment for segment in part.segments if not (store.log / f"{segment}.mcap").exists()}
-    unsaid = sorted(gone - _said(state))
-    if unsaid:
-        what = f"some of its segments are missing in the log without a document: {', '.join(unsaid[:5])}"
+    undeclared = sorted(gone - _declared(state))
+    if undeclared:
+        what = f"some of its segments are missing in the log without a document: {', '.join(undeclared[:5])}"
         remedy = "restore them from a copy; else document in the log that they are lost"
         return Finding("lake_has_more", Severity.DAMAGE, where, what, remedy)
     there = [segment for segment in part.segments if segment not in gone]
@@ -144,9 +144,9 @@ def _compare_with_log(store: Store, state: LogState, part: Part) -> Finding | No
     return Finding("lake_disagrees", Severity.DAMAGE, where, what, "quarantine it and rebuild it from the log")
 
 
-def _said(state: LogState) -> set[str]:
+def _declared(state: LogState) -> set[str]:
     """Segments that the log, its manifest, or another finding declares missing."""
-    return state.said | {name.removesuffix(".mcap") for name in (*state.lost, *state.gone)}
+    return state.declared | {name.removesuffix(".mcap") for name in (*state.lost, *state.gone)}
 
 
 def salvaged(state: LogState) -> set[str]:
@@ -160,7 +160,7 @@ def only_in_lake(store: Store, state: LogState) -> list[str]:
         held = {segment for part in parts(store) for segment in part.segments}
     except StoreError:
         return []
-    return sorted(each for each in held - _said(state) if not (store.log / f"{each}.mcap").exists())
+    return sorted(each for each in held - _declared(state) if not (store.log / f"{each}.mcap").exists())
 
 
 def checkpoint_findings(store: Store, state: LogState) -> list[Finding]:

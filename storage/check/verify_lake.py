@@ -129,11 +129,11 @@ def _part_problems(store: Store, part: Part) -> Iterator[LakeProblem]:
         yield _problem(part, "", "its folder is missing")
         return
     try:
-        said = read_part(folder)
-        if said.dropped is not None and part.dropped is None:
-            is_as_listed = said == without_samples(part, said.dropped.document)  # written before the manifest
+        described = read_part(folder)
+        if described.dropped is not None and part.dropped is None:
+            is_as_listed = described == without_samples(part, described.dropped.document)  # written before the manifest
         else:
-            is_as_listed = said == part
+            is_as_listed = described == part
         if not is_as_listed:
             yield _problem(part, PART, "it does not match the manifest")
     except StoreError as error:

@@ -44,8 +44,8 @@ class LogState:
     damaged: Sealed segments that are not what was written.
     before: Positions of the streams before each of those.
     undocumented: Losses without a document in the log.
-    unsaid: Salvaged segments without a document in the log.
-    said: Segments that documents declare damaged or missing.
+    undocumented_salvage: Salvaged segments without a document in the log.
+    declared: Segments that documents declare damaged or missing.
     uids: The store's own documents.
     documented: Lost stretches that have a document.
     totals: Run and number of samples at the end of each stream.
@@ -62,8 +62,8 @@ class LogState:
     damaged: list[Path] = field(default_factory=list)
     before: dict[str, dict[StreamId, int]] = field(default_factory=dict)
     undocumented: list[LostStretch] = field(default_factory=list)
-    unsaid: list[str] = field(default_factory=list)
-    said: set[str] = field(default_factory=set)
+    undocumented_salvage: list[str] = field(default_factory=list)
+    declared: set[str] = field(default_factory=set)
     uids: set[str] = field(default_factory=set)
     documented: set[tuple[object, ...]] = field(default_factory=set)
     totals: dict[StreamId, tuple[str, int]] = field(default_factory=dict)
@@ -177,7 +177,7 @@ def _verify_segment(path: Path, state: LogState) -> bool:
         raise  # nothing is known of the segment
     except GyrofleetError as error:
         reasons.append(f"it holds a message that cannot be read: {error}")
-    # the marks of a salvaged segment tell that its streams had reached further
+    # a salvaged segment has marks of what its streams had reached
     for stream, next_seq in reached_in(path).items():
         state.check.reach(stream, next_seq)
     state.samples[path.name] = samples
@@ -219,7 +219,7 @@ def _add_document(document: StoreNoted, state: LogState) -> None:
     state.documented |= {stretch_id(lost) for lost in document.details.get("lost") or []}
     segment = document.details.get("segment")
     if document.what in _LOSSES and isinstance(segment, str):
-        state.said.add(segment.partition(".")[0])
+        state.declared.add(segment.partition(".")[0])
 
 
 def stretch_id(lost: Mapping[str, object]) -> tuple[object, ...]:
@@ -229,8 +229,8 @@ def stretch_id(lost: Mapping[str, object]) -> tuple[object, ...]:
 
 def _verify_salvaged(store: Store, state: LogState) -> None:
     for name, entry in state.entries.items():
-        if entry.origin == "salvaged" and name not in state.gone and name.removesuffix(".mcap") not in state.said:
-            state.unsaid.append(name)
+        if entry.origin == "salvaged" and name not in state.gone and name.removesuffix(".mcap") not in state.declared:
+            state.undocumented_salvage.append(name)
             state.add(
                 "salvage_undocumented", Severity.LOSS, str(store.log / name),
                 "it is the readable part of a damaged segment, without a document in the log", "document it in the log",

@@ -305,7 +305,7 @@ class Recorder:
         self._request_rewind(undone)
 
     def _pause(self, reason: str, is_over: Callable[[], bool]) -> None:
-        """Take no messages until `is_over`; sources are told why every second, and keep theirs."""
+        """Take no messages until `is_over`; sources get the reason every second, and keep theirs."""
         self._warn(f"recording is paused: {reason}")
         began = time.monotonic()
         with self._state:

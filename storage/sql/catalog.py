@@ -85,7 +85,7 @@ class Catalog:
     Parameters
     ----------
     file: DuckDB database to create with the same views; by default they are in memory.
-    told: Progress of a layer that is computed: how many of how many steps are done.
+    progress: Called by a layer with the numbers of steps done and in total.
     parts: Parts of the lake; by default those in force now.
     kept: Folder in which layers keep what they compute; by default the store's.
     frozen: Layers raise `NotKept` instead of computing anything.
@@ -97,14 +97,14 @@ class Catalog:
         store: Store,
         file: Path | None = None,
         *,
-        told: Progress | None = None,
+        progress: Progress | None = None,
         parts: Iterable[Part] | None = None,
         kept: Path | None = None,
         frozen: bool = False,
         memory_bytes: int | None = None,
     ) -> None:
         self.store = store
-        self.told = told
+        self.progress = progress
         self.kept = store.folder if kept is None else kept
         self.frozen = frozen
         config: dict[str, Any] = {} if file is None else {"storage_compatibility_version": STORAGE_VERSION}
