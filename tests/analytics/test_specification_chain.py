@@ -315,9 +315,9 @@ def test_a_lost_document_leaves_no_verdict_until_a_person_accepts_it(measured_st
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"seal": "0" * 64}, "has not its seal"),
-        ({"seal": ""}, "has not its seal"),
-        ({"reason": "forged"}, "has not its seal"),
+        ({"seal": "0" * 64}, "lacks its seal"),
+        ({"seal": ""}, "lacks its seal"),
+        ({"reason": "forged"}, "lacks its seal"),
         ({"store": "5e"}, "of another store"),
     ],
 )

@@ -93,7 +93,7 @@ def test_every_table_says_what_it_is(store: Store) -> None:
     with Catalog(store) as catalog:
         told = {row["table"]: row["what"] for row in described_tables(catalog)}
     assert list(told) == [*VIEWS, *(table for layer in layers() for table in layer.tables)]
-    assert [name for name, what in told.items() if not what or "cannot be made" in str(what)] == []
+    assert [name for name, what in told.items() if not what or "cannot be computed" in str(what)] == []
 
 
 def test_every_column_says_what_it_holds(store: Store) -> None:
@@ -287,7 +287,7 @@ def test_a_layer_that_cannot_be_made_harms_no_other_table(store: Store, tmp_path
         assert samples == 4 * 3600 + 4 * 600
         told = {row["table"]: str(row["what"]) for row in described_tables(catalog)}
         assert told["samples"].startswith("every sample")
-        assert "cannot be made: " in told["unit_metrics"]
+        assert "cannot be computed: " in told["unit_metrics"]
         assert "broken-A.toml" in told["unit_metrics"]
         assert columns_of(catalog, "samples")
     withdrawn = msgspec.structs.replace(
@@ -302,7 +302,7 @@ def test_a_layer_that_cannot_be_made_harms_no_other_table(store: Store, tmp_path
 def test_words_of_a_table_go_before_those_of_every(store: Store) -> None:
     assert column_texts("unit_metrics")["n"] == "how many single results it rests on"
     assert column_texts("rate_steps")["n"] == "samples in the evaluated part"
-    assert column_texts("estimates")["n"] == "terms that it rests on"
+    assert column_texts("estimates")["n"] == "number of averaged terms"
 
 
 def test_what_the_guide_asks_runs(store: Store) -> None:

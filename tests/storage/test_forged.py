@@ -176,7 +176,7 @@ def test_only_the_store_itself_says_that_raw_rows_are_dropped(recorded: Store, s
     with Recorder(recorded, bus, EventLog(recorded), sync_interval_s=0.01) as recorder:
         bus.publish(event_key(PLACE), encode_event(document, "e", 0))
     assert recorder.counts.rejected == 1
-    assert "has not its seal" in recorder.counts.rejections[0]
+    assert "lacks its seal" in recorder.counts.rejections[0]
     with builder_lock(recorded):
         Lake(recorded)
     assert read_manifest(recorded).dropped == {}

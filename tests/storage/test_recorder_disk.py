@@ -65,7 +65,7 @@ def test_a_full_disk_pauses_recording_and_room_lets_it_go_on(tmp_path: Path) -> 
         publisher.send_batch(KEY, batch(0))
         publisher.drain()
         disk.free = 2 << 30
-        until(lambda: any("runs low" in warning for warning in warnings))
+        until(lambda: any("is running full" in warning for warning in warnings))
         disk.free = 1 << 20
         until(lambda: recorder.paused is not None)
         for i in range(1, 40):

@@ -156,5 +156,5 @@ def test_a_part_whose_rows_are_being_dropped_is_no_damage(store: Store, monkeypa
 
 def test_recover_of_a_store_that_cannot_be_written_says_so(store: Store) -> None:
     (store.folder / "writer.lock").mkdir()
-    with pytest.raises(StoreError, match="cannot be put right"):
+    with pytest.raises(StoreError, match="cannot be repaired"):
         list(recover(store))
