@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from storage.recording.noting import note
+from storage.recording.client import record_documents
 from storage.store import Store, writer_endpoint
 from stream.errors import BadInput
 from stream.events import AnyDocument, CheckEntered, Verdict
@@ -66,7 +66,7 @@ def enter(folder: Path, documents: Sequence[AnyDocument], *, role: str, place: P
     """
     store = Store.create(folder)
     is_recorded = writer_endpoint(folder) is not None
-    note(store, documents, role=role, place=place, builds_lake=True)
+    record_documents(store, documents, role=role, place=place, builds_lake=True)
     return not is_recorded
 
 

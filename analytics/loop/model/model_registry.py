@@ -240,7 +240,7 @@ def run_hashes(catalog: Catalog, runs: Mapping[str, object] | tuple[str, ...]) -
         """
         select run, sha256(string_agg(concat_ws('|', unit, signal, epoch, unit_of_measure, scale, "offset", samples,
             seq_first, seq_next, t_first_ns, t_last_ns), ';' order by unit, signal, epoch, channel)) as print
-        from lake_channels where not ends_with(signal, '_compensated') group by run order by run
+        from internal.lake_channels where not ends_with(signal, '_compensated') group by run order by run
         """
     )
     return {str(run): str(mark)[:_HASH_DIGITS] for run, mark in rows if run in names}
