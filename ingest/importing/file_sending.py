@@ -16,8 +16,7 @@ from ingest.can.summary import CanSummary
 from ingest.importing.stored import StoredSamples, check_steps
 from ingest.station.units_file import UnitEntry, mounted_documents
 from ingest.tables.rows import BadRow
-from ingest.tables.sample_file import Progress, SampleFile
-from ingest.tables.summary import SignalSummary, TableSummary
+from ingest.tables.sample_file import Progress, SampleFile, SignalSummary, TableSummary
 from storage.recording.knowledge import Knowledge
 from stream.batch import BoolArray, IntArray, SampleBatch
 from stream.delivery.publisher import Sender

@@ -9,8 +9,7 @@ from pathlib import Path
 from ingest.importing.file_sending import CheckedFile, FileImport, FileSending, SendingGroup, counted
 from ingest.run.pipeline import EmbeddedPipeline
 from ingest.station.units_file import UnitEntry
-from ingest.tables.sample_file import SampleFile
-from ingest.tables.summary import TableSummary
+from ingest.tables.sample_file import SampleFile, TableSummary
 from storage.recording.client import HeldClaim, RecorderClient
 from storage.recording.knowledge import CatalogKnowledge
 from storage.sql.catalog import Catalog

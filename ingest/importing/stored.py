@@ -8,8 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from ingest.tables.sample_file import SampleFile
-from ingest.tables.summary import SignalChunk, SignalSummary, TableSummary
+from ingest.tables.sample_file import SampleFile, SignalChunk, SignalSummary, TableSummary
 from storage.recording.knowledge import Knowledge, KnownStep
 from stream.batch import BoolArray, IntArray
 from stream.errors import BadInput

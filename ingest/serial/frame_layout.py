@@ -7,7 +7,9 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from ingest.serial.frame_checksum import CHECKSUM_BYTES, ByteArray, ChecksumKind
+from ingest.checksums import SERIAL_CHECKSUM_BYTES as CHECKSUM_BYTES
+from ingest.checksums import ByteArray
+from ingest.checksums import SerialChecksum as ChecksumKind
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput
 from stream.identity import check_name

@@ -6,7 +6,8 @@ from uuid import UUID
 
 import numpy as np
 
-from ingest.serial.frame_checksum import CHECKSUM_BYTES, ByteArray, checksums
+from ingest.checksums import SERIAL_CHECKSUM_BYTES as CHECKSUM_BYTES
+from ingest.checksums import ByteArray, checksums
 from ingest.serial.frame_layout import SIZES, FrameField, FrameLayout, decode_layout, floats, integers, load_layout
 from ingest.serial.frame_times import FrameTimes
 from stream.batch import BoolArray, IntArray, SampleBatch

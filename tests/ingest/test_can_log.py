@@ -2,6 +2,7 @@
 
 import struct
 import warnings
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 
 from ingest.can.frames import EXTENDED
 from ingest.can.log import CanLog
+from ingest.can.log_structure import find_damage
 from stream.errors import BadInput
 
 START_S = 1_700_000_000.25
@@ -129,14 +131,22 @@ def test_a_blf_that_was_never_closed_is_said(tmp_path: Path) -> None:
     assert "not closed" in log.damage
 
 
-def test_an_unfinished_mf4_is_said(tmp_path: Path) -> None:
+def test_an_unfinished_mf4_is_said_and_is_no_damage_if_its_records_are_complete(tmp_path: Path) -> None:
     path = written(tmp_path / "a.mf4", messages(100))
     content = bytearray(path.read_bytes())
     content[:8] = b"UnFinMF "
     path.write_bytes(content)
     log = CanLog(path)
     assert len(read(log)) == 100
-    assert "not finished" in log.damage
+    assert "not finished" in log.note
+    assert log.damage == ""
+    begin = content.index(b"##DZ") + 32  # size and zipped size, zipped data behind them
+    size, zipped_size = struct.unpack_from("<QQ", content, begin)
+    cut = zlib.compress(zlib.decompress(content[begin + 16 : begin + 16 + zipped_size])[:-5], 9)
+    struct.pack_into("<QQ", content, begin, size - 5, len(cut))
+    content[begin + 16 : begin + 16 + len(cut)] = cut
+    path.write_bytes(content)
+    assert "may be missing" in find_damage(path)[0]
 
 
 @pytest.mark.parametrize("suffix", [".log", ".asc"])

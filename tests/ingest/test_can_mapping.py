@@ -6,10 +6,11 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from ingest.can.checksum import crc8_sae_j1850
 from ingest.can.frames import Frame, frame_block
-from ingest.can.mapping import CanPlan, automatic_plan, load_mapping
+from ingest.can.mapping import automatic_plan, load_mapping
+from ingest.can.plan import CanPlan
 from ingest.can.stream import CanDecoder
+from ingest.checksums import checksums
 from stream.batch import SampleBatch
 from stream.errors import BadInput
 from stream.quantities import check_unit
@@ -20,7 +21,7 @@ MS = 1_000_000
 
 def imu(t_ns: int, i: int, *, identifier: int = 0x101, channel: int = 0, index: int = 0) -> Frame:
     body = (i & 0xFFFF).to_bytes(2, "little") + bytes([0, index << 4]) + b"\1\0" + bytes([i % 16])
-    crc = int(crc8_sae_j1850(np.frombuffer(body, np.uint8).reshape(1, -1))[0])
+    crc = int(checksums("crc8_sae_j1850", np.frombuffer(body, np.uint8).reshape(1, -1))[0])
     return Frame(t_ns, channel, identifier, body + bytes([crc]))
 
 
