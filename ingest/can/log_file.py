@@ -11,9 +11,9 @@ from ingest.can.frames import FrameBlock, ids_text
 from ingest.can.log import CanLog
 from ingest.can.mapping import CanMapping
 from ingest.can.plan import CanPlan
-from ingest.can.samples import CanCounts, CanSamples, SignalPiece
+from ingest.can.samples import CanSamples, SignalPiece
 from ingest.can.stream import nominal_interval_ns
-from ingest.can.summary import CanSummary, remarks
+from ingest.can.summary import CanCounts, CanSummary, remarks
 from ingest.tables.batches import Batcher, BatchHead, splits_at_gaps
 from ingest.tables.grid import SamplingGrid
 from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary

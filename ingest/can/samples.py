@@ -11,67 +11,9 @@ from ingest.can.counters import ForwardTimes, FrameCounter
 from ingest.can.decode import Decoded, FrameBytes, scaled
 from ingest.can.frames import EXTENDED, FrameBlock, IdArray, pgn_keys
 from ingest.can.plan import OF_PGN, CanPlan, MessagePlan, Route, SignalPlan
+from ingest.can.summary import CanCounts, MessageCount
 from ingest.checksums import checksums
 from stream.batch import BoolArray, CountArray, FloatArray, IntArray
-
-
-@dataclass(frozen=True)
-class MessageCount:
-    """Account of the frames of one message of one unit.
-
-    Parameters
-    ----------
-    arbitration_id: Bit 31 is set if it is of 29 bits.
-    frames, decoded: Frames received, and those whose signals were used.
-    lost, repeated, restarts: By its counter: missing frames, frames that came again, and silences after which it had
-        restarted.
-    checksum_failures: Frames left out for a wrong checksum.
-    short: Frames that lack bytes of a signal; that signal was left out.
-    not_finite: Values left out as they are not finite.
-    other_channel, other_source: Frames left out as they came on another channel, or from another J1939 source address,
-        than the first one, if the mapping names none.
-    late, retimed: Frames left out as their time lies before that of an earlier one; frames a little late, put after it.
-    off_grid_s: Largest distance of a frame's reception from its place on the grid, seconds (counter with interval).
-    """
-
-    message: str
-    unit: str
-    arbitration_id: int
-    frames: int
-    decoded: int
-    lost: int
-    repeated: int
-    restarts: int
-    checksum_failures: int
-    short: int
-    not_finite: int
-    other_channel: int
-    late: int
-    retimed: int
-    off_grid_s: float
-    other_source: int = 0
-
-    @property
-    def left_out(self) -> int:
-        """Frames that were not used."""
-        return self.frames - self.decoded
-
-
-@dataclass(frozen=True)
-class CanCounts:
-    """Account of all frames.
-
-    Parameters
-    ----------
-    messages: By message and unit, those that came.
-    unknown: Frames by arbitration id that no message of the plan has.
-    unrouted: Frames by arbitration id whose channel, source or multiplexer belongs to no unit.
-    """
-
-    frames: int
-    messages: tuple[MessageCount, ...]
-    unknown: dict[int, int]
-    unrouted: dict[int, int]
 
 
 class SignalPiece(NamedTuple):

@@ -9,7 +9,8 @@ import numpy as np
 
 from ingest.can.frames import FrameBlock
 from ingest.can.plan import CanPlan
-from ingest.can.samples import CanCounts, CanSamples, SignalPiece
+from ingest.can.samples import CanSamples, SignalPiece
+from ingest.can.summary import CanCounts
 from ingest.tables.batches import BatchHead
 from ingest.tables.grid import SamplingGrid, is_gap, off_grid_intervals
 from stream.batch import CountArray, FloatArray, IntArray, SampleBatch

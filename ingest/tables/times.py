@@ -154,10 +154,13 @@ def ns_from_stamps(cells: pa.Array, zone: str) -> IntArray | None:
 
 def ns_from_timestamps(times: pa.Array, zone: str) -> tuple[IntArray, BoolArray]:
     """Nanoseconds UTC of Arrow's time stamps without nulls, in `zone` if they have none; and which are out of range."""
+    written, ns = times, {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}[times.type.unit]
     if times.type.tz is None:
         times = pc.assume_timezone(times, zone, ambiguous="earliest", nonexistent="latest")
-    ns = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}[times.type.unit]
-    return ns_from_integers(times.cast(pa.int64()).to_numpy(), ns)
+    times_ns, wrong = ns_from_integers(times.cast(pa.int64()).to_numpy(), ns)
+    if written is not times:  # the clock was set forward over a time that does not exist
+        wrong = wrong | pc.not_equal(pc.local_timestamp(times), written).to_numpy(zero_copy_only=False)
+    return times_ns, wrong
 
 
 def ns_from_index(index: IntArray, rate_hz: float) -> IntArray:
