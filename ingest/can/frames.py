@@ -18,7 +18,7 @@ _SHORTEST_EXTENDED = 0x800
 _IDS_NAMED = 8
 
 
-class Frame(NamedTuple):
+class CanFrame(NamedTuple):
     """One data frame; `arbitration_id` has bit 31 set if it is of 29 bits."""
 
     t_ns: int
@@ -50,12 +50,12 @@ class FrameBlock:
         return len(self.t_ns)
 
 
-def frame_block(frames: Sequence[Frame]) -> FrameBlock:
+def frame_block(frames: Sequence[CanFrame]) -> FrameBlock:
     """Put frames into columns.
 
     Examples
     --------
-    >>> block = frame_block([Frame(10, 0, 0x123, bytes([1, 2])), Frame(20, 1, 0x1ABCDEF | EXTENDED, bytes(8))])
+    >>> block = frame_block([CanFrame(10, 0, 0x123, bytes([1, 2])), CanFrame(20, 1, 0x1ABCDEF | EXTENDED, bytes(8))])
     >>> block.length.tolist(), block.data.shape, hex(block.arbitration_id[1])
     ([2, 8], (2, 8), '0x81abcdef')
     """

@@ -12,9 +12,9 @@ from typing import Any
 import can
 from can.io.generic import MessageReader
 
-from ingest.can.frames import EXTENDED, MOST_BYTES, Frame, FrameBlock, frame_block
+from ingest.can.frames import EXTENDED, MOST_BYTES, CanFrame, FrameBlock, frame_block
 from ingest.can.log_structure import LEAST_BYTES, MAGIC, find_damage
-from ingest.can.summary import LOG_SUFFIXES, FrameCounts
+from ingest.can.summary import LOG_SUFFIXES, LogFrameCounts
 from stream.errors import BadInput
 
 BLOCK_FRAMES = 10_000
@@ -58,7 +58,7 @@ class CanLog:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.damage = self.note = ""
-        self.counts = FrameCounts()
+        self.counts = LogFrameCounts()
         self._channels: dict[str, int] = {}
         self._held: list[FrameBlock] | None = None
         _check_kind(path)
@@ -74,7 +74,7 @@ class CanLog:
             if progress is not None:
                 progress(1.0)
             return
-        self.counts = FrameCounts()
+        self.counts = LogFrameCounts()
         self.damage, self.note = find_damage(self.path)
         held: list[FrameBlock] | None = []
         held_bytes = 0
@@ -95,9 +95,9 @@ class CanLog:
             reader.stop()
         self._held = held
 
-    def _frames(self, reader: MessageReader) -> Iterator[tuple[list[Frame], int]]:
+    def _frames(self, reader: MessageReader) -> Iterator[tuple[list[CanFrame], int]]:
         """Lists of frames, with the position in the file behind them."""
-        frames: list[Frame] = []
+        frames: list[CanFrame] = []
         messages = iter(reader)
         while True:
             try:
@@ -119,7 +119,7 @@ class CanLog:
             yield frames, _place(reader)
         self._check_complete(reader)
 
-    def _frame(self, message: can.Message) -> Frame | None:
+    def _frame(self, message: can.Message) -> CanFrame | None:
         if message.is_error_frame:
             self.counts.errors += 1
             return None
@@ -137,7 +137,7 @@ class CanLog:
             return None
         self.counts.data += 1
         identifier = message.arbitration_id | (EXTENDED if message.is_extended_id else 0)
-        return Frame(_ns(message.timestamp), channel, identifier, bytes(message.data))
+        return CanFrame(_ns(message.timestamp), channel, identifier, bytes(message.data))
 
     def _channel(self, channel: object) -> int:
         """Number of a channel; names that end in none are numbered as they come."""

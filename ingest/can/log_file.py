@@ -14,7 +14,7 @@ from ingest.can.plan import CanPlan
 from ingest.can.samples import CanSamples, SignalPiece
 from ingest.can.stream import nominal_interval_ns
 from ingest.can.summary import CanCounts, CanSummary, remarks
-from ingest.tables.batches import Batcher, BatchHead, splits_at_gaps
+from ingest.tables.batches import Batcher, SignalHead, splits_at_gaps
 from ingest.tables.grid import SamplingGrid
 from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary
 from ingest.tables.steps import StepTracker
@@ -150,7 +150,7 @@ class CanLogFile:
 
     def _batcher(self, piece: SignalPiece, found: SignalSummary, epoch: UUID) -> Batcher:
         layout, sampling = piece.plan.layout, found.sampling
-        head = BatchHead(
+        head = SignalHead(
             unit=found.unit,
             signal=found.signal,
             run=found.run,

@@ -123,7 +123,7 @@ class _Range:
 
 
 @dataclass
-class _Seen:
+class _IdFrames:
     times_ns: list[IntArray] = field(default_factory=list)
     lengths: set[int] = field(default_factory=set)
     ranges: dict[str, _Range] = field(default_factory=dict)
@@ -134,7 +134,7 @@ def scan_log(path: Path, databases: Sequence[Path], progress: Callable[[float], 
     messages = MessageIndex(load_messages(databases))
     layouts: dict[int, MessageLayout | None] = {}
     log = CanLog(path)
-    seen: dict[tuple[int, int], _Seen] = {}
+    seen: dict[tuple[int, int], _IdFrames] = {}
     for block in log.blocks(progress):
         _add_block(block, messages, layouts, seen)
     times_ns = [int(each.times_ns[i][j]) for each in seen.values() for i, j in ((0, 0), (-1, -1))]
@@ -188,13 +188,13 @@ def _add_block(
     block: FrameBlock,
     messages: MessageIndex,
     layouts: dict[int, MessageLayout | None],
-    seen: dict[tuple[int, int], _Seen],
+    seen: dict[tuple[int, int], _IdFrames],
 ) -> None:
     keys = block.arbitration_id.astype(np.int64) << 16 | (block.channel.astype(np.int64) & 0xFFFF)
     distinct, inverse = np.unique(keys, return_inverse=True)
     for number, key in enumerate(distinct.tolist()):
         rows = np.flatnonzero(inverse == number)
-        found = seen.setdefault((key >> 16, int(block.channel[rows[0]])), _Seen())
+        found = seen.setdefault((key >> 16, int(block.channel[rows[0]])), _IdFrames())
         found.times_ns.append(block.t_ns[rows])
         found.lengths.update(np.unique(block.length[rows]).tolist())
         if key >> 16 not in layouts:
@@ -209,7 +209,7 @@ def _add_block(
                 found.ranges.setdefault(name, _Range()).add(each.raw, layout.signals[name].field.bits)
 
 
-def _id_scan(key: tuple[int, int], seen: _Seen, message: "Message | None") -> IdScan:
+def _id_scan(key: tuple[int, int], seen: _IdFrames, message: "Message | None") -> IdScan:
     times_ns = np.concatenate(seen.times_ns)
     intervals_ns = np.diff(times_ns)
     median_ns = float(np.median(intervals_ns)) if len(intervals_ns) else 0.0

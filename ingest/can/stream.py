@@ -11,7 +11,7 @@ from ingest.can.frames import FrameBlock
 from ingest.can.plan import CanPlan
 from ingest.can.samples import CanSamples, SignalPiece
 from ingest.can.summary import CanCounts
-from ingest.tables.batches import BatchHead
+from ingest.tables.batches import SignalHead
 from ingest.tables.grid import SamplingGrid, is_gap, off_grid_intervals
 from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
 
@@ -72,12 +72,12 @@ class CanDecoder:
     Examples
     --------
     >>> from ingest.can.decode import BitField, MessageLayout, SignalLayout
-    >>> from ingest.can.frames import Frame, frame_block
+    >>> from ingest.can.frames import CanFrame, frame_block
     >>> from ingest.can.plan import MessagePlan, Route, SignalPlan
     >>> rate = SignalLayout("Rate", BitField("<", 0, 16, is_signed=True), 0.25)
     >>> message = MessagePlan(MessageLayout("IMU", {"Rate": rate}), (SignalPlan(rate, "rate", "deg/s"),))
     >>> decoder = CanDecoder(CanPlan((Route("G1", 0x101, message),)), run="r1", epoch_of=lambda unit: UUID(int=1))
-    >>> decoder.take(frame_block([Frame(i * 10_000_000, 0, 0x101, bytes([i, 0])) for i in range(4)]))
+    >>> decoder.take(frame_block([CanFrame(i * 10_000_000, 0, 0x101, bytes([i, 0])) for i in range(4)]))
     []
     >>> [(batch.signal, batch.dt_ns, batch.value_array.tolist()) for batch in decoder.finish()]
     [('rate', 10000000, [0.0, 0.25, 0.5, 0.75])]
@@ -115,7 +115,7 @@ class _Stream:
 
     def __init__(self, first: SignalPiece, run: str, epoch: UUID) -> None:
         plan, message = first.plan, first.route.message
-        self._head = BatchHead(
+        self._head = SignalHead(
             unit=first.route.unit,
             signal=plan.signal,
             run=run,

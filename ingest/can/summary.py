@@ -10,7 +10,7 @@ LOG_SUFFIXES = frozenset({".blf", ".asc", ".trc", ".log", ".mf4"})
 
 
 @dataclass
-class FrameCounts:
+class LogFrameCounts:
     """Frames of a log by kind; unusable are those whose time, channel, id or length no bus has."""
 
     data: int = 0
@@ -90,7 +90,7 @@ class CanSummary(TableSummary):
     frames: CanCounts = field(default_factory=lambda: CanCounts(0, (), {}, {}))
 
 
-def remarks(counts: CanCounts, of_kind: FrameCounts) -> Iterator[str]:
+def remarks(counts: CanCounts, of_kind: LogFrameCounts) -> Iterator[str]:
     """Remarks on the account of the frames of a log, a sentence each."""
     if of_kind.errors:
         yield f"{of_kind.errors} error frames"

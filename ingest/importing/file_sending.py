@@ -11,8 +11,7 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 import msgspec
 import numpy as np
 
-from ingest.can.samples import CanCounts
-from ingest.can.summary import CanSummary
+from ingest.can.summary import CanCounts, CanSummary
 from ingest.importing.stored import StoredSamples, check_steps
 from ingest.station.units_file import UnitEntry, mounted_documents
 from ingest.tables.rows import BadRow

@@ -12,14 +12,14 @@ from ingest.serial.frame_layout import SIZES, FrameField, FrameLayout, decode_la
 from ingest.serial.frame_times import FrameTimes
 from stream.batch import BoolArray, IntArray, SampleBatch
 
-__all__ = ["FrameCounts", "FrameLayout", "SerialFrames", "decode_layout", "load_layout"]
+__all__ = ["FrameLayout", "SerialCounts", "SerialFrames", "decode_layout", "load_layout"]
 
 _REGULAR = 0.05  # of an interval: largest distance of times from an exact grid to be stored as one
 _FIT_INT32 = {"u8", "i8", "u16", "i16", "u24", "i24", "i32"}
 
 
 @dataclass
-class FrameCounts:
+class SerialCounts:
     """Account of the bytes of a line.
 
     Attributes
@@ -83,7 +83,7 @@ class SerialFrames:
     def __init__(self, layout: FrameLayout, unit: str, run: str, epoch: UUID, *, resync_s: float = 0.25) -> None:
         layout.check(f"unit {unit}: layout of its frames")
         self.layout = layout
-        self.counts = FrameCounts()
+        self.counts = SerialCounts()
         self._unit, self._run, self._epoch = unit, run, epoch
         self._sync = np.frombuffer(layout.sync_bytes, np.uint8)
         self._shortest = layout.shortest

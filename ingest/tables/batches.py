@@ -14,7 +14,7 @@ _SAMPLES_PER_GAP = 50
 
 
 @dataclass(frozen=True)
-class BatchHead:
+class SignalHead:
     """What all batches of one signal share; the fields are those of SampleBatch."""
 
     unit: str
@@ -65,7 +65,7 @@ class Batcher:
 
     Examples
     --------
-    >>> head = BatchHead("G1", "rate", "r1", UUID(int=1), 10, "deg/s", irregular=False)
+    >>> head = SignalHead("G1", "rate", "r1", UUID(int=1), 10, "deg/s", irregular=False)
     >>> batcher = Batcher(head, batch_samples=2, splits_at_gaps=True)
     >>> [len(batch) for batch in batcher.push(np.array([0, 10, 20]), np.zeros(3))]
     [2]
@@ -73,7 +73,7 @@ class Batcher:
     [2]
     """
 
-    def __init__(self, head: BatchHead, batch_samples: int, *, splits_at_gaps: bool) -> None:
+    def __init__(self, head: SignalHead, batch_samples: int, *, splits_at_gaps: bool) -> None:
         self._head = head
         self._batch_samples = batch_samples
         self._splits_at_gaps = splits_at_gaps

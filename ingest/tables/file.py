@@ -10,7 +10,7 @@ from uuid import UUID
 
 import numpy as np
 
-from ingest.tables.batches import Batcher, BatchHead, splits_at_gaps
+from ingest.tables.batches import Batcher, SignalHead, splits_at_gaps
 from ingest.tables.checks import GoodRows, Owner, RowFilter
 from ingest.tables.columns import SignalColumn, TableOptions, read_header
 from ingest.tables.csv_chunks import CsvTable
@@ -186,7 +186,7 @@ class TableFile:
         batchers: dict[Owner, dict[str, Batcher]] = {}
         for found in self._checked().signals:
             sampling = found.sampling
-            head = BatchHead(
+            head = SignalHead(
                 unit=found.unit,
                 signal=found.signal,
                 run=found.run,

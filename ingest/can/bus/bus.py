@@ -11,7 +11,7 @@ import numpy as np
 
 from ingest.can.bus.columns import FrameColumns, ReceiveClock
 from ingest.can.bus.faults import Losses, Outage
-from ingest.can.bus.interface import CanBusOptions, Intake, filter_in_interface, open_intake
+from ingest.can.bus.interface import CanBusOptions, CanIntake, filter_in_interface, open_intake
 from ingest.can.frames import FrameBlock
 from ingest.station_clock import StationClock
 from stream.batch import SampleBatch
@@ -71,7 +71,7 @@ class CanBusCounts:
 class _Taken(NamedTuple):
     """Frames of one intake as it gave them; `read_s` is when the last of them was read."""
 
-    intake: Intake
+    intake: CanIntake
     frames: list[Any]
     read_s: float
 
@@ -93,7 +93,7 @@ class _Backlog:
         self._is_closed = False
         self._state = threading.Condition()
 
-    def put(self, intake: Intake, frames: list[Any], read_s: float) -> int:
+    def put(self, intake: CanIntake, frames: list[Any], read_s: float) -> int:
         """Append frames; returns how many of them, the last ones, were dropped."""
         with self._state:
             kept = frames[: max(0, self._capacity - self._waiting)]
@@ -189,7 +189,7 @@ class CanBus:
             self._report, "were lost before they could be read: the computer is too busy or net.core.rmem_max too small"
         )
         self._malformed = Losses(self._report, "are no frames of this bus and were left out: is fd set right")
-        self._intake: Intake | None = None
+        self._intake: CanIntake | None = None
         self._stopping = threading.Event()
         self._threads = [
             threading.Thread(target=work, name=f"gyrofleet-can-{options.channel}-{what}", daemon=True)
@@ -234,7 +234,7 @@ class CanBus:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def _opened(self) -> Intake:
+    def _opened(self) -> CanIntake:
         intake, bus = open_intake(self.options, ReceiveClock(self._clock, self._report))
         if bus is not None and self._wanted is not None and self.options.filter:
             filter_in_interface(bus, self._wanted.tolist())
@@ -272,7 +272,7 @@ class CanBus:
             intake.close()
         self._backlog.close()
 
-    def _off(self, intake: Intake) -> Intake | None:
+    def _off(self, intake: CanIntake) -> CanIntake | None:
         """The intake to continue with while the controller is off the bus."""
         self._count(bus_off=self._outage.is_over)
         why = "the controller is off the bus; look at wiring, termination and bit rate"
@@ -283,7 +283,7 @@ class CanBus:
         self._outage.failed(f"{why}, and unless restart-ms is set, `{again}`", is_off=True)
         return intake
 
-    def _reopened(self, intake: Intake, failure: str, *, is_off: bool = False) -> Intake | None:
+    def _reopened(self, intake: CanIntake, failure: str, *, is_off: bool = False) -> CanIntake | None:
         """Another intake in place of one that has failed; None if the bus is stopped before there is one."""
         intake.close()
         while True:
@@ -329,7 +329,7 @@ class CanBus:
         self._count(**{"undecoded" if batches is None else "decoded": frames})
         self._deliver_all(batches or [])
 
-    def _account(self, intake: Intake, columns: FrameColumns) -> None:
+    def _account(self, intake: CanIntake, columns: FrameColumns) -> None:
         """Count everything beside data frames, and follow the state of the controller."""
         frames = len(columns.stamps_s)
         overruns = columns.overflows + columns.overruns

@@ -80,7 +80,7 @@ class CanBusOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         return 64 if self.fd else 8
 
 
-class Intake(ABC):
+class CanIntake(ABC):
     """Drains one opened interface, until the interface is lost.
 
     Attributes
@@ -118,7 +118,7 @@ class Intake(ABC):
         """Let go of the interface; never raises."""
 
 
-class MessageIntake(Intake):
+class MessageIntake(CanIntake):
     """Any interface of python-can: one message after the other."""
 
     def __init__(self, options: CanBusOptions, clock: ReceiveClock, bus: "BusABC") -> None:
@@ -177,7 +177,7 @@ class _Datagram(NamedTuple):
     ancillary: list[tuple[int, int, bytes]]
 
 
-class SocketIntake(Intake):
+class SocketIntake(CanIntake):
     """A socket of Linux that gives one frame per datagram, stamped by the kernel, which also counts what it drops.
 
     Parameters
@@ -258,7 +258,7 @@ class MulticastIntake(SocketIntake):
         return message_columns(packed, self.options.most_bytes, stamps_s)
 
 
-def open_intake(options: CanBusOptions, clock: ReceiveClock) -> tuple[Intake, "BusABC | None"]:
+def open_intake(options: CanBusOptions, clock: ReceiveClock) -> tuple[CanIntake, "BusABC | None"]:
     """Open an interface; the bus of python-can beside it, if there is one. Raises InstrumentError if it fails."""
     if options.interface == "udp_multicast" and hasattr(socket, "CMSG_SPACE"):
         return _open_multicast(options, clock), None
@@ -273,7 +273,7 @@ def open_intake(options: CanBusOptions, clock: ReceiveClock) -> tuple[Intake, "B
     return MessageIntake(options, clock, bus), bus
 
 
-def _open_multicast(options: CanBusOptions, clock: ReceiveClock) -> Intake:
+def _open_multicast(options: CanBusOptions, clock: ReceiveClock) -> CanIntake:
     from can.interfaces.udp_multicast.bus import GeneralPurposeUdpMulticastBus
 
     port, hop_limit = options.options.get("port", 43113), options.options.get("hop_limit", 1)
