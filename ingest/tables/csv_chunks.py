@@ -36,10 +36,6 @@ class CsvTable:
     Parameters
     ----------
     block_bytes: How much is read at a time.
-
-    Raises
-    ------
-    BadInput: If it is empty, not UTF-8, or holds nothing but a header.
     """
 
     def __init__(self, path: Path, block_bytes: int = BLOCK_BYTES) -> None:

@@ -70,10 +70,6 @@ def find_dialect(lines: Sequence[tuple[str, int]]) -> Dialect:
 
     A header in a comment, as NumPy writes it, is taken if the first line that is none consists of numbers.
 
-    Raises
-    ------
-    BadInput: If the quotes of the header do not match.
-
     Examples
     --------
     >>> found = find_dialect([("# bench 3", 10), ("Time (s);Rate (deg/s)", 32), ("0,5;1", 38)])

@@ -117,10 +117,6 @@ class LineReader:
 def split_line(line: str, delimiter: str) -> list[str]:
     """Take a line apart into cells.
 
-    Raises
-    ------
-    BadInput: If quotes do not match or a carriage return stands within the line; the text says what was expected.
-
     Examples
     --------
     >>> split_line('1.5;"FOG;1"', ";")

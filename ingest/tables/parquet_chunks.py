@@ -26,10 +26,6 @@ class ParquetTable:
     Parameters
     ----------
     block_rows: Most rows in a block; fewer if there are many columns.
-
-    Raises
-    ------
-    BadInput: If it is no Parquet file, or holds no rows.
     """
 
     def __init__(self, path: Path, block_rows: int = BLOCK_ROWS) -> None:
@@ -70,12 +66,7 @@ class ParquetTable:
         return [f"time stamps without a zone are taken as {self._time_zone}"] if lacks_zone else []
 
     def bind(self, columns: Columns, time_zone: str = "UTC") -> None:
-        """Set the meaning of the columns.
-
-        Raises
-        ------
-        BadInput: If a signal or the time is not numeric, or a name or word is neither text nor a number.
-        """
+        """Set the meaning of the columns."""
         self._columns = columns
         self._time_zone = time_zone
         numeric = [signal.title for signal in columns.signals]

@@ -89,10 +89,6 @@ def cell_text(cell: object) -> str:
 def word_column(title: str, name: str, unit: str | None) -> WordColumn:
     """Column of the step word `name`, whose values are in `unit` (None if the title names none).
 
-    Raises
-    ------
-    BadInput: If the word needs a unit and has none, has one and takes none, or has one of another quantity.
-
     Examples
     --------
     >>> word_column("rate_command[rpm]", "rate_command", "rpm")

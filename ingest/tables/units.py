@@ -71,11 +71,6 @@ def column_unit(text: str, signal: str) -> tuple[str, str]:
 
     A unit that pint knows stays as it is written.
 
-    Raises
-    ------
-    UnknownUnit: If it is none.
-    BadInput: If it is ``g`` and the signal is neither an acceleration nor a mass by its name.
-
     Examples
     --------
     >>> column_unit("dps", "rate"), column_unit("dph", "rate")
