@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from ingest.can.bus.open import CanBusOptions
+from ingest.can.bus.interface import CanBusOptions
 from ingest.instruments.base import Instrument, Options, instrument_kinds
 from ingest.instruments.scpi import ScpiOptions
 from ingest.instruments.visa import resource_trouble

@@ -26,7 +26,7 @@ from stream.delivery.publisher import StreamId
 from stream.errors import StoreError
 from stream.events import StoreNoted, encode_event, new_uid
 from stream.identity import Place, event_key
-from stream.worker.checkpoint import quarantine
+from stream.worker.checkpoint import quarantine as quarantine_checkpoint
 
 _NOTES_KEY = event_key(Place("store", "recover"))
 _SALVAGED = "it is the readable part of a damaged segment"
@@ -56,7 +56,8 @@ def recover(store: Store, *, quarantine: bool = False) -> Iterator[Action]:
             yield from _repair_lake(store)
             for finding in checkpoint_findings(store, verify_log(store)):
                 if finding.kind == "checkpoint_damaged":
-                    yield Action("checkpoint_set_aside", finding.where, f"kept as {keep_aside(Path(finding.where))}")
+                    aside = quarantine_checkpoint(Path(finding.where))
+                    yield Action("checkpoint_set_aside", finding.where, f"kept as {aside}")
             for aside in mend_copies(store):
                 yield Action("specification_copied", str(aside.parent), f"written from the log; the old file: {aside}")
             for finding in kept_findings(store):

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import msgspec
 
-from storage.store import Store
+from storage.store import Store, sync_folder
 from stream.atomic_file import write_durably
 from stream.errors import StoreError
 

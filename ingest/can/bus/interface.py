@@ -1,4 +1,4 @@
-"""How frames are drained from an opened CAN interface, each kind of interface as cheaply as it allows."""
+"""CAN interfaces: their options, how they are opened, and how each kind is drained of frames most cheaply."""
 
 import contextlib
 import os
@@ -7,13 +7,14 @@ import socket
 import struct
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Collection
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
-from ingest.can.bus.clock import ReceiveClock
-from ingest.can.bus.columns import Columns, kernel_columns, message_columns, socket_stamps
-from ingest.can.bus.open import CanBusOptions, cannot_be_opened, open_bus
+from ingest.can.bus.columns import FrameColumns, ReceiveClock, kernel_columns, message_columns, socket_stamps
+from ingest.can.frames import EXTENDED
 from stream.errors import InstrumentError
 
 if TYPE_CHECKING:
@@ -28,16 +29,67 @@ _MOST_DATAGRAM_BYTES = 4096
 _ANCILLARY_BYTES = 128
 
 
-class Intake(ABC):
-    """Drains one opened interface; it is given up when the interface is lost.
+_ADVICE = {
+    "socketcan": "it is Linux's own; bring it up, `ip link set can0 up type can bitrate 500000`, and see `ip -d link`",
+    "kvaser": "install Kvaser's CANlib (linuxcan, or the drivers for Windows) and plug the interface in",
+    "pcan": "install PEAK's PCAN-Basic and plug the interface in",
+    "vector": "install Vector's XL Driver Library and assign the channel in Vector Hardware Manager",
+    "slcan": "the channel is a serial port, such as /dev/ttyACM0 or COM3, that no other program has open",
+    "udp_multicast": "the channel is a multicast address, such as 239.74.163.2, and the computer needs a route to it",
+}
+_MOST_FILTERS = 512  # CAN_RAW_FILTER_MAX of Linux
+
+
+class CanBusOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One CAN bus of a station file.
+
+    Parameters
+    ----------
+    interface: Its name in python-can: socketcan, kvaser, pcan, vector, slcan, virtual, udp_multicast, ...
+    channel: can0, PCAN_USBBUS1, 0, /dev/ttyACM0, 239.74.163.2, ...
+    number: Channel number of the bus' frames in mappings.
+    bitrate: Bits per second. That of socketcan is set with `ip link` instead.
+    fd: Whether frames of CAN FD, with up to 64 bytes, are expected.
+    data_bitrate: Bits per second in the data phase of CAN FD.
+    filter: Whether the interface, if it can, is asked for mapped identifiers only. Others are then not counted.
+    options: Further options of the interface in python-can.
+
+    Examples
+    --------
+    >>> msgspec.convert({"interface": "socketcan", "channel": "can0"}, CanBusOptions).name
+    'CAN bus socketcan can0'
+    """
+
+    interface: str
+    channel: str | int
+    number: int = 0
+    bitrate: int | None = None
+    fd: bool = False
+    data_bitrate: int | None = None
+    filter: bool = True
+    options: dict[str, Any] = {}
+
+    @property
+    def name(self) -> str:
+        """Its name in messages."""
+        return f"CAN bus {self.interface} {self.channel}"
+
+    @property
+    def most_bytes(self) -> int:
+        """Most data of a frame, bytes."""
+        return 64 if self.fd else 8
+
+
+class CanIntake(ABC):
+    """Drains one opened interface, until the interface is lost.
 
     Attributes
     ----------
     clock: Of the frames of this interface.
-    is_off, is_passive: State of the controller, as far as the frames or the interface tell.
-    is_told_passive: Whether people know that it is passive.
-    gives_data: Whether data frames have come, since it was last off the bus.
-    reopens: Whether a controller that is off the bus gets back by being opened again.
+    is_off, is_passive: State of the controller, as far as the frames or the interface report it.
+    is_reported_passive: Whether it was reported to be passive.
+    gives_data: Whether data frames have come since it was last off the bus.
+    reopens: Whether a controller that is off the bus comes back by being opened again.
     """
 
     reopens = True
@@ -47,23 +99,16 @@ class Intake(ABC):
         self.clock = clock
         self.is_off = False
         self.is_passive = False
-        self.is_told_passive = False
+        self.is_reported_passive = False
         self.gives_data = False
 
     @abstractmethod
     def take(self, wait_s: float, into: list[Any]) -> None:
-        """Append what has been received, after waiting at most `wait_s` seconds for a first frame.
-
-        Raises whatever the driver raises; what was received before that is in `into`.
-        """
+        """Append frames, after waiting at most `wait_s` seconds for a first one; raises what the driver raises."""
 
     @abstractmethod
-    def columns(self, taken: list[Any]) -> Columns:
-        """Put what `take` has appended into columns; called in another thread."""
-
-    def new_overruns(self) -> int:
-        """Frames that the operating system has dropped before they were read, since this was last asked."""
-        return 0
+    def columns(self, taken: list[Any]) -> FrameColumns:
+        """Put frames of `take` into columns; called in another thread."""
 
     def check(self) -> None:  # noqa: B027  not every interface can be asked
         """Ask the interface for the state of its controller."""
@@ -73,7 +118,7 @@ class Intake(ABC):
         """Let go of the interface; never raises."""
 
 
-class MessageIntake(Intake):
+class MessageIntake(CanIntake):
     """Any interface of python-can: one message after the other."""
 
     def __init__(self, options: CanBusOptions, clock: ReceiveClock, bus: "BusABC") -> None:
@@ -87,7 +132,7 @@ class MessageIntake(Intake):
             into.append(message)
             message = self.bus.recv(0.0) if len(into) < _MOST_AT_ONCE else None
 
-    def columns(self, taken: list[Any]) -> Columns:
+    def columns(self, taken: list[Any]) -> FrameColumns:
         """Put messages into columns."""
         return message_columns(taken, self.options.most_bytes)
 
@@ -109,7 +154,7 @@ class MessageIntake(Intake):
 
 
 class VirtualIntake(MessageIntake):
-    """The virtual bus of python-can: its queue is emptied at once, instead of once per message."""
+    """The virtual bus of python-can: its queue is emptied at once instead of message by message."""
 
     bus: "VirtualBus"
 
@@ -132,13 +177,13 @@ class _Datagram(NamedTuple):
     ancillary: list[tuple[int, int, bytes]]
 
 
-class SocketIntake(Intake):
-    """A socket of Linux that gives one frame per datagram, stamped by the kernel, which also says what it dropped.
+class SocketIntake(CanIntake):
+    """A socket of Linux that gives one frame per datagram, stamped by the kernel, which also counts what it drops.
 
     Parameters
     ----------
     receiving: A socket of its own, which `close` closes.
-    owner: What has opened it, with a method `shutdown`.
+    owner: The object that has opened it, with a method `shutdown`.
     """
 
     reopens = False  # the kernel restarts a controller, or a person does; the socket lives on meanwhile
@@ -147,7 +192,7 @@ class SocketIntake(Intake):
         super().__init__(options, clock)
         self._socket = receiving
         self._owner = owner
-        self._dropped = self._told_dropped = 0
+        self._dropped = 0
         for level_option in ((_SO_RXQ_OVFL, 1), (socket.SO_RCVBUF, _BUFFER_BYTES), (_SO_RCVBUFFORCE, _BUFFER_BYTES)):
             with contextlib.suppress(OSError):  # without the right to, the buffer stays as large as the system allows
                 receiving.setsockopt(socket.SOL_SOCKET, *level_option)
@@ -165,21 +210,17 @@ class SocketIntake(Intake):
                 payload, ancillary, _, _ = receive(_MOST_DATAGRAM_BYTES, _ANCILLARY_BYTES, socket.MSG_DONTWAIT)
                 into.append(_Datagram(payload, ancillary))
 
-    def columns(self, taken: list[Any]) -> Columns:
+    def columns(self, taken: list[Any]) -> FrameColumns:
         """Put datagrams into columns."""
+        before = self._dropped
         for _, kind, payload in taken[-1].ancillary:
-            if kind == _SO_RXQ_OVFL:  # counts on from the socket's beginning
+            if kind == _SO_RXQ_OVFL:  # counts from the socket's beginning
                 (self._dropped,) = struct.unpack("@I", payload)
         stamps_s = socket_stamps([each.ancillary for each in taken], _SO_TIMESTAMPNS)
-        return self._frames([each.payload for each in taken], stamps_s)
+        found = self._frames([each.payload for each in taken], stamps_s)
+        return replace(found, overruns=(self._dropped - before) % (1 << 32))
 
-    def new_overruns(self) -> int:
-        """What the kernel says that it has dropped."""
-        new = (self._dropped - self._told_dropped) % (1 << 32)
-        self._told_dropped = self._dropped
-        return new
-
-    def _frames(self, payloads: list[bytes], stamps_s: Any) -> Columns:
+    def _frames(self, payloads: list[bytes], stamps_s: Any) -> FrameColumns:
         return kernel_columns(payloads, stamps_s, self.options.most_bytes)
 
     def close(self) -> None:
@@ -206,7 +247,7 @@ class MulticastIntake(SocketIntake):
         super().__init__(options, clock, receiving, owner)
         self._decode = msgspec.msgpack.Decoder(_Packed).decode
 
-    def _frames(self, payloads: list[bytes], stamps_s: Any) -> Columns:
+    def _frames(self, payloads: list[bytes], stamps_s: Any) -> FrameColumns:
         decode = self._decode
         packed: list[_Packed | None] = []
         for payload in payloads:
@@ -217,13 +258,8 @@ class MulticastIntake(SocketIntake):
         return message_columns(packed, self.options.most_bytes, stamps_s)
 
 
-def open_intake(options: CanBusOptions, clock: ReceiveClock) -> tuple[Intake, "BusABC | None"]:
-    """Open an interface and what drains it best; the bus of python-can beside it, unless it is received without one.
-
-    Raises
-    ------
-    InstrumentError: If it cannot be opened.
-    """
+def open_intake(options: CanBusOptions, clock: ReceiveClock) -> tuple[CanIntake, "BusABC | None"]:
+    """Open an interface; the bus of python-can beside it, if there is one. Raises InstrumentError if it fails."""
     if options.interface == "udp_multicast" and hasattr(socket, "CMSG_SPACE"):
         return _open_multicast(options, clock), None
     bus = open_bus(options)
@@ -237,7 +273,7 @@ def open_intake(options: CanBusOptions, clock: ReceiveClock) -> tuple[Intake, "B
     return MessageIntake(options, clock, bus), bus
 
 
-def _open_multicast(options: CanBusOptions, clock: ReceiveClock) -> Intake:
+def _open_multicast(options: CanBusOptions, clock: ReceiveClock) -> CanIntake:
     from can.interfaces.udp_multicast.bus import GeneralPurposeUdpMulticastBus
 
     port, hop_limit = options.options.get("port", 43113), options.options.get("hop_limit", 1)
@@ -248,3 +284,53 @@ def _open_multicast(options: CanBusOptions, clock: ReceiveClock) -> Intake:
     except Exception as error:  # a driver raises whatever it likes
         raise cannot_be_opened(options, error) from error
     return MulticastIntake(options, clock, socket.socket(fileno=os.dup(bus.fileno())), bus)
+
+
+def open_bus(options: CanBusOptions) -> "BusABC":
+    """Open an interface through python-can, without its configuration files; raises InstrumentError if it fails."""
+    try:
+        import can
+    except ImportError as error:
+        raise InstrumentError(f"{options.name}: no python-can ({error}); pip install python-can") from error
+    if options.interface not in can.interfaces.BACKENDS:
+        known = ", ".join(sorted(can.interfaces.BACKENDS))
+        raise InstrumentError(f"{options.name}: python-can knows no such interface; it knows {known}")
+    named = {"bitrate": options.bitrate, "data_bitrate": options.data_bitrate, "fd": options.fd or None}
+    given = {name: value for name, value in named.items() if value is not None} | options.options
+    try:
+        return can.Bus(channel=options.channel, interface=options.interface, ignore_config=True, **given)
+    except Exception as error:  # a driver raises whatever it likes
+        raise cannot_be_opened(options, error) from error
+
+
+def cannot_be_opened(options: CanBusOptions, error: Exception) -> InstrumentError:
+    """The error of an interface that could not be opened."""
+    advice = _ADVICE.get(options.interface, "see python-can's page on this interface for its driver and channels")
+    return InstrumentError(
+        f"{options.name} cannot be opened: {type(error).__name__}: {error}; {advice}. "
+        f"Is it plugged in, and are channel, bit rates and options right?"
+    )
+
+
+def filter_in_interface(bus: "BusABC", wanted: Collection[int]) -> bool:
+    """Ask the interface for these identifiers (bit 31 set if of 29 bits) only; whether it accepts.
+
+    The hook is called instead of `set_filters`, which filters in Python if the hardware cannot: one comparison per
+    frame and identifier, error frames are dropped, and nothing is counted.
+    """
+    import can
+
+    if type(bus)._apply_filters is can.BusABC._apply_filters or not 0 < len(wanted) <= _MOST_FILTERS:  # noqa: SLF001
+        return False
+    filters: list[Any] = [
+        {
+            "can_id": each & ~EXTENDED,
+            "can_mask": 0x1FFFFFFF if each & EXTENDED else 0x7FF,
+            "extended": bool(each & EXTENDED),
+        }
+        for each in sorted(wanted)
+    ]
+    with contextlib.suppress(Exception):  # otherwise all frames are read, and filtered here
+        bus._apply_filters(filters)  # noqa: SLF001
+        return True
+    return False
