@@ -5,20 +5,23 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from importlib.resources import files
 from pathlib import Path
 
-from analytics.curves.limits import LimitsTable, demo_limits, judge_unit
 from analytics.demo.demo_loop import cycle_names, send_cycle, trace_fleet
 from analytics.loop.unit_diagnosis import UnitsDiagnosis
 from ingest.run.pipeline import EmbeddedPipeline
 from ingest.simulator.cycle_runs import cycle_runs, cycles_last_s
 from ingest.simulator.gyro import GyroParameters, demo_fleet, unit_batches
+from storage.specifications.live_limits import UnitLimits, unit_limits
+from storage.specifications.specification import parse_specification
 from stream.batch import SampleBatch
 from stream.events import (
     AnyDocument,
     EarlyDecision,
     EstimatePublished,
     Limit,
+    LimitsApplied,
     PowerOn,
     RunEnded,
     RunStarted,
@@ -57,7 +60,7 @@ class DemoState:
 
     run: str
     duration_s: float
-    limits: LimitsTable
+    limits: UnitLimits
     units: dict[str, UnitView]
     began: float = field(default_factory=time.monotonic)
     simulated_s: float = 0.0
@@ -71,6 +74,20 @@ class DemoState:
     def rate(self) -> float:
         """Samples a second since the beginning."""
         return self.samples / max(time.monotonic() - self.began, 1e-9)
+
+
+def demo_limits() -> UnitLimits:
+    """Limits of the demonstration's specification, which ships with the package.
+
+    Examples
+    --------
+    >>> [limit.characteristic for limit in demo_limits().live]
+    ['angle_random_walk', 'allan_deviation', 'bias_stability', 'bias_stability']
+    """
+    content = files("analytics.demo").joinpath("demo_limits.toml").read_bytes()
+    found = unit_limits([parse_specification(content, "demo_limits.toml")], None, ["rate"])
+    assert found is not None
+    return found
 
 
 def run_demo(
@@ -95,17 +112,14 @@ def run_demo(
     t0_ns = (int(began.timestamp()) - round(duration_s)) * 10**9
     run = f"demo-{began:%Y%m%dT%H%M%SZ}"
     state = DemoState(run, duration_s, demo_limits(), {gyro.unit: UnitView(gyro.unit) for gyro in fleet})
-    finals: list[EstimatePublished] = []
 
     def on_document(document: AnyDocument) -> None:
         if isinstance(document, EarlyDecision):
             state.units[document.unit].decisions[document.limit] = document
-        if not isinstance(document, EstimatePublished):
-            return
-        if document.signal == "rate":
+        elif isinstance(document, VerdictGiven):
+            state.units[document.unit].verdict = document
+        elif isinstance(document, EstimatePublished) and document.signal == "rate":
             state.units[document.unit].estimates[document.estimator] = document
-        if document.final:
-            finals.append(document)
 
     with EmbeddedPipeline(
         folder, "gyrofleet demo", estimate_every_s=ESTIMATE_EVERY_S, on_document=on_document
@@ -121,7 +135,10 @@ def run_demo(
             lot="DEMO-LOT-1",
         )
         pipeline.send_event(events, started)
-        pipeline.send_event(events, state.limits.applied(run, t0_ns, planned_s=duration_s))
+        limits = state.limits
+        pipeline.send_event(
+            events, LimitsApplied(run=run, t_ns=t0_ns, revision=limits.label, limits=limits.live, planned_s=duration_s)
+        )
         totals: dict[tuple[str, str], StreamTotal] = {}
         shown_at = 0.0
         for batch in _station(fleet, run, duration_s, seed, t0_ns):
@@ -142,10 +159,6 @@ def run_demo(
         state.phase = "completing the record"
         if on_progress is not None:
             on_progress(state)
-        pipeline.complete_estimates()
-        for view in state.units.values():
-            view.verdict = judge_unit(state.limits, finals, run=run, unit=view.unit, t_ns=end_ns)
-            pipeline.send_event(events, view.verdict)
         pipeline.finish()
     state.seconds = time.monotonic() - state.began
     _close_the_loop(folder, fleet, state, seed, t0_ns, on_progress)

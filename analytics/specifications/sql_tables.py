@@ -7,11 +7,10 @@ from contextlib import suppress
 import msgspec
 import pyarrow as pa
 
-from analytics.metrics.product import Product
 from analytics.metrics.registry import metrics
-from analytics.specifications.periods import NEVER, Edition, editions_of
-from analytics.specifications.specification import Parameter, SpecificationLimit, told_parameter
 from storage.specifications.chain import Chain, read_chain
+from storage.specifications.specification import Parameter, Product, SpecificationLimit, format_parameter
+from storage.specifications.validity import NEVER, Edition, editions_of
 from storage.sql.catalog import Catalog
 from stream.errors import UnknownUnit
 from stream.quantities import result_factor
@@ -114,7 +113,7 @@ def _limit_row(limit_id: int, limit: SpecificationLimit, edition: Edition) -> di
         "until_ns": period.until_ns,
         "known_from_ns": edition.known_from_ns,
         "known_until_ns": edition.known_until_ns,
-        "valid": period.told,
+        "valid": period.text,
         "revisions": edition.revisions,
         "metric": limit.metric,
         "subject": limit.subject,
@@ -179,7 +178,7 @@ def _key(value: Parameter) -> str:
     """What a value's parameter is compared with: numbers to nine digits, everything else as its text."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return f"number {value:.9g}"
-    return f"text {told_parameter(value)}"
+    return f"text {format_parameter(value)}"
 
 
 def _factors(catalog: Catalog) -> pa.Table:

@@ -54,6 +54,10 @@ class SignalAnalysis:
     name: Unit, signal and run.
     every_ns: Interval between documents in the signal's own time, nanoseconds.
     followers: Estimators and the spectral density.
+
+    Attributes
+    ----------
+    judged: Once it is finished: the final estimates that limits are compared with.
     """
 
     def __init__(self, place: Place, name: tuple[str, str, str], every_ns: int, followers: Sequence[Follower]) -> None:
@@ -66,6 +70,7 @@ class SignalAnalysis:
         self._refusal: str | None = None
         self._first_ns: int | None = None
         self._last_ns = 0
+        self.judged: tuple[EstimatePublished, ...] = ()
 
     def apply_limits(self, limits: LimitsApplied) -> None:
         """Decide early on those limits of the run that are on this signal."""
@@ -115,6 +120,11 @@ class SignalAnalysis:
         # to the end of the last sample's interval: then a test of its planned length is finished
         interval_s = max((follower.sample_interval_s for follower in self._followers), default=0.0)
         elapsed_s = (self._last_ns - (self._first_ns or 0)) / 1e9 + interval_s
+        if (since_ns := self._decisions.since_ns) is not None:
+            elapsed_s = max(0.0, (self._last_ns - since_ns) / 1e9 + interval_s)
+            points = {each.key: self._estimate(each, final=final) for each in self._decisions.estimators}
+        if final:
+            self.judged = tuple(points.values())
         for number, decision in enumerate(self._decisions.look(elapsed_s, points)):
             found.append((EARLY_DECISION, decision.document(self._head(f"decision-{number}", final=final))))
         return found
