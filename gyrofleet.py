@@ -94,6 +94,7 @@ def _commands() -> tuple[click.Command, ...]:
     from ingest.commands.procedure import procedure
     from ingest.commands.replay import replay
     from ingest.commands.run import run
+    from ingest.commands.run_simulated import run_simulated
     from ingest.commands.simulate import simulate
     from storage.commands.estimate import estimate
     from storage.commands.lake import lake, rebuild, retain
@@ -107,6 +108,7 @@ def _commands() -> tuple[click.Command, ...]:
         can,
         procedure,
         run,
+        run_simulated,
         simulate,
         record,
         router,

@@ -15,6 +15,7 @@ from stream.console import notes
 from stream.delivery.publisher import DurablePublisher, Sender
 from stream.delivery.spool import Spool
 from stream.errors import BadInput, DeliveryError
+from stream.events import AnyDocument
 from stream.transport.zenoh_bus import ZenohBus
 from stream.worker.estimated_signals import EstimatedSignals
 
@@ -133,6 +134,7 @@ def path_to(
     every_s: float | None = None,
     estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
     units: Sequence[str] = (),
+    on_document: Callable[[AnyDocument], None] | None = None,
 ) -> Iterator[RunPath]:
     """Open the way to a recorder, or record in this process.
 
@@ -145,6 +147,7 @@ def path_to(
     every_s: Interval between estimates, seconds of the signals' time; by default that which the run was begun with.
     estimated: Which signals are estimated, where it is recorded in this process.
     units: Units of the run, which nobody else may send in it to the same recorder meanwhile.
+    on_document: Takes what is estimated, where it is recorded in this process.
 
     Raises
     ------
@@ -170,7 +173,7 @@ def path_to(
         # of the same interval as those of a `gyrofleet estimate` that may have begun them, else they would differ
         every_s = every_s or estimated_every_s(folder, run)
         with EmbeddedPipeline(
-            folder, "gyrofleet run", spool=spool, estimate_every_s=every_s, estimated=estimated
+            folder, "gyrofleet run", spool=spool, estimate_every_s=every_s, estimated=estimated, on_document=on_document
         ) as pipeline:
             where = f"recorded in this process to {folder}"
             yield RunPath(pipeline, pipeline.publisher, pipeline.finish, where, folder)

@@ -1,17 +1,14 @@
 """How far a procedure's run at a station is: one small file, there whole or not at all."""
 
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 
-from ingest.state_file import read_state, write_state
+from ingest.run_record import Outcome, Phase
+from ingest.state_file import read_state
 from stream.errors import BadInput
 
 STATE_FILE = "procedure.json"
-
-Outcome = Literal["completed", "stopped", "aborted"]
-Phase = Literal["starting", "running", "ending", "ended"]
 
 
 class StationRunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -23,17 +20,14 @@ class StationRunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     procedure, plan: Name of the procedure, and the SHA-256 of its steps as they were planned.
     units: Serial numbers.
     t0_ns, seen_ns: The station's clock when it started, and when it was last seen going on.
-    starts: How often a process took it up.
-    phase, outcome: ``starting`` until its first documents are kept, ``running``, ``ending`` when nothing more is
-        measured, ``ended`` when a recorder has everything; and how it ended.
-    step: Index of the step that is worked on.
-    open_steps: Of the step that is being recorded: the identity of its document by unit.
+    starts: How many processes have worked on it.
+    phase, outcome: How far it is, and how it ended.
+    step, steps_done: Index of the step that is worked on, and how many are completed.
+    open_steps: Identity of the document of the step that is being recorded, by unit.
     epochs: Epoch of every unit's power-on by unit; none for one that is off.
-    steps_done: Steps that were completed.
-    is_powered: Whether the units have power.
-    powered_ns: When they were given it.
-    closed_steps, closed_as, closed_ns: Of the step that has ended last: the identity of its document by unit, how and
-        when it has ended. It is said again after a crash, which may have come before it was said.
+    is_powered, powered_ns: Whether the units have power, and since when.
+    closed_steps, closed_as, closed_ns: The step that has ended last: the identity of its document by unit, how and
+        when it ended; sent again after a crash.
     short_records: Records of a unit in a step that lack samples.
     """
 
@@ -69,18 +63,8 @@ def read_station_run(folder: Path) -> StationRunState | None:
     return read_state(folder / STATE_FILE, StationRunState)
 
 
-def write_station_run(folder: Path, state: StationRunState) -> StationRunState:
-    """Put the state in the place of the one before; returns it.
-
-    Raises
-    ------
-    StoreError: If it cannot be written; the one before is then still there.
-    """
-    return write_state(folder / STATE_FILE, state)
-
-
 def check_same(state: StationRunState, procedure: str, plan: str, units: tuple[str, ...]) -> None:
-    """Raise BadInput where a run that is to go on was started as another one."""
+    """Raise BadInput where a run that is to be resumed was started as another one."""
     if state.procedure != procedure:
         raise BadInput(f"run {state.run} is one of procedure {state.procedure}, not {procedure}: give another --run")
     if set(state.units) != set(units):

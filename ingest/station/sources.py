@@ -11,12 +11,13 @@ from ingest.can.stream import CanDecoder
 from ingest.instruments.base import Instrument
 from ingest.serial.frame_layout import load_layout
 from ingest.serial.serial_line import SerialLine, open_port
-from ingest.station.log import RunLog
 from ingest.station.run import Source
+from ingest.station.run_log import RunLog
 from ingest.station.sampling import Sampler
 from ingest.station.station import Station
 from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError
+from stream.quantities import is_angular_rate
 
 
 class StationSources:
@@ -57,6 +58,17 @@ class StationSources:
             )
         if taken := sorted(self._units & set(instruments)):
             raise BadInput(f"{', '.join(taken)}: a unit and an instrument of {station.path} have the same name")
+
+    def rate_signals(self) -> dict[str, list[str]]:
+        """Angular rates that each unit delivers."""
+        found: dict[str, list[str]] = {unit: [] for unit in sorted(self._units)}
+        came = [signal for plan in self._plans.values() for signal in plan.signals]
+        for name, line in self._station.lines.items():
+            came += [(line.unit, field.signal, field.unit) for field in self._layouts[name].fields]
+        for unit, signal, unit_of_measure in came:
+            if unit in found and is_angular_rate(unit_of_measure):
+                found[unit].append(signal)
+        return found
 
     def _check_twice(self) -> None:
         """Refuse a signal that comes on two ways: its samples could not be numbered."""

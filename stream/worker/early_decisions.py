@@ -165,10 +165,20 @@ class EarlyDecisions:
             samples = _tau_s(self._limits[number]) * 1e9 / _STEPS / batch.dt_ns
             # means of few samples, now one more and now one less, would have another deviation
             is_uneven = samples < 1.0 - _SAME or abs(samples - round(samples)) > _SAME * samples
-            if (samples < _EVEN and is_uneven) or self._decided(number) is not None:
+            is_done = self.since_ns is None and self._decided(number) is not None
+            if (samples < _EVEN and is_uneven) or is_done:
                 del self._exactly[number]  # it is one of the octaves, or none; or nothing is left to be known
             else:
                 exactly.update(batch)
+
+    def exact_points(self) -> tuple[EstimatePoint, ...]:
+        """Allan deviation at the averaging times of limits on a record, where they are not interpolated."""
+        found: list[EstimatePoint] = []
+        for number, exactly in self._exactly.items() if self.since_ns is not None else ():
+            points, tau_s = exactly.allan.estimate(), _tau_s(self._limits[number])
+            if not isinstance(points, NoEstimate):
+                found += [each for each in points if abs(each.tau_s - tau_s) <= _SAME * tau_s]
+        return tuple(found)
 
     def _decided(self, number: int) -> Decision | None:
         test = self._tests.get(number)

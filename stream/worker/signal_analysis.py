@@ -124,7 +124,11 @@ class SignalAnalysis:
             elapsed_s = max(0.0, (self._last_ns - since_ns) / 1e9 + interval_s)
             points = {each.key: self._estimate(each, final=final) for each in self._decisions.estimators}
         if final:
-            self.judged = tuple(points.values())
+            exact = self._decisions.exact_points()
+            self.judged = tuple(
+                msgspec.structs.replace(each, points=(*exact, *each.points)) if key == AllanDeviation.key else each
+                for key, each in points.items()
+            )
         for number, decision in enumerate(self._decisions.look(elapsed_s, points)):
             found.append((EARLY_DECISION, decision.document(self._head(f"decision-{number}", final=final))))
         return found
