@@ -154,10 +154,8 @@ def _periods(folder: Path, wanted: str | None, t_ns: int) -> tuple[list[Period],
     """Specifications to apply, labels of those that are valid, and why there are none."""
     if not (folder / MARKER).exists():
         if wanted is not None:
-            raise NotFound(
-                f"--specification {wanted}: {folder} is no store on this computer, so it has no specification"
-            )
-        return [], set(), f"no limits: {folder} has no specification; `gyrofleet limits add FILE` adds one"
+            raise NotFound(f"--specification {wanted}: there is no store in {folder}, so there is no specification")
+        return [], set(), f"no limits: there is no store in {folder} yet; `gyrofleet limits add FILE` adds one"
     store = Store.open(folder)
     try:
         valid = chosen_periods(store, t_ns)
