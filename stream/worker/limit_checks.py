@@ -179,7 +179,7 @@ def unit_verdicts(
             own = [each for each in final if each.unit == unit]
             checks = tuple(judge(limit, own) for limit in limits.limits)
             verdict = unit_verdict(checks, aborted=ended.outcome == "aborted")
-            uid = uuid5(_NAMESPACE, f"{ended.run}/{unit}/{ended.uid}").hex
+            uid = uuid5(_NAMESPACE, f"{ended.run}/{unit}/{ended.t_ns}").hex
             yield VerdictGiven(run=ended.run, t_ns=ended.t_ns, uid=uid, unit=unit, verdict=verdict, checks=checks)
 
 

@@ -159,6 +159,4 @@ def test_a_worker_that_resumes_gives_the_same_documents(at: int) -> None:
 
     whole = run(Worker(), is_interrupted=False)
     assert len(whole) > 20
-    again = run(Worker(), is_interrupted=True)
-    assert [each for each in again if b"VerdictGiven" not in each] == [e for e in whole if b"VerdictGiven" not in e]
-    assert len(again) == len(whole)
+    assert run(Worker(), is_interrupted=True) == whole
