@@ -43,7 +43,7 @@ _AT_REST = StepWords(procedure="static_bias", position="IRA_east_west")
 
 @dataclass
 class UnitView:
-    """What the live view shows of one unit."""
+    """State of one unit in the live view."""
 
     unit: str
     samples: int = 0
@@ -56,7 +56,7 @@ class UnitView:
 
 @dataclass
 class DemoState:
-    """How far the demonstration is; written by the pipeline's threads, read by whoever draws it."""
+    """Progress of the demonstration; written by the pipeline's threads, read by the live view."""
 
     run: str
     duration_s: float
@@ -93,14 +93,9 @@ def demo_limits() -> UnitLimits:
 def run_demo(
     folder: Path, *, hours: float, seed: int, on_progress: Callable[[DemoState], None] | None = None
 ) -> DemoState:
-    """Simulate the fleet, send it through bus, log, lake and estimators, and judge it.
+    """Simulate the fleet for so many hours, send it through bus, log, lake and estimators, and judge it.
 
-    Parameters
-    ----------
-    folder: The store.
-    hours: Simulated length of the run.
-    seed: Of the simulation: the same seed gives the same samples.
-    on_progress: Called now and then, in the caller's thread.
+    `on_progress` is called several times a second, in the caller's thread.
 
     Raises
     ------
@@ -171,7 +166,7 @@ def run_demo(
 def _send_steps(
     pipeline: EmbeddedPipeline, fleet: tuple[GyroParameters, ...], run: str, t0_ns: int, end_ns: int
 ) -> None:
-    """Say that each unit was at rest throughout the run."""
+    """Send the step of each unit: at rest throughout the run."""
     for gyro in fleet:
         step = StepStarted(run=run, t_ns=t0_ns, unit=gyro.unit, words=_AT_REST)
         last_ns = end_ns - gyro.sample_interval_ns
@@ -187,9 +182,9 @@ def _close_the_loop(
     t0_ns: int,
     on_progress: Callable[[DemoState], None] | None,
 ) -> None:
-    """Nine short runs with temperature cycles and rates, in the days before, and what each unit's model lacks."""
+    """Nine earlier short runs with temperature cycles and rates, and the diagnosis of each unit."""
 
-    def tell(phase: str) -> None:
+    def report(phase: str) -> None:
         state.phase = phase
         if on_progress is not None:
             on_progress(state)
@@ -198,10 +193,10 @@ def _close_the_loop(
     state.cycles = cycle_names(state.run, runs)
     with EmbeddedPipeline(folder, "gyrofleet demo", estimate_every_s=ESTIMATE_EVERY_S) as pipeline:
         for run, name in zip(runs, state.cycles, strict=True):
-            tell(f"short runs: {name}")
+            report(f"short runs: {name}")
             state.cycle_samples += send_cycle(pipeline, PLACE, fleet, run, name, seed)
         pipeline.finish()
-    state.found = trace_fleet(folder, tuple(each.unit for each in fleet), state.cycles, tell)
+    state.found = trace_fleet(folder, tuple(each.unit for each in fleet), state.cycles, report)
 
 
 def _station(

@@ -37,7 +37,7 @@ _NAMES = {
 
 
 def live_view(state: DemoState, width: int) -> RenderableType:
-    """Everything at a glance: the table of units, how fast, how far, in `width` characters."""
+    """Progress, speed and the table of units, in `width` characters."""
     elapsed_s = state.seconds or time.monotonic() - state.began
     times = state.simulated_s / max(elapsed_s, 1e-9)
     line = Text.assemble(
@@ -51,7 +51,7 @@ def live_view(state: DemoState, width: int) -> RenderableType:
 
 
 def fleet_table(state: DemoState, width: int) -> Table:
-    """A row for each unit: where it is, each limit's estimate with its confidence interval, the verdict."""
+    """A row for each unit: its samples, each limit's estimate with its confidence interval, the verdict."""
     is_wide = width >= _WIDE
     table = Table(
         header_style="bold",

@@ -111,7 +111,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
             opened_spool(destination.folder, destination.spools / run, destination.spool_bytes, is_remote=is_remote)
         )
         log = RunLog(run, job.procedure.name, job.plan, job.serials, job.station, spool, job.clock)
-        decisions = LimitReport(operator.told)
+        decisions = LimitReport(operator.report)
         report = partial(_report, log, len(job.steps), decisions, as_json=as_json)
         if log.state.phase == "ended":
             report("ended", "nothing to do, all of it is recorded")
@@ -121,10 +121,10 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
                 destination.folder, run, elsewhere, spool, asked.every_s, asked.estimated, job.serials, decisions.see
             )
         )
-        trouble = TroubleWatch(path.publisher, operator.told)
+        trouble = TroubleWatch(path.publisher, operator.report)
         operator.watch(trouble.look)
         for remark in limits.remarks:
-            operator.told(remark)
+            operator.report(remark)
         log.begin(
             path.sender,
             mounted_documents(job.entries, run, log.state.t0_ns),
@@ -136,7 +136,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
             limits=limits,
         )
         for warning in _others(destination.spools, log, job.procedure):
-            operator.told(warning)
+            operator.report(warning)
         resumed = f"resumes at step {log.state.step + 1} after a gap of {log.gap_s:,.0f} s, " if log.is_resumed else ""
         report("running", f"{resumed}{path.where}")
         try:
@@ -187,7 +187,7 @@ def _carried_out(
     except RunStopped:
         raise
     except RunAborted as aborted:
-        operator.told(str(aborted))
+        operator.report(str(aborted))
         log.end("aborted")
         return 1
     log.end("completed")

@@ -1,4 +1,4 @@
-"""A simulated station as a live source: any stretch of its samples, made again at any time."""
+"""A simulated station as a live source: any stretch of its samples can be simulated again at any time."""
 
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
@@ -37,7 +37,7 @@ class _Signal(NamedTuple):
 
 
 def station_units(count: int, rate_hz: float) -> tuple[GyroParameters, ...]:
-    """Gyros like those of the demonstration, over and over.
+    """Gyros with the parameters of the demonstration's fleet, repeated.
 
     Examples
     --------
@@ -54,15 +54,14 @@ def station_units(count: int, rate_hz: float) -> tuple[GyroParameters, ...]:
 
 
 class SimulatedStation:
-    """Units that give rate and temperature from a power-on on.
+    """Units that deliver rate and temperature from each power-on.
 
-    What they give is a function of the seed, the unit, the number of the power-on and the sample's number alone.
+    A sample is a function of the seed, the unit, the number of the power-on and the sample's number alone.
 
     Parameters
     ----------
     units: The units, all with the same sample interval.
     name: Distinguishes the epochs of this run from all others.
-    seed: Of the simulation.
     batch: Rate samples in a batch.
 
     Examples
@@ -94,7 +93,7 @@ class SimulatedStation:
         return self._rate.dt_ns
 
     def epoch(self, power_cycle: PowerCycle, unit: str) -> UUID:
-        """What a unit's samples of one power-on are numbered under."""
+        """Epoch of a unit's samples of one power-on."""
         return uuid5(NAMESPACE_URL, f"gyrofleet:station/{self._name}/{self._seed}/{power_cycle.number}/{unit}")
 
     def batches(
@@ -104,10 +103,8 @@ class SimulatedStation:
 
         Parameters
         ----------
-        run: The run they belong to.
-        power_cycle: Where it begins.
         end_ns: Samples before this time.
-        first: Where to go on: number of the first sample wanted, one at which a batch begins.
+        first: Number of the first sample of each signal, one at which a batch begins.
         """
         first = first or {}
         # the first power-on is that of the plain seed
@@ -116,7 +113,7 @@ class SimulatedStation:
         epochs = [self.epoch(power_cycle, parameters.unit) for parameters in self.units]
 
         def of(signal: _Signal) -> Iterator[list[SampleBatch]]:
-            """For each moment at which a batch is full, those of all units."""
+            """Batches of all units, for each time at which a batch is full."""
             is_rate = signal.name == RATE_SIGNAL
             wanted = [first.get((parameters.unit, signal.name), 0) for parameters in self.units]
             total = -((power_cycle.t0_ns - end_ns) // signal.dt_ns)

@@ -1,4 +1,4 @@
-"""Where a live run is sent: to a recorder elsewhere, or into a store that this process records."""
+"""Where a run is sent: to a recorder in another process, or into a store that this process records."""
 
 import socket
 from collections.abc import Callable, Iterator, Sequence
@@ -31,7 +31,7 @@ class Elsewhere(NamedTuple):
 
 
 class RunPath(NamedTuple):
-    """Where a run is sent to; `folder` is the store, None where it is another process's."""
+    """Where a run is sent; `folder` is the store, None where another process records."""
 
     sender: Sender
     publisher: DurablePublisher
@@ -41,30 +41,24 @@ class RunPath(NamedTuple):
 
 
 class TroubleWatch:
-    """Tells what keeps samples from being recorded: once when it begins or changes, and once when it is over.
+    """Reports what keeps samples from being recorded: once when it begins or changes, and once when it is over."""
 
-    Parameters
-    ----------
-    publisher: What sends them.
-    tell: Takes the sentence.
-    """
-
-    def __init__(self, publisher: DurablePublisher, tell: Callable[[str], None]) -> None:
+    def __init__(self, publisher: DurablePublisher, report: Callable[[str], None]) -> None:
         self._publisher = publisher
-        self._tell = tell
+        self._report = report
         self._trouble: str | None = None
 
     def look(self) -> None:
-        """Say what has changed since the last look."""
+        """Report what has changed since the last look."""
         paused = self._publisher.paused
         trouble = self._publisher.warning or (f"the recorder pauses: {paused}" if paused else None)
         if trouble != self._trouble:
             self._trouble = trouble
-            self._tell(f"warning: {trouble}" if trouble else "recording goes on")
+            self._report(f"warning: {trouble}" if trouble else "recording goes on")
 
 
 def spools_of(folder: Path, *, is_remote: bool) -> Path:
-    """Where the spools of a store's runs lie: in it; where samples go elsewhere, in no folder that could become one.
+    """Folder of the spools of a store's runs: in the store, or beside a folder that is no store of this computer.
 
     Examples
     --------
@@ -87,9 +81,7 @@ def check_spool_name(run: str) -> None:
 
 @contextmanager
 def recorder_at(connect: str | None) -> Iterator[Elsewhere | None]:
-    """Reach the recorder that listens at `connect`; None for the one in this process.
-
-    It is reached before a spool is opened: what cannot be sent to anybody leaves no folders behind.
+    """Connect to the recorder at `connect`, before a spool is made; None for the one in this process.
 
     Raises
     ------
@@ -104,14 +96,7 @@ def recorder_at(connect: str | None) -> Iterator[Elsewhere | None]:
 
 @contextmanager
 def opened_spool(folder: Path, spool_folder: Path, max_bytes: int, *, is_remote: bool) -> Iterator[Spool]:
-    """Open a run's spool, and say what was found damaged in it.
-
-    Parameters
-    ----------
-    folder: The store. Where this process records, it is made first: a folder that holds a spool could not become one.
-    spool_folder: The spool's own.
-    max_bytes: How much may wait in it.
-    is_remote: Whether another process records.
+    """Open a run's spool and report damage in it; where this process records, the store is made before it.
 
     Raises
     ------
@@ -136,18 +121,13 @@ def path_to(
     units: Sequence[str] = (),
     on_document: Callable[[AnyDocument], None] | None = None,
 ) -> Iterator[RunPath]:
-    """Open the way to a recorder, or record in this process.
+    """Send to a recorder elsewhere, or record and estimate in this process.
 
     Parameters
     ----------
-    folder: The store, where it is recorded in this process.
-    run: Id of the run.
-    elsewhere: The recorder in another process, if there is one; it is left to the caller to close.
-    spool: Keeps what the recorder does not have yet.
-    every_s: Interval between estimates, seconds of the signals' time; by default that which the run was begun with.
-    estimated: Which signals are estimated, where it is recorded in this process.
-    units: Units of the run, which nobody else may send in it to the same recorder meanwhile.
-    on_document: Takes what is estimated, where it is recorded in this process.
+    every_s: Interval between estimates, seconds of the signals' time; by default that of the run so far.
+    units: Units that nobody else may send to the same recorder in this run.
+    on_document: Takes the estimates of this process.
 
     Raises
     ------
@@ -180,16 +160,13 @@ def path_to(
 
 
 def _client(bus: ZenohBus, folder: Path, spool: Spool) -> RecorderClient | None:
-    """The recorder of the store that has the run already, or of that in `folder`, or whichever is there.
-
-    None where none answers: what is measured waits in the spool until one does.
-    """
+    """The recorder of the store that has the run, else of `folder`, else any; None where none answers yet."""
     wanted = spool.store
     if not wanted and (folder / "store.json").exists():
         wanted = Store.open(folder).identity
     try:
         return RecorderClient(bus, wanted=wanted or None, patience_s=_RECORDER_PATIENCE_S)
     except DeliveryError:
-        told = "no recorder answers yet; whether another source sends the same run is not known"
-        notes().print(f"warning: {told}", soft_wrap=True, markup=False)
+        warning = "warning: no recorder answers yet; whether another source sends the same run is not known"
+        notes().print(warning, soft_wrap=True, markup=False)
         return None

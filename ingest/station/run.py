@@ -34,7 +34,7 @@ class Source(Protocol):
 class Operator(Protocol):
     """Whoever attends the run."""
 
-    def told(self, text: str) -> None:
+    def report(self, text: str) -> None:
         """Report what has happened."""
 
     def ready(self, prompt: str) -> bool:
@@ -92,7 +92,7 @@ class StationRun:
     def report(self, text: str) -> None:
         """Note a report of a source or instrument in the run, and show it to the operator; from any thread."""
         self._log.note(text)
-        self._operator.told(text)
+        self._operator.report(text)
 
     def go(self, sources: Callable[[], Sequence[Source]], samplers: Sequence[Source] = ()) -> None:
         """Carry out the steps; the station is made safe after the last one, and whatever happens.
@@ -210,7 +210,7 @@ class StationRun:
         for unit, what in lacking:
             text = f"warning: step {step.number} ({named}), unit {unit}: {what}; check its wiring and power"
             self._log.note(text, unit)
-            self._operator.told(text)
+            self._operator.report(text)
         if lacking:
             self._log.add_short_records(len(dict(lacking)))
 

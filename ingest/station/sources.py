@@ -25,14 +25,12 @@ class StationSources:
 
     Parameters
     ----------
-    station: Where.
     instruments: Opened, by name.
-    clock: The station's clock.
-    units: The units that are tested; each must come from a bus or a line.
+    units: The units that are tested; each must be on a bus or a line.
 
     Raises
     ------
-    BadInput: If a database, mapping or layout cannot be read, or a unit comes from nowhere.
+    BadInput: If a database, mapping or layout cannot be read, or a unit is on no bus or line.
     """
 
     def __init__(
@@ -71,7 +69,7 @@ class StationSources:
         return found
 
     def _check_twice(self) -> None:
-        """Refuse a signal that comes on two ways: its samples could not be numbered."""
+        """Refuse a signal that has two sources: its samples could not be numbered."""
         ways: dict[tuple[str, str], str] = {}
         found = [
             (f"buses.{name}", unit, signal) for name, plan in self._plans.items() for unit, signal, _ in plan.signals
@@ -87,7 +85,7 @@ class StationSources:
                 )
 
     def cannot_be_opened(self) -> list[str]:
-        """Which buses and lines cannot be opened now, each as a sentence; each is closed again."""
+        """A sentence for each bus and line that cannot be opened now."""
         found = []
         for name in self._plans:
             try:
@@ -103,7 +101,7 @@ class StationSources:
         return found
 
     def make(self, log: RunLog, report: Callable[[str], None]) -> list[Source]:
-        """Sources for the power-ons as they are; of units that are not tested nothing is taken."""
+        """Sources for the present power-ons, of the tested units only."""
         made: list[Source] = [
             CanBus(
                 self._station.buses[name].bus,
@@ -133,7 +131,7 @@ class StationSources:
         return made
 
     def samplers(self, log: RunLog, report: Callable[[str], None]) -> list[Source]:
-        """Samplers of all instruments, for the whole of a process."""
+        """Samplers of all instruments."""
         return [
             Sampler(instrument, log.state.run, self._epoch, log.deliver, report)
             for instrument in self._instruments.values()
@@ -146,4 +144,4 @@ def _of_units(plan: CanPlan, units: frozenset[str]) -> CanPlan:
 
 
 def _nobody(_sentence: str) -> None:
-    """Nothing of a bus that is closed at once is told."""
+    """Ignore reports of a bus that is closed at once."""

@@ -111,7 +111,7 @@ class Operator:
         self.said: list[str] = []
         self.request: str | None = None
 
-    def told(self, text: str) -> None:
+    def report(self, text: str) -> None:
         self.said.append(text)
 
     def ready(self, prompt: str) -> bool:
