@@ -1,12 +1,14 @@
-"""The command `gyrofleet run`: a procedure at a station."""
+"""The commands `gyrofleet run`, a procedure at a station, and `gyrofleet run-simulated`, units without one."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
-from ingest.commands.run_options import Destination, destination_options
-from stream.console import estimates_option, reporting
+from ingest.commands.procedure import PROCEDURE
+from stream.console import estimates_option, reporting, store_option
 from stream.errors import BadInput
 
 
@@ -24,8 +26,28 @@ class _ProcedureCommand(click.Command):
         return super().parse_args(ctx, args)
 
 
+def destination_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of where a run goes, and `--end`."""
+    for option in (
+        click.option("--end", "is_ended", is_flag=True, help="End the run where it is, with outcome `stopped`."),
+        click.option(
+            "--spool-mb", type=click.IntRange(min=1), default=4096, show_default=True, help="Size of the spool."
+        ),
+        click.option(
+            "--spool",
+            "spool_folder",
+            type=click.Path(path_type=Path),
+            help="Folder of the spool; by default STORE/spool.",
+        ),
+        click.option("--connect", help="Where the recorder listens; by default the one that writes the store."),
+        store_option,
+    ):
+        command = option(command)
+    return command
+
+
 @click.command("run", cls=_ProcedureCommand)
-@click.argument("procedure")
+@click.argument("procedure", type=PROCEDURE, metavar="PROCEDURE")
 @click.option("--station", type=click.Path(path_type=Path), help="The station's file.")
 @click.option("--units", type=click.Path(path_type=Path), help="Units to test: CSV, or one serial a line.")
 @click.option("--set", "parameters", multiple=True, metavar="NAME=VALUE", help="A parameter of the procedure.")
@@ -84,6 +106,7 @@ def run(
     obstacle is reported at once, and nothing is written. What no recorder has yet waits in a spool on disk.
     """
     from ingest.commands.run_procedure import ProcedureRun, run_procedure
+    from ingest.run.run_path import Destination
     from stream.identity import check_name
     from stream.worker.estimated_signals import EstimatedSignals
 
@@ -111,6 +134,60 @@ def run(
     )
     destination = Destination.chosen(run_id, folder, connect, spool_folder, spool_mb)
     sys.exit(run_procedure(asked, destination, as_json=as_json))
+
+
+@click.command("run-simulated")
+@click.option("--run", "run_id", required=True, help="Id of the run; given again, the run resumes.")
+@click.option("--simulate", type=click.IntRange(1, 100_000), metavar="N", required=True, help="How many units.")
+@click.option("--hours", type=click.FloatRange(min=1e-4), default=1.0, show_default=True, help="Length of the run.")
+@click.option(
+    "--rate-hz", type=click.FloatRange(min=0.01, max=1e6), default=200.0, show_default=True, help="Rate samples."
+)
+@click.option(
+    "--batch", type=click.IntRange(1, 100_000), default=100, show_default=True, help="Rate samples in a message."
+)
+@click.option(
+    "--speed", type=click.FloatRange(min=0.0), default=1.0, show_default=True, help="Times real time; 0: unpaced."
+)
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulation.")
+@click.option("--start", help="First sample, as 2026-11-21T18:00:00+08:00; by default the run ends now.")
+@click.option("--procedure", help="What is done, as static_bias: the whole run is a step of it.")
+@click.option("--position", help="Attitude of the input axis, as IRA_east_west.")
+@click.option("--operator", help="Who is responsible.")
+@click.option("--lot", help="Production lot.")
+@click.option("--site", default="local", show_default=True, help="Site of the samples.")
+@click.option("--station", default="simulated", show_default=True, help="Name of the station in the data.")
+@destination_options
+@reporting
+def run_simulated(
+    run_id: str,
+    folder: Path,
+    connect: str | None,
+    spool_folder: Path | None,
+    spool_mb: int,
+    *,
+    is_ended: bool,
+    as_json: bool,
+    **given: Any,
+) -> None:
+    """Send samples of N units at rest that are simulated in this process, without a station.
+
+    Where a `gyrofleet record` writes the store, it records them, else this process does. What no recorder has yet waits
+    in a spool on disk. Interrupted or killed, the run resumes under its id when the same command is given again.
+    """
+    import msgspec
+
+    from ingest.commands import run_simulated
+    from ingest.run.run_path import Destination
+    from ingest.run.run_state import RunParameters
+    from stream.identity import check_name
+
+    check_name("run", run_id)
+    parameters = msgspec.convert(given, RunParameters)
+    destination = Destination.chosen(run_id, folder, connect, spool_folder, spool_mb)
+    sys.exit(
+        run_simulated.run_simulated(run_id, parameters, destination, is_ended=is_ended, as_json=as_json)
+    )
 
 
 def _parameter(text: str, procedure: str) -> tuple[str, str]:

@@ -14,11 +14,10 @@ from zoneinfo import ZoneInfo
 
 import msgspec
 
-from ingest.commands.run_options import INTERRUPTED, Destination, drain, left_behind
 from ingest.instruments.base import Instrument
 from ingest.procedures.procedure import PlannedStep, Procedure, load_procedure
 from ingest.procedures.run_steps import goes_on_at
-from ingest.run.run_path import RunPath, TroubleWatch, opened_spool, path_to, recorder_at
+from ingest.run.run_path import INTERRUPTED, Destination, RunPath, TroubleWatch, drain, left_behind, opened_spool, path_to, recorder_at
 from ingest.station.abilities import check_limits, check_station
 from ingest.station.operator_console import ConsoleOperator
 from ingest.station.preflight import Preflight, preflight

@@ -1,20 +1,13 @@
-"""The command `gyrofleet run-simulated`: units at rest, simulated in this process."""
+"""What `gyrofleet run-simulated` does: units at rest, simulated in this process."""
 
 import shlex
-import sys
 import time
-from pathlib import Path
-from typing import Any
 
-import click
-import msgspec
-
-from ingest.commands.run_options import INTERRUPTED, Destination, destination_options, left_behind
 from ingest.moment import moment_ns
 from ingest.run.live_run import LiveRun
-from ingest.run.run_path import RunPath, TroubleWatch, opened_spool, path_to, recorder_at
+from ingest.run.run_path import INTERRUPTED, Destination, RunPath, TroubleWatch, left_behind, opened_spool, path_to, recorder_at
 from ingest.run.run_state import RunParameters, read_run
-from stream.console import DEFAULT_STORE, Stop, notes, print_json, reporting, results, until_stopped
+from stream.console import DEFAULT_STORE, Stop, notes, print_json, results, until_stopped
 from stream.delivery.publisher import DurablePublisher
 from stream.identity import check_name
 from stream.worker.compile_kernels import compile_kernels
@@ -23,70 +16,36 @@ _REPORT_EVERY_S = 5.0
 _LOOK_EVERY_S = 0.2
 
 
-@click.command("run-simulated")
-@click.option("--run", "run_id", required=True, help="Id of the run; given again, the run resumes.")
-@click.option("--simulate", type=click.IntRange(1, 100_000), metavar="N", required=True, help="How many units.")
-@click.option("--hours", type=click.FloatRange(min=1e-4), default=1.0, show_default=True, help="Length of the run.")
-@click.option(
-    "--rate-hz", type=click.FloatRange(min=0.01, max=1e6), default=200.0, show_default=True, help="Rate samples."
-)
-@click.option(
-    "--batch", type=click.IntRange(1, 100_000), default=100, show_default=True, help="Rate samples in a message."
-)
-@click.option(
-    "--speed", type=click.FloatRange(min=0.0), default=1.0, show_default=True, help="Times real time; 0: unpaced."
-)
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulation.")
-@click.option("--start", help="First sample, as 2026-11-21T18:00:00+08:00; by default the run ends now.")
-@click.option("--procedure", help="What is done, as static_bias: the whole run is a step of it.")
-@click.option("--position", help="Attitude of the input axis, as IRA_east_west.")
-@click.option("--operator", help="Who is responsible.")
-@click.option("--lot", help="Production lot.")
-@click.option("--site", default="local", show_default=True, help="Site of the samples.")
-@click.option("--station", default="simulated", show_default=True, help="Name of the station in the data.")
-@destination_options
-@reporting
 def run_simulated(
-    run_id: str,
-    folder: Path,
-    connect: str | None,
-    spool_folder: Path | None,
-    spool_mb: int,
-    *,
-    is_ended: bool,
-    as_json: bool,
-    **given: Any,
-) -> None:
-    """Send samples of N units at rest that are simulated in this process, without a station.
+    run: str, parameters: RunParameters, destination: Destination, *, is_ended: bool, as_json: bool
+) -> int:
+    """Send the samples of simulated units, from where the run is; returns the exit code.
 
-    Where a `gyrofleet record` writes the store, it records them, else this process does. What no recorder has yet waits
-    in a spool on disk. Interrupted or killed, the run resumes under its id when the same command is given again.
+    Raises
+    ------
+    GyrofleetError: If it was started with other options, no recorder is reached, or recording fails.
     """
-    check_name("run", run_id)
-    parameters = msgspec.convert(given, RunParameters)
     check_name("site", parameters.site)
     check_name("station", parameters.station)
     if parameters.start is not None:
         moment_ns(parameters.start)  # what cannot be read is reported before anything is made
-    destination = Destination.chosen(run_id, folder, connect, spool_folder, spool_mb)
-    spool_folder = destination.spools if destination.is_given else destination.spools / run_id
+    spool_folder = destination.spools if destination.is_given else destination.spools / run
     is_remote = destination.connect is not None
-    known = read_run(spool_folder, run_id, parameters)
+    known = read_run(spool_folder, run, parameters)
     is_over = known is not None and known.phase == "ended"
     if not is_remote:
         compile_kernels(quiet=as_json)
     with (
         until_stopped() as stop,
         recorder_at(None if is_over else destination.connect) as elsewhere,
-        opened_spool(folder, spool_folder, destination.spool_bytes, is_remote=is_remote) as spool,
+        opened_spool(destination.folder, spool_folder, destination.spool_bytes, is_remote=is_remote) as spool,
     ):
-        live = LiveRun(run_id, parameters, spool)
+        live = LiveRun(run, parameters, spool)
         if live.is_over:
             _report(live, "ended", "nothing to do, all of it is recorded", as_json=as_json)
-            return
-        with path_to(folder, run_id, elsewhere, spool, units=live.units) as path:
-            code = _send(live, path, stop, _Watch(path.publisher, as_json=as_json), is_ended=is_ended)
-    sys.exit(code)
+            return 0
+        with path_to(destination.folder, run, elsewhere, spool, units=live.units) as path:
+            return _send(live, path, stop, _Watch(path.publisher, as_json=as_json), is_ended=is_ended)
 
 
 def _send(live: LiveRun, path: RunPath, stop: Stop, watch: "_Watch", *, is_ended: bool) -> int:

@@ -1,6 +1,7 @@
 """Where a run is sent: to a recorder in another process, or into a store that this process records."""
 
 import socket
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -10,8 +11,8 @@ from uuid import NAMESPACE_URL, uuid5
 from ingest.run.pipeline import EmbeddedPipeline
 from ingest.run.replaying import estimated_every_s
 from storage.recording.client import HeldClaim, RecorderClient
-from storage.store import Store
-from stream.console import notes
+from storage.store import Store, writer_endpoint
+from stream.console import Stop, notes
 from stream.delivery.publisher import DurablePublisher, Sender
 from stream.delivery.spool import Spool
 from stream.errors import BadInput, DeliveryError
@@ -19,8 +20,44 @@ from stream.events import AnyDocument
 from stream.transport.zenoh_bus import ZenohBus
 from stream.worker.estimated_signals import EstimatedSignals
 
+INTERRUPTED = 130  # exit code
+PATIENCE_S = 5.0
 _LONGEST_FOLDER_BYTES = 200
 _RECORDER_PATIENCE_S = 3.0
+
+
+class Destination(NamedTuple):
+    """Where a run goes.
+
+    Parameters
+    ----------
+    folder: The store.
+    connect: Where the recorder listens; None where this process records.
+    spools: Folder of the spools, or, where `is_given`, that of this run's.
+    spool_bytes: How much may wait in the spool.
+    """
+
+    folder: Path
+    connect: str | None
+    spools: Path
+    spool_bytes: int
+    is_given: bool
+
+    @classmethod
+    def chosen(
+        cls, run: str | None, folder: Path, connect: str | None, spool_folder: Path | None, spool_mb: int
+    ) -> "Destination":
+        """What the options say.
+
+        Raises
+        ------
+        BadInput: If the run's name is too long for a folder.
+        """
+        connect = connect or writer_endpoint(folder)
+        if spool_folder is None:
+            check_spool_name(run or "")
+        spools = spool_folder or spools_of(folder, is_remote=connect is not None)
+        return cls(folder, connect, spools, spool_mb << 20, spool_folder is not None)
 
 
 class Elsewhere(NamedTuple):
@@ -170,3 +207,26 @@ def _client(bus: ZenohBus, folder: Path, spool: Spool) -> RecorderClient | None:
         warning = "warning: no recorder answers yet; whether another source sends the same run is not known"
         notes().print(warning, soft_wrap=True, markup=False)
         return None
+
+
+def left_behind(path: RunPath, where: str, hint: str) -> str:
+    """Wait a little for the recorder; what waits in the spool, and how to resume."""
+    until = time.monotonic() + PATIENCE_S
+    path.publisher.drain(lambda: time.monotonic() > until)
+    left = path.publisher.outstanding
+    if left:
+        path.publisher.abandon()
+    else:
+        path.finish()
+    kept = f"{left} messages wait in {where}; " if left else ""
+    return f"{kept}give the same command {hint}, with --end to end it"
+
+
+def drain(path: RunPath, trouble: TroubleWatch, stop: Stop) -> None:
+    """Wait until all of it is recorded; after a request to stop, not for long."""
+
+    def is_given_up() -> bool:
+        trouble.look()
+        return stop.asked_at is not None and time.monotonic() > stop.asked_at + PATIENCE_S
+
+    path.publisher.drain(is_given_up)

@@ -8,8 +8,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from ingest.commands.run import run
-from ingest.commands.run_simulated import run_simulated
+from ingest.commands.run import run, run_simulated
 from ingest.simulator.station_files import write_station
 
 Refused = Callable[..., str]
