@@ -185,9 +185,7 @@ def run_simulated(
     check_name("run", run_id)
     parameters = msgspec.convert(given, RunParameters)
     destination = Destination.chosen(run_id, folder, connect, spool_folder, spool_mb)
-    sys.exit(
-        run_simulated.run_simulated(run_id, parameters, destination, is_ended=is_ended, as_json=as_json)
-    )
+    sys.exit(run_simulated.run_simulated(run_id, parameters, destination, is_ended=is_ended, as_json=as_json))
 
 
 def _parameter(text: str, procedure: str) -> tuple[str, str]:

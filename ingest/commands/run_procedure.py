@@ -3,7 +3,6 @@
 import datetime as dt
 import hashlib
 import shlex
-import string
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
@@ -17,14 +16,24 @@ import msgspec
 from ingest.instruments.base import Instrument
 from ingest.procedures.procedure import PlannedStep, Procedure, load_procedure
 from ingest.procedures.run_steps import goes_on_at
-from ingest.run.run_path import INTERRUPTED, Destination, RunPath, TroubleWatch, drain, left_behind, opened_spool, path_to, recorder_at
+from ingest.run.run_path import (
+    INTERRUPTED,
+    Destination,
+    RunPath,
+    TroubleWatch,
+    drain,
+    left_behind,
+    opened_spool,
+    path_to,
+    recorder_at,
+)
 from ingest.station.abilities import check_limits, check_station
 from ingest.station.operator_console import ConsoleOperator
 from ingest.station.preflight import Preflight, preflight
 from ingest.station.run import RunStopped, StationRun
 from ingest.station.run_limits import NO_LIMITS, LimitReport, RunLimits, run_limits
 from ingest.station.run_log import RunLog
-from ingest.station.run_state import StationRunState, check_same, read_station_run, unfinished_runs
+from ingest.station.run_state import StationRunState, check_same, fresh_id, left_run, other_unfinished, read_station_run
 from ingest.station.sources import StationSources
 from ingest.station.station import Station, load_station
 from ingest.station.units_file import UnitEntry, load_units, mounted_documents
@@ -80,7 +89,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
     job = _job(asked)
     with ExitStack() as stack:
         stack.enter_context(job.station.held())
-        left = asked.run or _left_run(destination.spools, job)
+        left = asked.run or left_run(destination.spools, job.procedure.name, job.serials)
         known = None if left is None else _known(destination.spools / left, job)
         if known is None and asked.is_ended:
             raise BadInput(
@@ -94,7 +103,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         if asked.is_check:
             _report_check(found._replace(warnings=(*found.warnings, *limits.remarks)), job, as_json=as_json)
             return 0
-        run = left or _fresh_id(destination.spools, job)
+        run = left or fresh_id(destination.spools, job.procedure.name, _today(job))
         if destination.connect is None:
             compile_kernels(quiet=as_json)
         stop = stack.enter_context(until_stopped())
@@ -134,7 +143,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
             warnings=(*found.warnings, *limits.remarks),
             limits=limits,
         )
-        for warning in _others(destination.spools, log, job.procedure):
+        for warning in other_unfinished(destination.spools, job.procedure.name, run):
             operator.report(warning)
         resumed = f"resumes at step {log.state.step + 1} after a gap of {log.gap_s:,.0f} s, " if log.is_resumed else ""
         report("running", f"{resumed}{path.where}")
@@ -238,33 +247,8 @@ def _make_safe(live: StationRun, instruments: Mapping[str, Instrument]) -> None:
         live.make_safe()
 
 
-def _others(spool: Path, log: RunLog, procedure: Procedure) -> list[str]:
-    """Runs of this procedure that were left unfinished with other units."""
-    return [
-        f"warning: run {state.run} of {', '.join(state.units[:4])}{' and others' if len(state.units) > 4 else ''} was "
-        f"left unfinished at step {state.step + 1}; give its --units to resume it, with --end to end it"
-        for state in unfinished_runs(spool)
-        if state.procedure == procedure.name and state.run != log.state.run
-    ]
-
-
-def _left_run(spools: Path, job: _Job) -> str | None:
-    """The run of this procedure and these units that is to be resumed; None where none was left."""
-    for state in unfinished_runs(spools):
-        if state.procedure == job.procedure.name and set(state.units) == set(job.serials):
-            return state.run
-    return None
-
-
-def _fresh_id(spools: Path, job: _Job) -> str:
-    """A run's id: the day, the procedure and a letter."""
-    procedure, letters = job.procedure.name, string.ascii_uppercase
-    day = dt.datetime.fromtimestamp(job.clock.now_ns() / 1e9, ZoneInfo(job.station.table.time_zone)).date()
-    for n in range(26 * 26):
-        name = f"{day}-{procedure}-{letters[n // 26 - 1] if n >= 26 else ''}{letters[n % 26]}"
-        if not any((spools / name).glob("*.json")):  # a run was begun there
-            return name
-    raise BadInput(f"there are {26 * 26} runs of {procedure} on {day}: give this one a name with --run")
+def _today(job: _Job) -> dt.date:
+    return dt.datetime.fromtimestamp(job.clock.now_ns() / 1e9, ZoneInfo(job.station.table.time_zone)).date()
 
 
 def _about(job: _Job, parameters: Mapping[str, str]) -> dict[str, str]:

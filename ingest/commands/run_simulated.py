@@ -5,7 +5,16 @@ import time
 
 from ingest.moment import moment_ns
 from ingest.run.live_run import LiveRun
-from ingest.run.run_path import INTERRUPTED, Destination, RunPath, TroubleWatch, left_behind, opened_spool, path_to, recorder_at
+from ingest.run.run_path import (
+    INTERRUPTED,
+    Destination,
+    RunPath,
+    TroubleWatch,
+    left_behind,
+    opened_spool,
+    path_to,
+    recorder_at,
+)
 from ingest.run.run_state import RunParameters, read_run
 from stream.console import DEFAULT_STORE, Stop, notes, print_json, results, until_stopped
 from stream.delivery.publisher import DurablePublisher

@@ -1,5 +1,8 @@
 """How far a procedure's run at a station is: one small file, there whole or not at all."""
 
+import datetime as dt
+import string
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -84,3 +87,32 @@ def unfinished_runs(spool: Path) -> list[StationRunState]:
     """Runs of procedures in a store's spool that have not ended, in the order of their start."""
     found = [read_station_run(path.parent) for path in sorted(spool.glob(f"*/{STATE_FILE}"))]
     return sorted((each for each in found if each is not None and each.phase != "ended"), key=lambda each: each.t0_ns)
+
+
+def left_run(spools: Path, procedure: str, units: tuple[str, ...]) -> str | None:
+    """The run of this procedure and these units that is to be resumed; None where there is none."""
+    for state in unfinished_runs(spools):
+        if state.procedure == procedure and set(state.units) == set(units):
+            return state.run
+    return None
+
+
+def other_unfinished(spools: Path, procedure: str, run: str) -> Iterator[str]:
+    """A warning for each run of this procedure that was left unfinished with other units."""
+    for state in unfinished_runs(spools):
+        if state.procedure == procedure and state.run != run:
+            units = f"{', '.join(state.units[:4])}{' and others' if len(state.units) > 4 else ''}"
+            yield (
+                f"warning: run {state.run} of {units} was left unfinished at step {state.step + 1}; give its --units to "
+                "resume it, with --end to end it"
+            )
+
+
+def fresh_id(spools: Path, procedure: str, day: dt.date) -> str:
+    """A run's id: the day, the procedure and a letter."""
+    letters = string.ascii_uppercase
+    for n in range(26 * 26):
+        name = f"{day}-{procedure}-{letters[n // 26 - 1] if n >= 26 else ''}{letters[n % 26]}"
+        if not any((spools / name).glob("*.json")):  # a run was begun there
+            return name
+    raise BadInput(f"there are {26 * 26} runs of {procedure} on {day}: give this one a name with --run")
