@@ -103,8 +103,8 @@ def other_unfinished(spools: Path, procedure: str, run: str) -> Iterator[str]:
         if state.procedure == procedure and state.run != run:
             units = f"{', '.join(state.units[:4])}{' and others' if len(state.units) > 4 else ''}"
             yield (
-                f"warning: run {state.run} of {units} was left unfinished at step {state.step + 1}; give its --units to "
-                "resume it, with --end to end it"
+                f"warning: run {state.run} of {units} was left unfinished at step {state.step + 1}; give its --units "
+                "to resume it, with --end to end it"
             )
 
 
