@@ -45,7 +45,7 @@ def limits() -> None:
     upper = 0.05                         # and, or lower
     unit_of_measure = "deg/h"
 
-    `gyrofleet run PROCEDURE` decides early on limits on bias_stability_averaged, allan_deviation and angle_random_walk.
+    Limits on bias_stability_averaged, allan_deviation and angle_random_walk are also judged while a run goes on.
     """  # noqa: D301  click's mark for lines that are not to be joined
 
 

@@ -101,7 +101,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
         found = _checked(stack, job, sources, destination, job.procedure.duration_s(None, asked.parameters))
         limits = _limits(asked, job, sources, destination.folder, None if known is None else known.t0_ns)
         if asked.is_check:
-            _report_check(found._replace(warnings=(*found.warnings, *limits.remarks)), job, as_json=as_json)
+            _report_check(found, limits, job, as_json=as_json)
             return 0
         run = left or fresh_id(destination.spools, job.procedure.name, _today(job))
         if destination.connect is None:
@@ -312,15 +312,15 @@ def _report(log: RunLog, steps: int, decisions: LimitReport, event: str, remark:
     )
 
 
-def _report_check(found: Preflight, job: _Job, *, as_json: bool) -> None:
+def _report_check(found: Preflight, limits: RunLimits, job: _Job, *, as_json: bool) -> None:
     """Report that a run could begin."""
     if as_json:
-        about = {"procedure": job.procedure.name, "steps": len(job.steps)}
-        print_json({"event": "checked", **about, "instruments": found.instruments, "warnings": list(found.warnings)})
+        about = {"procedure": job.procedure.name, "steps": len(job.steps), "instruments": found.instruments}
+        print_json({"event": "checked", **about, "warnings": list(found.warnings), "limits": list(limits.remarks)})
         return
     for name, identity in found.instruments.items():
         results().print(f"{name}: {identity}", soft_wrap=True, markup=False)
-    for remark in found.warnings:
+    for remark in limits.remarks:
         results().print(remark, soft_wrap=True, markup=False)
     could = f"{job.procedure.name} could begin: {len(job.steps)} steps; nothing was written"
     results().print(could, soft_wrap=True)
