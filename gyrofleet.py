@@ -97,7 +97,7 @@ def _add_commands() -> None:
     from ingest.commands.import_files import import_files
     from ingest.commands.procedure import procedure
     from ingest.commands.replay import replay
-    from ingest.commands.run import run
+    from ingest.commands.run import run, run_simulated
     from ingest.commands.simulate import simulate
     from storage.commands.estimate import estimate
     from storage.commands.lake import lake, rebuild, retain
@@ -106,7 +106,7 @@ def _add_commands() -> None:
     from storage.commands.verify import recover, verify
     from stream.completion import completion
 
-    main.add_section("Bring data in", demo, import_files, can, procedure, run, simulate, check)
+    main.add_section("Bring data in", demo, import_files, can, procedure, run, simulate, run_simulated, check)
     main.add_section("Record and estimate", record, router, estimate, replay)
     main.add_section("Ask", sql, allan, spectrum, metrics, trend, limits, verdicts)
     main.add_section("Close the loop", diagnose, model, compensate)

@@ -196,11 +196,22 @@ class Limit(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LimitsApplied(Document, frozen=True, kw_only=True, tag=True):
-    """Specification limits of the run; with its planned duration it can be decided early."""
+    """The limits that a run is judged by while it goes on; with the planned duration it can be decided early.
+
+    Parameters
+    ----------
+    revision: Specifications that the limits are of, such as ``FOG-70-B``.
+    limits: Limits that live estimators can judge.
+    planned_s: Planned duration of what is judged, seconds.
+    unit: Unit that they apply to; every unit of the run where it is left out.
+    since_ns: Start of the record that is judged, which lasts `planned_s`; the whole run where it is left out.
+    """
 
     revision: str
     limits: tuple[Limit, ...]
     planned_s: float | None = None
+    unit: str | None = None
+    since_ns: Moment | None = None
 
 
 class EstimatePoint(msgspec.Struct, frozen=True, kw_only=True):

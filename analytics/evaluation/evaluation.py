@@ -92,7 +92,7 @@ def unit_metrics(catalog: Catalog, told: Told | None = None) -> pa.Table:
     """
     steps = step_means(catalog, told)
     define_views(catalog, steps)
-    prints = _unit_fingerprints(steps, _entered(catalog), _products(catalog))
+    prints = _unit_fingerprints(steps, _entered(catalog), _products(catalog), _averaging_times(catalog, steps))
     table, known = kept_metrics(catalog.kept)
     fresh = {unit for unit, mark in known.items() if prints.get(unit) == mark}
     stale = sorted(prints.keys() - fresh)
@@ -235,6 +235,15 @@ def _products(catalog: Catalog) -> dict[str, str]:
         "select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from internal.run_products p group by unit"
     )
     return {str(unit): str(mark) for unit, mark in found}
+
+
+def _averaging_times(catalog: Catalog, steps: pa.Table) -> dict[str, str]:
+    """The averaging times of the Allan deviation that limits name, which are those of every unit's values."""
+    found = catalog.rows(
+        "select string_agg(distinct key, ';' order by key) from specification_parameters "
+        "where metric = 'allan_deviation'"
+    )
+    return {} if found[0][0] is None else dict.fromkeys(steps["unit"].unique().to_pylist(), str(found[0][0]))
 
 
 def _unit_fingerprints(steps: pa.Table, *parts: Mapping[str, str]) -> dict[str, str]:

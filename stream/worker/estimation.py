@@ -13,6 +13,7 @@ from stream.wire.batches import WireBatch, read_wire_batch
 from stream.wire.event_validation import decode_received
 from stream.worker.checkpoint import Checkpoint
 from stream.worker.estimated_signals import EstimatedSignals
+from stream.worker.limit_checks import VERDICT, unit_verdicts
 from stream.worker.pending_ends import PendingEnds, streams_of
 from stream.worker.signal_analysis import Documents, SignalAnalysis, new_estimators
 
@@ -70,7 +71,7 @@ class Estimation:
         self._publish = publish
         self._fill = fill
         self._signals: dict[tuple[str, str, str], SignalAnalysis] = {}
-        self._limits: dict[str, LimitsApplied] = {}
+        self._limits: dict[tuple[str, str | None], LimitsApplied] = {}
         self._compensated: dict[str, list[CompensationStarted]] = {}
         self._pending = PendingEnds()
         self.positions: dict[StreamId, int] = {}
@@ -104,7 +105,7 @@ class Estimation:
         """Resume from a checkpoint; an EstimatorError, and no change, if a snapshot in it is damaged."""
         analyses = [SignalAnalysis.from_state(state) for state in checkpoint.signals]
         self._signals = {(each.run, each.unit, each.signal): each for each in analyses}
-        self._limits = {limits.run: limits for limits in checkpoint.limits}
+        self._limits = {(limits.run, limits.unit): limits for limits in checkpoint.limits}
         self._compensated = {}
         for begun in checkpoint.compensated:
             self._compensated.setdefault(begun.run, []).append(begun)
@@ -123,7 +124,7 @@ class Estimation:
                 self._pending.pop(stream)
                 self.positions[stream] = message.seq + 1
                 if message.document.run not in self.ended:
-                    self._process(message.document)
+                    self._process(place, message.document)
 
     def _take_samples(self, key: str, parsed: SampleKey, batch: WireBatch) -> None:
         if batch.unit != parsed.unit or batch.signal != parsed.signal:
@@ -176,7 +177,7 @@ class Estimation:
             return
         self.positions[stream] = message.seq + 1
         if isinstance(parsed, EventKey) and message.document.run not in self.ended:
-            self._process(message.document)
+            self._process(parsed.place, message.document)
 
     def _must_wait(self, place: Place, message: EventMessage) -> bool:
         """Whether it is the end of a run whose last samples have not come yet."""
@@ -200,21 +201,25 @@ class Estimation:
         # with a log a stream begins at 0; without, it may be joined in its middle
         return self.positions.get(stream, first if self._fill is None else 0)
 
-    def _process(self, document: AnyDocument) -> None:
+    def _process(self, place: Place, document: AnyDocument) -> None:
         if isinstance(document, LimitsApplied):
-            self._limits[document.run] = document
+            self._limits[document.run, document.unit] = document
             self._forget_not_estimated(document.run)  # the limits may be on one of them
             for analysis in self._signals.values():
-                if analysis.run == document.run:
+                if analysis.run == document.run and document.unit in {None, analysis.unit}:
                     analysis.apply_limits(document)
         elif isinstance(document, CompensationStarted):
             self._compensated.setdefault(document.run, []).append(document)
         elif isinstance(document, RunEnded):
             self._compensated.pop(document.run, None)
-            for name in [each for each in self._signals if each[0] == document.run]:
-                analysis = self._signals.pop(name)
+            finished = [self._signals.pop(name) for name in [each for each in self._signals if each[0] == document.run]]
+            for analysis in finished:
                 self._publish_all(analysis, analysis.finish())
-            self._limits.pop(document.run, None)
+            applied = [self._limits.pop(each) for each in [each for each in self._limits if each[0] == document.run]]
+            final = [estimate for analysis in finished for estimate in analysis.judged]
+            for verdict in unit_verdicts(document, applied, final):
+                signal = verdict.checks[0].limit.signal
+                self._publish(estimate_key(place, verdict.unit, signal, VERDICT), verdict)
             self._forget_not_estimated(document.run)
 
     def _forget_not_estimated(self, run: str) -> None:
@@ -223,14 +228,14 @@ class Estimation:
     def _begin(self, place: Place, name: tuple[str, str, str], unit_of_measure: str) -> SignalAnalysis | None:
         """Start the analysis of a signal; None where it is not estimated."""
         run, unit, signal = name
-        limits = self._limits[run].limits if run in self._limits else ()
-        is_limited = any(limit.signal == signal for limit in limits)
+        limits = self._limits.get((run, unit)) or self._limits.get((run, None))
+        is_limited = limits is not None and any(limit.signal == signal for limit in limits.limits)
         if not is_limited and not self._estimated.includes(signal, unit_of_measure):
             return None
         analysis = SignalAnalysis(place, (unit, signal, run), self._every_ns, self._new_estimators())
         self._signals[name] = analysis
-        if run in self._limits:
-            analysis.apply_limits(self._limits[run])
+        if limits is not None:
+            analysis.apply_limits(limits)
         return analysis
 
     def _publish_all(self, analysis: SignalAnalysis, documents: Documents) -> None:

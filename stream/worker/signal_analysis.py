@@ -46,6 +46,10 @@ class SignalAnalysis:
     Documents are due whenever the signal's own time passes a multiple of the interval, counted from its first sample,
     and when its run ends. Their content and times are a function of the samples alone, not of the batches in which they
     came, nor of when they came. `name` is unit, signal and run.
+
+    Attributes
+    ----------
+    judged: Once it is finished: the final estimates that limits are compared with.
     """
 
     def __init__(
@@ -60,6 +64,7 @@ class SignalAnalysis:
         self._refusal: str | None = None
         self._first_ns: int | None = None
         self._last_ns = 0
+        self.judged: tuple[EstimatePublished, ...] = ()
 
     def apply_limits(self, limits: LimitsApplied) -> None:
         """Decide early on those limits of the run that are on this signal."""
@@ -109,6 +114,15 @@ class SignalAnalysis:
         # to the end of the last sample's interval, where a test of its planned length is finished
         interval_s = max((estimator.sample_interval_s for estimator in self._estimators), default=0.0)
         elapsed_s = (self._last_ns - (self._first_ns or 0)) / 1e9 + interval_s
+        if (since_ns := self._decisions.since_ns) is not None:
+            elapsed_s = max(0.0, (self._last_ns - since_ns) / 1e9 + interval_s)
+            points = {each.key: self._estimate(each, final=final) for each in self._decisions.estimators}
+        if final:
+            exact = self._decisions.exact_points()
+            self.judged = tuple(
+                msgspec.structs.replace(each, points=(*exact, *each.points)) if key == AllanDeviation.key else each
+                for key, each in points.items()
+            )
         for number, decision in enumerate(self._decisions.look(elapsed_s, points)):
             found.append((EARLY_DECISION, decision.document(self._head(f"decision-{number}", final=final))))
         return found

@@ -10,13 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from analytics.specifications.entering import (
-    add_specification,
-    settle_chain,
-    stored_specifications,
-    withdraw_specification,
-)
-from analytics.specifications.periods import EVER, NEVER, editions_of, in_force
+from analytics.specifications.entering import add_specification, settle_chain, withdraw_specification
 from analytics.specifications.verdicts import rows_of, verdicts_of
 from storage.check.recover import recover
 from storage.check.verify import verify
@@ -27,6 +21,7 @@ from storage.log.store_documents import signed_specification
 from storage.recording.recorder import Recorder
 from storage.segments.records import EVENTS, LogRecord
 from storage.specifications.chain import Chain, append_document, chain_of, hash_of, read_chain
+from storage.specifications.validity import EVER, NEVER, editions_of, in_force, stored_specifications
 from storage.sql.catalog import Catalog
 from storage.store import Store, WriterLock
 from stream.errors import BadInput, NotFound

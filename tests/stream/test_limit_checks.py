@@ -1,42 +1,16 @@
-"""Limits: the table's border, how a curve is read, and what a check says."""
+"""A limit compared with live estimates: how a curve is read, what a check says, and the verdict of a unit."""
 
 import math
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analytics.curves.limits import (
-    demo_limits,
-    estimator_key,
-    judge,
-    judge_unit,
-    parse_limits,
-    read_curve,
-    read_limits,
-    unit_verdict,
-)
-from ingest.simulator.demo_fleet import demo_fleet
-from ingest.simulator.physics.plan import Plan
-from ingest.simulator.station import PowerCycle, SimulatedStation
-from stream.errors import BadInput
-from stream.estimators.allan_variance import AllanDeviation
-from stream.estimators.bias_stability import BiasStability
-from stream.events import Check, EstimatePoint, EstimatePublished, Limit, Verdict
+from stream.events import Check, EstimatePoint, EstimatePublished, Limit, LimitsApplied, RunEnded, Verdict, VerdictGiven
+from stream.worker.limit_checks import judge, read_curve, unit_verdict, unit_verdicts
 
-HOURS = 6
 STABILITY = Limit(characteristic="bias_stability", signal="rate", tau_s=10.0, upper=1.0, unit_of_measure="deg/h")
 WALK = Limit(characteristic="angle_random_walk", signal="rate", tau_s=None, upper=0.03, unit_of_measure="deg/sqrt(h)")
-GOOD = """
-revision = "A"
-[[limit]]
-characteristic = "bias_stability"
-signal = "rate"
-tau_s = 10.0
-upper = 0.5
-unit_of_measure = "deg/h"
-"""
 
 
 def point(tau_s: float, value: float, lo: float | None = None, hi: float | None = None) -> EstimatePoint:
@@ -168,82 +142,34 @@ def test_the_worst_check_is_the_units_verdict() -> None:
     assert unit_verdict(checks(Verdict.FAIL), aborted=True) is Verdict.ABORTED
 
 
+def verdicts(*applied: LimitsApplied, outcome: str = "completed") -> dict[str, VerdictGiven]:
+    """Verdicts of two units of run r1: FOG-1 has a bias stability of 0.1, FOG-2 of 9."""
+    final = [published(point(10.0, 0.1), unit="FOG-1"), published(point(10.0, 9.0), unit="FOG-2", t_ns=9)]
+    ended = RunEnded(run="r1", t_ns=5, uid="e", outcome=outcome)
+    return {each.unit: each for each in unit_verdicts(ended, applied, final)}
+
+
+def limits(unit: str | None = None, upper: float = 0.5) -> LimitsApplied:
+    limit = Limit(characteristic="bias_stability", signal="rate", tau_s=10.0, upper=upper, unit_of_measure="deg/h")
+    return LimitsApplied(run="r1", t_ns=0, revision="A", limits=(limit,), unit=unit)
+
+
 def test_a_unit_is_judged_by_its_own_estimates() -> None:
-    table = parse_limits(GOOD, "x.toml")
-    estimates = [published(point(10.0, 0.1), unit="FOG-1"), published(point(10.0, 9.0), unit="FOG-2", t_ns=9)]
-    given_1 = judge_unit(table, estimates, run="r1", unit="FOG-1", t_ns=5)
-    assert (given_1.verdict, given_1.t_ns, len(given_1.checks)) == (Verdict.PASS, 5, 1)
-    assert judge_unit(table, estimates, run="r1", unit="FOG-2", t_ns=5).verdict is Verdict.FAIL
-    assert judge_unit(table, estimates, run="r2", unit="FOG-2", t_ns=5).verdict is Verdict.NO_DATA
+    found = verdicts(limits())
+    assert (found["FOG-1"].verdict, found["FOG-1"].t_ns, len(found["FOG-1"].checks)) == (Verdict.PASS, 5, 1)
+    assert found["FOG-2"].verdict is Verdict.FAIL
+    assert verdicts(limits("FOG-3"))["FOG-3"].verdict is Verdict.NO_DATA
+    assert verdicts(limits()) == found  # the same documents again, with the same identities
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ('"bias_stability"', '"bias_stabilty"', r"x\.toml: Invalid enum value 'bias_stabilty' - at `\$\.limit\[0\]"),
-        ("upper = 0.5", "upper = -1", r"Expected `float` > 0.0 - at `\$\.limit\[0\]\.upper`"),
-        ("upper = 0.5", "upper = inf", r"\$\.limit\[0\] \(bias_stability\): upper and tau_s are finite"),
-        ("upper = 0.5", "uper = 0.5", r"unknown field `uper` - at `\$\.limit\[0\]`"),
-        ("tau_s = 10.0", "", r"\$\.limit\[0\] \(bias_stability\): tau_s is missing"),
-        ('"deg/h"', '"degg/h"', "unit of measure 'degg/h' is not known"),
-        ('"deg/h"', '"degC"', "'degC' is no angular rate"),
-        ('revision = "A"', "", "missing required field `revision`"),
-        ('"bias_stability"', '"angle_random_walk"', r"unit_of_measure is 'deg/sqrt\(h\)', not 'deg/h'"),
-        ("[[limit]]", "[[limit", "x.toml: "),
-    ],
-)
-def test_a_wrong_table_is_refused_with_the_place(old: str, new: str, message: str) -> None:
-    with pytest.raises(BadInput, match=message):
-        parse_limits(GOOD.replace(old, new), "x.toml")
+def test_limits_on_a_unit_take_the_place_of_those_on_the_run() -> None:
+    found = verdicts(limits(), limits("FOG-2", upper=10.0))
+    assert {unit: each.verdict for unit, each in found.items()} == {"FOG-1": Verdict.PASS, "FOG-2": Verdict.PASS}
 
 
-def test_angle_random_walk_takes_no_tau_but_one_second() -> None:
-    text = GOOD.replace("bias_stability", "angle_random_walk").replace("deg/h", "deg/sqrt(h)")
-    with pytest.raises(BadInput, match="it is read at 1 s; leave tau_s out"):
-        parse_limits(text, "x.toml")
-    assert parse_limits(text.replace("tau_s = 10.0", ""), "x.toml").limits[0].tau_s is None
+def test_an_aborted_run_passes_and_fails_no_unit() -> None:
+    assert {each.verdict for each in verdicts(limits(), outcome="aborted").values()} == {Verdict.ABORTED}
 
 
-def test_limits_are_read_from_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "limits.toml"
-    with pytest.raises(BadInput, match=r"limits\.toml: cannot be read \(No such file"):
-        read_limits(path)
-    path.write_text(GOOD, encoding="utf-8")
-    assert read_limits(path).applied("r1", 7).limits == read_limits(path).limits
-    path.write_bytes(b"\xff\xfe")
-    with pytest.raises(BadInput, match=r"limits\.toml: "):
-        read_limits(path)
-
-
-def simulated_estimates(unit: str) -> list[EstimatePublished]:
-    estimators = [AllanDeviation(), BiasStability(10.0), BiasStability(100.0)]
-    alone = Plan(1, {unit: demo_fleet(1).parameters[unit]})
-    station = SimulatedStation(alone, "r1", batch=100_000, temperature_batch=60)
-    for batch in station.batches("r1", PowerCycle(0, 0), round(HOURS * 3600e9)):
-        for estimator in estimators:
-            if batch.signal == "rate":
-                estimator.update(batch)
-    estimates = []
-    for estimator in estimators:
-        points = estimator.estimate()
-        assert isinstance(points, tuple)
-        estimates.append(published(*points, estimator=estimator.key, unit=unit))
-    return estimates
-
-
-def test_the_demo_fleet_is_judged_as_planted() -> None:
-    table = demo_limits()
-    assert [estimator_key(limit) for limit in table.limits] == [
-        "allan_deviation",
-        "allan_deviation",
-        "bias_stability_10s",
-        "bias_stability_100s",
-    ]
-    verdicts = {
-        unit: judge_unit(table, simulated_estimates(unit), run="r1", unit=unit, t_ns=0) for unit in demo_fleet(1).units
-    }
-    marginal, worse, drifting = (verdicts.pop(unit) for unit in ("FOG-0238", "FOG-0234", "FOG-0236"))
-    assert {unit: given.verdict for unit, given in verdicts.items()} == dict.fromkeys(verdicts, Verdict.PASS)
-    assert [check.verdict for check in worse.checks[:3]] == [Verdict.FAIL] * 3
-    assert [check.verdict for check in drifting.checks] == [*[Verdict.PASS] * 3, Verdict.FAIL]
-    assert [check.verdict for check in marginal.checks] == [Verdict.PASS, Verdict.MARGINAL, Verdict.PASS, Verdict.PASS]
+def test_without_limits_there_is_no_verdict() -> None:
+    assert verdicts() == verdicts(LimitsApplied(run="r1", t_ns=0, revision="A", limits=(), unit="FOG-1")) == {}
