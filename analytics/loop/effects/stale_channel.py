@@ -1,13 +1,13 @@
 """Auxiliary channels that freeze or drop out, so that the model goes on with a reading that is no longer true."""
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
-from analytics.loop.effects.base import Effect, Role, Shape
+from analytics.loop.effects.base import Effect, Role, Series, Shape
 from stream.batch import FloatArray
 
 Mask = npt.NDArray[np.bool_]
@@ -62,16 +62,14 @@ class _StaleChannel(Effect):
             error[is_frozen] = channel.mean[is_frozen] - self._truth(run, is_frozen)
         return error[:, None]
 
-    def recorded(self, time_s: FloatArray, channels: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
+    def recorded(self, time_s: FloatArray, channels: Series) -> Series:
         held = channels[self.needs[0]].copy()
         for hang in _HANGS_FROM_TO:
             first, end = np.searchsorted(time_s, np.quantile(time_s, hang))
             held[first:end] = held[first]
         return {**channels, self.needs[0]: held}
 
-    def simulate(
-        self, time_s: FloatArray, channels: Mapping[str, FloatArray], coefficients: Sequence[float], shape: Shape
-    ) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         return coefficients[0] * (self.recorded(time_s, channels)[self.needs[0]] - channels[self.needs[0]])
 
 

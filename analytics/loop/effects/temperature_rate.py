@@ -1,12 +1,11 @@
 """Shupe effect: bias from a temperature that changes with time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Shape, ShapeParameter
-from analytics.loop.effects.shape_values import positive
+from analytics.loop.effects.base import Effect, Series, Shape, ShapeParameter, positive
 from analytics.loop.effects.time_kernels import lagged, slope_per_s
 from stream.batch import FloatArray
 
@@ -32,9 +31,7 @@ class TemperatureRate(Effect):
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         return slope_per_s(run, "temperature")[:, None]
 
-    def simulate(
-        self, time_s: FloatArray, channels: Mapping[str, FloatArray], coefficients: Sequence[float], shape: Shape
-    ) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         return coefficients[0] * np.gradient(channels["temperature"], time_s)
 
 
@@ -63,9 +60,7 @@ class CaseTemperatureRate(Effect):
         conducted = lagged(run, "case_temperature", positive(shape, "time_constant"))
         return slope_per_s(run, "case_temperature", conducted)[:, None]
 
-    def simulate(
-        self, time_s: FloatArray, channels: Mapping[str, FloatArray], coefficients: Sequence[float], shape: Shape
-    ) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         case, time_constant_s = channels["case_temperature"], positive(shape, "time_constant")
         coil = case[0]
         error = np.empty(time_s.size)

@@ -1,11 +1,11 @@
 """A bias of its own after each power-on: what runs differ by where nothing recorded says why."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Kind, Shape
+from analytics.loop.effects.base import Effect, Kind, Series, Shape
 from stream.batch import FloatArray
 
 TURN_ON = "turn_on"
@@ -28,14 +28,8 @@ class TurnOnScatter(Effect):
     separating_test = "power on six times or more with temperature, position and supply held"
     separating_test_zh = "保持温度、位置和供电不变，重复上电六次以上"
 
-    @classmethod
-    def instances(cls) -> Sequence[Effect]:
-        return ()
-
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         return np.ones((len(run), 1))
 
-    def simulate(
-        self, time_s: FloatArray, channels: Mapping[str, FloatArray], coefficients: Sequence[float], shape: Shape
-    ) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         return np.full(time_s.size, float(coefficients[0]))

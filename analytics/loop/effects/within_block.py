@@ -1,12 +1,17 @@
-"""Means over a block of functions that are not smooth, from mean and spread of the channel within the block.
+"""Means over a block of functions of a channel, from its mean and spread, or its phasors, within the block.
 
 The readings within a block are taken as normally distributed; where the channel rests, the functions are plain.
 """
 
 import numpy as np
+import numpy.typing as npt
 
-from analytics.loop.blocks.run_blocks import Channel
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from stream.batch import FloatArray
+from stream.errors import BadInput, UnknownUnit
+from stream.quantities import conversion
+
+Phasor = npt.NDArray[np.complex128]
 
 _LEAST_SPREAD = 1e-12
 
@@ -72,3 +77,38 @@ def _below(z: FloatArray) -> FloatArray:
 def _density(z: FloatArray) -> FloatArray:
     clipped = np.clip(z, -40.0, 40.0)
     return np.asarray(np.exp(-0.5 * clipped**2) / np.sqrt(2.0 * np.pi))
+
+
+def radians_per_unit(channel: Channel) -> float:
+    """Factor from the unit of an angle to radians.
+
+    Raises
+    ------
+    BadInput: If the unit is that of no angle, such as counts of an encoder.
+
+    Examples
+    --------
+    >>> round(radians_per_unit(Channel(np.zeros(1), np.zeros(1), "deg")) * 180, 9)
+    3.141592654
+    """
+    try:
+        factor, _ = conversion(channel.unit_of_measure, "rad")
+    except UnknownUnit as error:
+        raise BadInput(f"an angle is needed in deg or rad, not in {channel.unit_of_measure}: convert it") from error
+    if channel.unit_of_measure in {"count", "LSB", "1"}:
+        raise BadInput(f"an angle is needed in deg or rad, not in {channel.unit_of_measure}: give it a scale")
+    return factor
+
+
+def phasor(run: RunBlocks, channel: str, harmonic: int) -> Phasor:
+    """Mean of exp(1j*harmonic*angle) in each block.
+
+    Where the channel comes without means of its own, it is taken to have moved evenly within the block, as far as its
+    spread says.
+    """
+    angle = run.channels[channel]
+    if angle.phasors is not None and harmonic <= len(angle.phasors):
+        return np.asarray(angle.phasors[harmonic - 1], np.complex128)
+    factor = harmonic * radians_per_unit(angle)
+    swept = factor * np.sqrt(12.0) * angle.spread
+    return np.asarray(np.exp(1j * factor * angle.mean) * np.sinc(swept / (2.0 * np.pi)), np.complex128)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from analytics.loop.blocks.run_blocks import STANDARD_CHANNELS
 from analytics.loop.effects.base import Kind
-from analytics.loop.effects.channel_linear import PREFIX
+from analytics.loop.effects.named_channels import PREFIX
 from analytics.loop.effects.registry import effect, effects
 from stream.errors import BadInput
 
