@@ -14,8 +14,8 @@ EFFECTS = (
         zh="长期老化",
         powers={"day": 1},
         per="day",
-        cause="Source power, adhesive and getter age over days to years, on the shelf and in use. The bias moves from "
-        "run to run in one direction.",
+        cause="Source power, adhesive and getter age over days to years, on the shelf and in use. The bias shifts "
+        "from run to run in one direction.",
         cause_zh="光源功率、胶粘剂和吸气剂在存放与使用中逐日老化。零偏在各次测试之间朝一个方向移动。",
         reference="IEEE 952-2020, bias stability over time; GJB 2426A-2004, long-term repeatability",
         aliases=("drift_in_run",),
@@ -34,13 +34,13 @@ class DriftInRun(Effect):
     needs = ()
     per = "h"
     cause = (
-        "Something relaxes in the same direction in each run, such as outgassing or stress after mounting. Over hours "
-        "it looks like a rate ramp."
+        "A relaxation such as outgassing or the decay of mounting stress proceeds in the same direction in each run. "
+        "Over hours it appears as a rate ramp."
     )
     cause_zh = "每次测试中某些因素（放气、装夹应力等）沿同一方向松弛。数小时内表现为速率斜坡。"
     reference = "IEEE 952-2020, rate ramp; IEEE 528-2019"
     aliases = ("warm_up", "temperature", "ageing")
-    separating_test = "long static run at constant temperature, begun at different times after power-on"
+    separating_test = "long static run at constant temperature, started at different times after power-on"
     separating_test_zh = "恒温长时间静态测试，并在通电后不同时间开始"
 
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:

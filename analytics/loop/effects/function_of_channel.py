@@ -18,23 +18,23 @@ _DEGREE = 3
 class FunctionOfChannel(Effect):
     """Any smooth function of one channel, up to a constant; named ``function_of_CHANNEL``.
 
-    The columns are cubic B-splines but the first, which the bias stands for. Beyond the knots the function stays at
-    its value there.
+    The columns are cubic B-splines except the first, which the bias replaces. Beyond the knots the function is
+    constant.
 
     Parameters
     ----------
     channel: Standard channel.
-    parts: Where the knots lie, in parts of the channel's range over all runs.
+    parts: Positions of the knots as fractions of the channel's range over all runs.
     """
 
     kind = Kind.FUNCTION
     cause = (
-        "The error follows this channel along a curve that no named effect has. What makes it, the record does not "
-        "tell; the curve does tell where to look."
+        "The error is a function of this channel that no named effect describes. The record does not show the cause, "
+        "but the curve shows the range to examine."
     )
     cause_zh = "误差沿某一曲线随该通道变化，与已命名的效应均不符。记录无法说明成因，但曲线指出了应查的范围。"
     reference = "de Boor, A Practical Guide to Splines, Springer 1978"
-    separating_test = "step this channel finely over its range, both ways, with all others held"
+    separating_test = "step this channel finely over its range in both directions, with all others held constant"
     separating_test_zh = "保持其他条件不变，在该通道全范围内双向细分步进"
 
     def __init__(self, channel: str, parts: tuple[float, ...]) -> None:
@@ -52,7 +52,7 @@ class FunctionOfChannel(Effect):
             return []
         low, high = found
         knots = [float(f"{low + part * (high - low):.6g}") for part in self.parts]
-        if len(set(knots)) < len(knots):  # it moves by less than the digits of its knots
+        if len(set(knots)) < len(knots):  # the range is below the resolution of the knots
             return []
         return [{_KNOTS: knots}]
 
@@ -79,7 +79,7 @@ EFFECTS = (
 
 
 class FunctionOfInputRate(Effect):
-    """Any function of the input rate that is zero at the knot nearest zero; beyond the knots it stays level."""
+    """Any piecewise linear function of the input rate, zero at the knot nearest zero and constant beyond the knots."""
 
     name = "function_of_input_rate"
     en = "function of input rate"
@@ -88,8 +88,8 @@ class FunctionOfInputRate(Effect):
     kind = Kind.FUNCTION
     parameters = (ShapeParameter(_KNOTS, "{input_rate}", (), "knots", "节点"),)
     cause = (
-        "The error follows the rate along a curve that no named effect has, such as steps of a converter. The curve "
-        "tells at which rates to look."
+        "The error is a function of the rate that no named effect describes, such as the steps of a converter. The "
+        "curve shows which rates to examine."
     )
     cause_zh = "误差沿某一曲线随角速率变化，与已命名的效应均不符，例如转换器的台阶。曲线指出了应查的角速率。"
     reference = "IEEE 952-2020, scale-factor nonlinearity; GJB 2426A-2004 5.8"
@@ -111,23 +111,23 @@ class FunctionOfInputRate(Effect):
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         knots, rate = numbers(shape, _KNOTS), run.channels["input_rate"]
         excess = np.stack([mean_excess(rate, float(knot)) for knot in knots], axis=1)
-        # a hat over a knot climbs from the knot before it and falls to the knot after it
-        climbed = -np.diff(excess, axis=1) / np.diff(knots)
+        # the hat function of a knot rises from the knot before it and falls to the knot after it
+        risen = -np.diff(excess, axis=1) / np.diff(knots)
         ones = np.where(np.isfinite(rate.mean), 1.0, np.nan)[:, None]
-        hats = np.hstack([ones, climbed]) - np.hstack([climbed, 0.0 * ones])
+        hats = np.hstack([ones, risen]) - np.hstack([risen, 0.0 * ones])
         return np.delete(hats, np.argmin(np.abs(knots)), axis=1)
 
     def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         knots = numbers(shape, _KNOTS)
         heights = np.insert(np.asarray(coefficients, np.float64), int(np.argmin(np.abs(knots))), 0.0)
         slopes = np.diff(heights) / np.diff(knots)
-        # the height at the first knot, and then each piece as far as the rate goes into it
-        climbed = np.clip(channels["input_rate"][:, None] - knots[:-1], 0.0, np.diff(knots))
-        return np.asarray(heights[0] + climbed @ slopes)
+        # the height at the first knot, then each piece up to the rate
+        risen = np.clip(channels["input_rate"][:, None] - knots[:-1], 0.0, np.diff(knots))
+        return np.asarray(heights[0] + risen @ slopes)
 
 
 class FunctionOfPosition(Effect):
-    """A constant for each position but the first, which the bias stands for; positions are told apart by number."""
+    """One offset per position relative to the first; positions are identified by number."""
 
     name = "function_of_position"
     en = "bias by position"
@@ -136,14 +136,15 @@ class FunctionOfPosition(Effect):
     kind = Kind.FUNCTION
     parameters = (ShapeParameter(_POSITIONS, "1", (), "positions", "位置"),)
     cause = (
-        "Each position has a bias of its own: gravity along the axes, the earth's rate or field, or what mounting and "
-        "powering anew leave behind. Positions that were mounted once each do not tell these from one another."
+        "Each position has its own bias: gravity along the axes, earth rate or magnetic field, or the effect of "
+        "remounting and of a new power-on. If each position was mounted only once, these causes cannot be "
+        "distinguished."
     )
     cause_zh = "每个位置各有零偏：各轴重力、地速或地磁场，或重新安装、通电所致。各位置只安装一次时无法区分这些原因。"
     reference = "HIT 2012 (2)-(9); IEEE 517-1974, multi-position tests; IEEE 952-2020, bias repeatability"
     aliases = ("gravity_i", "gravity_o", "gravity_s", "gravity_o_squared", "gravity_s_squared")
     separating_test = (
-        "mount every position anew at least three times, with a power-on each, and add the opposite ones: gravity "
+        "remount every position at least three times, with a power-on each, and add the opposite positions: gravity "
         "repeats and changes its sign, its square repeats, mounting and turn-on do not repeat"
     )
     separating_test_zh = (

@@ -9,8 +9,8 @@ _LINEAR = {
     "i": (
         "gravity_i_squared",
         (
-            "Gravity along the input axis loads the suspension or the coil and shifts the bias. The vertical part of "
-            "the earth's rate, if it is not taken off rightly, follows the same cosine."
+            "Gravity along the input axis loads the suspension or the coil and shifts the bias. An error in the "
+            "compensation of the vertical earth rate follows the same cosine."
         ),
         "沿输入轴的重力使支承或光纤环受力，零偏移动。地速垂直分量补偿不准时也呈同样的余弦规律。",
     ),
@@ -25,8 +25,8 @@ _LINEAR = {
     "s": (
         "gravity_product_is",
         (
-            "Mass unbalance of the sensing part along the spin axis turns gravity into a torque. The bias shifts with "
-            "the sine of the tilt."
+            "Mass unbalance of the sensing element along the spin axis turns gravity into a torque. The bias shifts "
+            "with the sine of the tilt."
         ),
         "敏感部件沿自转轴的质量不平衡把重力变为力矩。零偏随倾角正弦变化。",
     ),
@@ -35,21 +35,21 @@ _LINEAR = {
 _PRODUCTS = {
     "io": (
         (
-            "Load along one axis displaces the sensing part, and load along the other turns that displacement into a "
-            "torque."
+            "Load along one axis displaces the sensing element, and load along the other turns that displacement into "
+            "a torque."
         ),
         "一轴载荷使敏感部件位移，另一轴载荷把该位移变为力矩。",
     ),
     "is": (
         (
-            "Anisoelasticity: the sensing part gives way differently along input and spin axis, and gravity acts on "
-            "the offset."
+            "Anisoelasticity: the compliance of the sensing element differs between input and spin axis, and gravity "
+            "acts on the resulting displacement."
         ),
         "不等弹性：敏感部件沿输入轴与自转轴的柔度不同，重力作用于由此产生的偏移。",
     ),
     "os": (
         (
-            "Load along the output axis displaces the sensing part, and load along the spin axis turns that "
+            "Load along the output axis displaces the sensing element, and load along the spin axis turns that "
             "displacement into a torque."
         ),
         "输出轴载荷使敏感部件位移，自转轴载荷把该位移变为力矩。",
@@ -69,7 +69,7 @@ def _linear(axis: Axis) -> Monomial:
         cause_zh=cause_zh,
         reference="IEEE 1431-2004, acceleration sensitivity; IEEE 517-1974, mass unbalance; GJB 2426A-2004",
         aliases=(alias, "heading"),
-        separating_test="tumble in 12 positions at two headings",
+        separating_test="12-position tumble test at two headings",
         separating_test_zh="两个方位下的十二位置翻滚试验",
     )
 
@@ -80,13 +80,13 @@ def _squared(axis: Axis) -> Monomial:
         en=f"gravity squared, {axis.en}",
         zh=f"{axis.zh}重力平方项",
         powers={f"gravity_{axis.key}": 2},
-        cause=f"The sensing part gives way under load along the {axis.en}, and the load acts on what has given way. "
-        "Both signs of gravity shift the bias alike.",
+        cause=f"The sensing element deflects under load along the {axis.en}, and the load acts on that deflection. "
+        "Gravity of either sign shifts the bias in the same direction.",
         cause_zh=f"敏感部件沿{axis.zh}受载变形，载荷又作用在变形上。重力正反向引起的零偏变化同号。",
         reference="IEEE 1431-2004, acceleration-squared sensitivity; IEEE 517-1974, compliance (anisoelastic) terms",
         aliases=tuple(f"gravity_{other.key}_squared" for other in AXES if other != axis),
-        separating_test="tumble in 12 positions, and again under centrifuge load so that the squares do not add up to "
-        "one",
+        separating_test="12-position tumble test, repeated under centrifuge load so that the sum of the squares is "
+        "not constant",
         separating_test_zh="十二位置翻滚试验，并在离心机上加载，使三个平方之和不恒为一",
     )
 
@@ -99,11 +99,11 @@ def _product(one: Axis, other: Axis) -> Monomial:
         en=f"gravity product, {pair}",
         zh=f"{one.zh}与{other.zh}重力乘积项",
         powers=dict.fromkeys(channels, 1),
-        cause=f"{cause} It is greatest at 45 deg between both axes.",
+        cause=f"{cause} The effect is greatest at 45 deg between the two axes.",
         cause_zh=f"{cause_zh}两轴成45度时最大。",
         reference="IEEE 517-1974, compliance (anisoelastic) terms; IEEE 1431-2004, acceleration-squared sensitivity",
         aliases=channels,
-        separating_test=f"tumble with positions at 45 deg between {pair}, in all four quadrants",
+        separating_test=f"tumble test with positions at 45 deg between {pair}, in all four quadrants",
         separating_test_zh=f"翻滚试验中增加{one.zh}与{other.zh}间四个象限的45度位置",
     )
 

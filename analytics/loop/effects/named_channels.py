@@ -31,11 +31,10 @@ def channel_linear(channel: str) -> Monomial:
         en=f"proportional to {en}",
         zh=f"与{zh}成比例",
         powers={channel: 1},
-        cause="The signal follows this recorded channel in proportion. What physics stands behind it the library does "
-        "not know.",
+        cause="The signal is proportional to this recorded channel. The physical mechanism is not in the library.",
         cause_zh="信号与该记录通道成比例变化。其物理机理不在效应库之内。",
         reference="IEEE 952-2020, environmental sensitivities",
-        separating_test="step this channel alone, several times, with all others held",
+        separating_test="step this channel alone, several times, with all others held constant",
         separating_test_zh="保持其他条件不变，单独多次阶跃改变该通道",
     )
 
@@ -50,8 +49,8 @@ def product_of_channels(first: str, second: str) -> Monomial:
         powers={first: 1, second: 1},
         kind=Kind.SECOND_TIER,
         parameters=tuple(nominal(channel) for channel in (first, second) if channel in _WITHOUT_ZERO),
-        cause="The sensitivity to one influence depends on another one, as when a regulator's drift depends on its "
-        "heat. Neither alone shows it.",
+        cause="The sensitivity to one influence depends on another, as when the drift of a regulator depends on its "
+        "temperature. Varying only one of them does not show it.",
         cause_zh="对一种因素的灵敏度取决于另一种因素，例如稳压器漂移取决于其温度。单独改变任一因素都看不出。",
         reference="IEEE 1431-2004, combined environmental sensitivities",
         separating_test="factorial test of both: each at two levels, all four combinations, repeated",

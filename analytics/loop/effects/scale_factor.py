@@ -16,12 +16,12 @@ EFFECTS = (
         en="scale factor",
         zh="标度因数",
         powers={"input_rate": 1},
-        cause="The gyro turns rate into output with a factor set by coil area, wavelength and gain. Where this factor "
-        "differs from the one that is used, the error grows with the rate.",
+        cause="The gyro converts rate into output by a factor that coil area, wavelength and gain determine. If the "
+        "factor in use differs from the true one, the error is proportional to the rate.",
         cause_zh="陀螺以由环面积、波长和增益决定的系数把角速率变为输出。该系数与所用值不符时，误差与角速率成正比。",
         reference="IEEE 952-2020, scale factor; GJB 2426A-2004 5.8; JJF 2014-2022 7.2.1",
         aliases=("table_rate",),
-        separating_test="turn at several rates in both directions about the input axis only",
+        separating_test="rotate at several rates in both directions about the input axis only",
         separating_test_zh="仅绕输入轴以多个角速率正反向旋转",
     ),
     Monomial(
@@ -29,12 +29,12 @@ EFFECTS = (
         en="square of the input rate",
         zh="输入角速率二次项",
         powers={"input_rate": 2},
-        cause="Demodulation offset and anisoinertia rectify the rate, so that both directions of turning give an error "
-        "of one sign. It grows with the square of the rate.",
+        cause="Demodulation offset and anisoinertia rectify the rate, so that both directions of rotation give an "
+        "error of the same sign. The error grows with the square of the rate.",
         cause_zh="解调偏置和惯性不等使角速率产生整流，正反转误差同号。该误差与角速率平方成正比。",
         reference="HIT 2012 (2), term k_II; IEEE 517-1974, anisoinertia",
         aliases=("scale_factor_asymmetry", "rate_product_io", "rate_product_is"),
-        separating_test="three or more rates for each direction",
+        separating_test="three or more rates in each direction",
         separating_test_zh="每个方向至少三个角速率",
     ),
     Monomial(
@@ -42,13 +42,13 @@ EFFECTS = (
         en="cube of the input rate",
         zh="输入角速率三次项",
         powers={"input_rate": 3},
-        cause="A closed loop of finite gain and a sine-shaped detector compress large rates alike in both directions. "
-        "The lowest order that keeps the direction is the cube.",
+        cause="A closed loop of finite gain and a sinusoidal detector characteristic compress large rates equally in "
+        "both directions. The lowest odd order beyond the linear term is the cube.",
         cause_zh="有限环路增益和正弦型检测特性对大角速率产生对称压缩。保持方向的最低阶为三次项。",
         reference="IEEE 952-2020, scale-factor nonlinearity; GJB 2426A-2004 5.8; "
         "Lefevre, The Fiber-Optic Gyroscope, 2014",
         aliases=("saturation", "dead_zone"),
-        separating_test="three or more rates for each direction up to the greatest",
+        separating_test="three or more rates in each direction, up to the maximum rate",
         separating_test_zh="每个方向至少三个角速率，直至最大角速率",
     ),
     Monomial(
@@ -56,12 +56,12 @@ EFFECTS = (
         en="scale factor over temperature",
         zh="标度因数温度灵敏度",
         powers={"input_rate": 1, "temperature": 1},
-        cause="Coil area, refractive index and source wavelength change with temperature, some 10 ppm per degC. The "
-        "error is a product of rate and temperature.",
+        cause="Coil area, refractive index and source wavelength change with temperature, by some 10 ppm per degC. "
+        "The error is proportional to the product of rate and temperature.",
         cause_zh="环面积、折射率和光源波长随温度变化，每摄氏度约十个ppm量级。误差为角速率与温度之积。",
         reference="IEEE 952-2020, scale-factor temperature sensitivity; GJB 2426A-2004; JJF 2014-2022",
         aliases=("scale_factor_warm_up", "scale_factor_temperature_squared"),
-        separating_test="scale factor at three or more soaked temperatures, in rising and falling order",
+        separating_test="scale factor at three or more soaked temperatures, with rising and with falling temperature",
         separating_test_zh="在三个以上保温温度点测标度因数，升温与降温顺序各一次",
     ),
     Monomial(
@@ -69,8 +69,8 @@ EFFECTS = (
         en="scale factor over temperature squared",
         zh="标度因数温度二次项",
         powers={"input_rate": 1, "temperature": 2},
-        cause="Wavelength of the source and gain of the electronics bend over a wide range of temperature. The scale "
-        "factor then has a maximum or minimum within the range.",
+        cause="Over a wide range, the wavelength of the source and the gain of the electronics are curved functions "
+        "of temperature. The scale factor then has a maximum or minimum within the range.",
         cause_zh="宽温范围内光源波长与电路增益呈弯曲变化。标度因数在范围内出现极大或极小值。",
         reference="IEEE 952-2020, scale-factor temperature sensitivity; GJB 2426A-2004",
         aliases=("scale_factor_temperature",),
@@ -89,8 +89,9 @@ class ScaleFactorAsymmetry(Effect):
     needs = ("input_rate",)
     per = "{input_rate}"
     cause = (
-        "Modulation and digital-analogue conversion differ a little between the two signs of the feedback. The scale "
-        "factor then differs between the directions, and half the difference times |rate| looks like a bias."
+        "Modulation and digital-analogue conversion differ slightly between the two polarities of the feedback. The "
+        "scale factor then differs between the directions of rotation, and half the difference times |rate| appears "
+        "as a bias."
     )
     cause_zh = "反馈两个极性的调制和数模转换略有差异。正反转标度因数因此不同，其半差乘以角速率绝对值表现为零偏。"
     reference = "IEEE 952-2020, scale-factor asymmetry; GJB 2426A-2004 5.8; CN 102680005"
@@ -126,8 +127,8 @@ class DeadZone(Effect):
     )
     per = "{input_rate}"
     cause = (
-        "Backscatter locks counter-running beams together, or electric crosstalk locks the loop, while the rate is "
-        "small. Below this threshold the output stays at zero or falls short; above it the error is gone."
+        "At small rates backscatter locks the counter-propagating beams together, or electrical crosstalk locks the "
+        "loop. Below the threshold the output is zero or too small; above it the error vanishes."
     )
     cause_zh = "角速率很小时，背向散射使两束光锁定，或电串扰使环路锁定。低于该阈值时输出为零或偏小，超过后误差消失。"
     reference = "IEEE 647-2006, lock-in; IEEE 952-2020, dead band; GJB 2426A-2004, threshold; JJF 2014-2022, threshold"
@@ -145,7 +146,7 @@ class DeadZone(Effect):
 
 
 class Saturation(Effect):
-    """Error in proportion to what of the input rate lies beyond `limit`, in its direction."""
+    """Error in proportion to the part of the input rate beyond `limit`."""
 
     name = "saturation"
     en = "saturation at large rates"
@@ -163,13 +164,13 @@ class Saturation(Effect):
     )
     per = "{input_rate}"
     cause = (
-        "Amplifier, converter or loop reach their limit and follow the rate no further, or with less gain. The error "
-        "is zero up to that rate and grows in proportion beyond it."
+        "The amplifier, converter or loop reaches its limit and no longer follows the rate, or follows it with less "
+        "gain. The error is zero up to that rate and grows in proportion beyond it."
     )
     cause_zh = "放大器、转换器或环路达到极限，不再跟随角速率或增益下降。误差在该角速率以下为零，以上成比例增长。"
     reference = "IEEE 528-2019, input rate limits; IEEE 952-2020; GJB 2426A-2004, maximum input rate"
     aliases = ("scale_factor_cubic",)
-    separating_test = "several rates in both directions between half and the whole of the greatest rate"
+    separating_test = "several rates in both directions between half the maximum rate and the maximum rate"
     separating_test_zh = "在最大角速率的一半至全值之间正反向取若干档"
 
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:

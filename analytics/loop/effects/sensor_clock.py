@@ -63,9 +63,9 @@ EFFECTS = (
         en="time offset of the temperature sensor",
         zh="温度传感器时间偏移",
         channel="temperature",
-        cause="The temperature is stamped by another clock or read late, so that the model uses a temperature of "
-        "another moment. The error is the model's temperature coefficient times offset times dT/dt, just as a Shupe "
-        "effect.",
+        cause="The temperature is time-stamped by another clock or read late, so that the model uses the temperature "
+        "of another time. The error is the model's temperature coefficient times offset times dT/dt, the same form as "
+        "the Shupe effect.",
         cause_zh="温度由另一时钟打标或读取滞后，模型使用了其他时刻的温度。误差形式与Shupe效应相同。",
         aliases=("temperature_rate", "thermal_lag", "temperature_clock_rate"),
         separating_test="record gyro and temperature on one clock, or repeat the ramp with a known offset",
@@ -77,8 +77,8 @@ EFFECTS = (
         zh="温度记录器时钟频率误差",
         channel="temperature",
         is_growing=True,
-        cause="The recorder of the temperature runs fast or slow against the gyro's clock, so that its stamps drift "
-        "apart over the run. The error grows with time and dT/dt.",
+        cause="The clock of the temperature recorder runs fast or slow relative to the gyro's clock, so that the time "
+        "stamps drift apart over the run. The error grows with time and dT/dt.",
         cause_zh="温度记录器时钟相对陀螺时钟偏快或偏慢，时间戳在测试中逐渐错开。误差随时间和dT/dt增大。",
         aliases=("temperature_rate", "temperature_time_offset"),
         separating_test="compare both clocks at start and end of a run, or discipline them by one source",
@@ -89,8 +89,8 @@ EFFECTS = (
         en="time offset of the rate reference",
         zh="速率基准时间偏移",
         channel="input_rate",
-        cause="The table's rate is stamped by another clock than the gyro's output. While the rate changes, the "
-        "difference is the scale factor times offset times angular acceleration, just as a delay of the gyro.",
+        cause="Table rate and gyro output are time-stamped by different clocks. While the rate changes, the "
+        "difference is the scale factor times offset times angular acceleration, the same form as a delay of the gyro.",
         cause_zh="转台速率与陀螺输出由不同时钟打标。角速率变化时差值等于标度因数乘偏移时间乘角加速度，"
         "与陀螺延时形式相同。",
         aliases=("angular_acceleration", "rate_clock_rate"),
@@ -103,8 +103,8 @@ EFFECTS = (
         zh="速率基准时钟频率误差",
         channel="input_rate",
         is_growing=True,
-        cause="The table's recorder runs fast or slow against the gyro's clock, so that changes of rate fall apart "
-        "more and more over the run. The error grows with time and angular acceleration.",
+        cause="The clock of the table's recorder runs fast or slow relative to the gyro's clock, so that changes of "
+        "rate drift apart over the run. The error grows with time and angular acceleration.",
         cause_zh="转台记录器时钟相对陀螺时钟偏快或偏慢，角速率变化时刻逐渐错开。误差随时间和角加速度增大。",
         aliases=("rate_time_offset", "angular_acceleration"),
         separating_test="repeat the same change of rate early and late in one run, on one clock",

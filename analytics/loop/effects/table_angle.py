@@ -36,7 +36,7 @@ class TableAngleHarmonic(_OfTableAngle):
 
     Parameters
     ----------
-    harmonic: Periods in one turn of the table, from 1 to 4.
+    harmonic: Periods in one revolution of the table, from 1 to 4.
 
     Examples
     --------
@@ -47,8 +47,9 @@ class TableAngleHarmonic(_OfTableAngle):
     needs = ("table_angle",)
     coefficients = ("cos", "sin")
     cause = (
-        "Wobble of the table's axis, errors of its encoder and the field that the gyro turns in repeat with every "
-        "turn. Each harmonic has its own maker: levelling and earth rate one, field and bearings two, poles more."
+        "Wobble of the table axis, errors of its encoder and the magnetic field in which the gyro turns repeat with "
+        "every revolution. Each harmonic has its own source: levelling and earth rate the first, field and bearings "
+        "the second, motor poles the higher ones."
     )
     cause_zh = (
         "台轴晃动、角编码器误差和陀螺所处磁场随每圈重复。各次成因不同：调平和地速为一次，轴承为二次，电机极对为高次。"
@@ -79,7 +80,7 @@ EFFECTS = tuple(TableAngleHarmonic(harmonic) for harmonic in range(1, HARMONICS 
 
 
 class Heading(_OfTableAngle):
-    """Cosine and sine of the table angle, as far as the input axis is level."""
+    """Cosine and sine of the table angle, times the horizontal component of the input axis."""
 
     name = "heading"
     en = "heading error (horizontal earth rate)"
@@ -87,13 +88,13 @@ class Heading(_OfTableAngle):
     needs = ("table_angle", "gravity_i")
     coefficients = ("cos", "sin")
     cause = (
-        "A level input axis sees the horizontal part of the earth's rate by the cosine of its heading, up to "
-        "15.04 deg/h times cos(latitude). A wrong north reference or a part not taken off stays as cosine and sine."
+        "A horizontal input axis senses the horizontal earth rate times the cosine of its heading, up to 15.04 deg/h "
+        "times cos(latitude). A wrong north reference or incomplete compensation remains as cosine and sine."
     )
     cause_zh = "水平放置的输入轴按航向余弦敏感地速水平分量。北向基准有误或扣除不净时留下余弦与正弦项。"
     reference = "IEEE 952-2020, earth-rate tests; GJB 2426A-2004 (bias by azimuth); HIT 2012 (3)"
     aliases = ("table_angle_harmonic_1", "gravity_o", "gravity_s")
-    separating_test = "static at four or more headings with the input axis level, and again with it vertical"
+    separating_test = "static at four or more headings with the input axis horizontal, and again with it vertical"
     separating_test_zh = "输入轴水平时在四个以上航向静态测量，再竖直放置重复"
 
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
@@ -109,7 +110,7 @@ class Heading(_OfTableAngle):
 
 
 class FunctionOfTableAngle(_OfTableAngle):
-    """Any smooth function of the table angle up to a constant: sixteen bells around the circle but the first."""
+    """Any smooth function of the table angle, up to a constant: sixteen bell functions around the circle except the first."""
 
     name = "function_of_table_angle"
     en = "function of table angle"
@@ -118,18 +119,18 @@ class FunctionOfTableAngle(_OfTableAngle):
     kind = Kind.FUNCTION
     coefficients = tuple(f"at_{360.0 * k / _CENTRES:g}_deg" for k in range(1, _CENTRES))
     cause = (
-        "The error repeats with the table angle along a curve with more than four harmonics, such as one faulty "
-        "sector of an encoder or a cable that pulls. The curve tells at which angles to look."
+        "The error repeats with the table angle and has more than four harmonics, as from a faulty encoder sector or "
+        "a cable under tension. The curve shows which angles to examine."
     )
     cause_zh = "误差随转台角度重复，且高于四次谐波，例如编码器某一扇区故障或电缆牵扯。曲线指出了应查的角度。"
     reference = "JJF 2014-2022, rate table; IEEE 952-2020, rate table tests"
-    separating_test = "static at 32 table angles, forwards and backwards"
+    separating_test = "static at 32 table angles, in both directions"
     separating_test_zh = "在32个台面角度静态测量，正反向各一遍"
 
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         orders = np.arange(1, _ORDERS + 1)
         phasors = np.stack([phasor(run, "table_angle", int(order)) for order in orders], axis=1)
-        # Fourier series of a bell; where the table turns within a block the phasors vanish and all bells are alike
+        # Fourier series of a bell; if the table rotates within a block, the phasors vanish and all bells are equal
         series = 2.0 * np.exp(-0.5 * (orders * _WIDTH_RAD) ** 2)
         centres = 2.0 * np.pi * np.arange(_CENTRES) / _CENTRES
         bells = 1.0 + ((phasors * series) @ np.exp(-1j * np.outer(orders, centres))).real

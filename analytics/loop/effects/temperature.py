@@ -16,8 +16,8 @@ EFFECTS = (
         en="temperature",
         zh="温度（一次项）",
         powers={"temperature": 1},
-        cause="Optical source, coil and electronics shift with temperature, and with them the bias. Near room "
-        "temperature the shift is a straight line.",
+        cause="Optical source, coil and electronics change with temperature, and the bias with them. Near room "
+        "temperature the change is linear.",
         cause_zh="光源、光纤环和电路参数随温度漂移，零偏随之变化。在常温附近近似为直线。",
         reference="IEEE 952-2020, bias temperature sensitivity; GJB 2426A-2004 5.12.4; JJF 2014-2022 7.2.16",
         aliases=("thermal_lag", "chamber_setpoint", "chamber_temperature", "warm_up", "drift_in_run"),
@@ -29,8 +29,8 @@ EFFECTS = (
         en="temperature squared",
         zh="温度二次项",
         powers={"temperature": 2},
-        cause="Over a wide range the bias bends with temperature, because stresses of bonded parts and wavelength "
-        "shift do not add up to a straight line. The lowest order of this bend is the square.",
+        cause="Over a wide range the bias is a curved function of temperature, because stresses of bonded parts and "
+        "wavelength shift are not linear. The lowest order of this curvature is the square.",
         cause_zh="在宽温范围内，粘接应力和波长漂移使零偏随温度呈弯曲变化。其最低阶为二次项。",
         reference="IEEE 952-2020, bias temperature model; GJB 2426A-2004 5.12.4",
         aliases=("temperature_threshold", "temperature_cubed"),
@@ -42,8 +42,8 @@ EFFECTS = (
         en="temperature cubed",
         zh="温度三次项",
         powers={"temperature": 3},
-        cause="At both ends of the range the bias departs from a parabola with opposite signs, as glass transition of "
-        "adhesives and source efficiency do. The cube is the lowest order of that kind.",
+        cause="At both ends of the range the bias departs from a parabola with opposite signs, because of the glass "
+        "transition of adhesives and the efficiency of the source. The cube is the lowest order with this symmetry.",
         cause_zh="在温度范围两端，胶粘剂玻璃化和光源效率使零偏以相反符号偏离抛物线。三次项是其最低阶。",
         reference="IEEE 952-2020, bias temperature model; GJB 2426A-2004 5.12.4",
         aliases=("temperature_squared", "temperature_threshold"),
@@ -62,8 +62,8 @@ class TemperatureGradient(Effect):
     needs = ("temperature", "case_temperature")
     per = "{temperature}"
     cause = (
-        "Heat that flows through the gyro strains coil and mounts unevenly. The difference between case and inner "
-        "temperature measures that flow."
+        "Heat that flows through the gyro strains the coil and its mounts unevenly. The difference between case and "
+        "inner temperature measures that flow."
     )
     cause_zh = "热流穿过陀螺时使光纤环和安装座受力不均。壳体与内部温度之差反映该热流。"
     reference = "IEEE 952-2020, bias temperature gradient sensitivity; IEEE 1431-2004"
@@ -93,17 +93,17 @@ class TemperatureThreshold(Effect):
     kind = Kind.SECOND_TIER
     parameters = (ShapeParameter("threshold", "{temperature}", _PARTS, "threshold", "阈值", "temperature"),)
     cause = (
-        "A heater, a range switch or a mode hop of the source comes in at a certain temperature. The bias has two "
-        "levels and nothing between."
+        "A heater, a range switch or a mode hop of the source occurs at a certain temperature. The bias has two "
+        "levels without a transition."
     )
     cause_zh = "加热器、量程切换或光源跳模在某一温度处发生。零偏只有两个电平，没有过渡。"
     reference = "IEEE 952-2020, bias temperature model"
     aliases = ("temperature_squared", "temperature_cubed", "jump")
-    separating_test = "slow ramp through the threshold, both ways, several times"
+    separating_test = "slow ramp through the threshold in both directions, several times"
     separating_test_zh = "缓慢变温，多次双向通过阈值"
 
     def shapes(self, runs: Sequence[RunBlocks]) -> Sequence[Shape]:
-        """Evenly over the range, and closer where the runs spent more of their time."""
+        """Thresholds evenly over the range, and at quantiles of the temperature."""
         means = np.concatenate([run.mean("temperature") for run in runs])
         means = means[np.isfinite(means)]
         (parameter,) = self.parameters

@@ -1,4 +1,4 @@
-"""Shupe effect: bias from a temperature that changes with time."""
+"""Shupe effect: bias by the rate of change of temperature."""
 
 from collections.abc import Sequence
 
@@ -19,13 +19,13 @@ class TemperatureRate(Effect):
     needs = ("temperature",)
     per = "{temperature}/s"
     cause = (
-        "Both beams pass a point of the coil at different times; if its temperature changes meanwhile, their phases "
-        "differ. The bias is in proportion to dT/dt, weighted by the distance from the middle of the coil."
+        "The two beams pass a point of the coil at different times; if its temperature changes meanwhile, their "
+        "phases differ. The bias is proportional to dT/dt, weighted by the distance from the midpoint of the coil."
     )
     cause_zh = "两束光在不同时刻经过光纤环同一点，其间温度变化使相位不同。零偏与dT/dt成正比，并按到环中点的距离加权。"
     reference = "Shupe, Applied Optics 19(5), 1980, 654-655; IEEE 952-2020, bias temperature ramp sensitivity"
     aliases = ("case_temperature_rate", "temperature_gradient", "thermal_lag", "temperature_time_offset")
-    separating_test = "pass the same temperatures at two or more ramp rates, up and down"
+    separating_test = "pass through the same temperatures at two or more ramp rates, up and down"
     separating_test_zh = "以两种以上变温速率升降通过同样的温度"
 
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
@@ -36,7 +36,7 @@ class TemperatureRate(Effect):
 
 
 class CaseTemperatureRate(Effect):
-    """Bias in proportion to the rate of change of the case's temperature once it has reached the coil."""
+    """Bias in proportion to the rate of change of the case's temperature after conduction to the coil."""
 
     name = "case_temperature_rate"
     en = "case temperature rate (Shupe at the coil)"
@@ -47,8 +47,8 @@ class CaseTemperatureRate(Effect):
     )
     per = "{case_temperature}/s"
     cause = (
-        "Heat enters by the case and reaches the coil with the time constant of conduction. The Shupe bias follows "
-        "the rate of change there, where no sensor sits."
+        "Heat enters through the case and reaches the coil with the time constant of conduction. The Shupe bias "
+        "follows the rate of change at the coil, where there is no sensor."
     )
     cause_zh = "热量由壳体经传导时间常数到达光纤环。Shupe零偏取决于未装传感器处的温度变化率。"
     reference = "Shupe, Applied Optics 19(5), 1980, 654-655; IEEE 952-2020, bias temperature ramp sensitivity"

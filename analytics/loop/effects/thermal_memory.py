@@ -11,9 +11,9 @@ from stream.batch import FloatArray
 
 
 class ThermalLag(Effect):
-    """Bias in proportion to the temperature of a part that follows the sensor with a time constant, minus the sensor's.
+    """Bias in proportion to the temperature of a part that lags the sensor with a time constant, minus the sensor's.
 
-    Both agree at the first reading of a run; a run starts soaked.
+    Both are equal at the first reading of a run.
     """
 
     name = "thermal_lag"
@@ -31,14 +31,14 @@ class ThermalLag(Effect):
     )
     per = "{temperature}"
     cause = (
-        "The part that sets the bias lies deeper than the temperature sensor and follows it as a first-order lag. "
-        "While the temperature moves, a model of the sensor's reading is wrong by the difference."
+        "The part that determines the bias lies deeper than the temperature sensor and follows it with a first-order "
+        "lag. While the temperature changes, a model based on the sensor is in error in proportion to the difference."
     )
     cause_zh = "决定零偏的部件比温度传感器更靠内，以一阶滞后跟随其温度。温度变化期间，按传感器读数建模会差此温差。"
     reference = "IEEE 952-2020, bias temperature model; GJB 2426A-2004 5.12.4 (soak time)"
     aliases = ("temperature_rate", "case_temperature_rate", "temperature_gradient", "thermal_hysteresis", "warm_up")
-    separating_test = "temperature steps with dwells of five time constants: the lag dies out, a loop stays"
-    separating_test_zh = "温度阶跃后保温五倍时间常数：滞后会消失，回滞则保留"
+    separating_test = "temperature steps with dwells of five time constants: a lag decays, hysteresis remains"
+    separating_test_zh = "温度阶跃后保温五倍时间常数：滞后会消失，迟滞则保留"
 
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         behind = lagged(run, "temperature", positive(shape, "time_constant"))
@@ -57,26 +57,28 @@ class ThermalLag(Effect):
 
 
 class ThermalHysteresis(Effect):
-    """Bias in proportion to a play (backlash) of the temperature, minus the temperature.
+    """Bias in proportion to the output of a play (backlash) on the temperature, minus the temperature.
 
-    The loop is `width` wide; the first reading of a run stands in the middle of it.
+    The loop is `width` wide and centred on the first reading of a run.
     """
 
     name = "thermal_hysteresis"
     en = "thermal hysteresis"
-    zh = "热回滞"
+    zh = "热迟滞"
     needs = ("temperature",)
     parameters = (
         ShapeParameter(
-            "width", "{temperature}", (0.04, 0.1, 0.18, 0.25, 0.4), "width of the loop", "回线宽度", "temperature"
+            "width", "{temperature}", (0.04, 0.1, 0.18, 0.25, 0.4), "width of the loop", "迟滞回线宽度", "temperature"
         ),
     )
     per = "{temperature}"
     cause = (
-        "Adhesive joints and preloaded contacts slip only when thermal strain exceeds friction. After each turn of "
-        "the temperature the bias stays behind by up to half the width of the loop, for as long as one waits."
+        "Adhesive joints and preloaded contacts slip only when thermal strain exceeds friction. After each reversal "
+        "of the temperature the bias lags by up to half the width of the loop, and waiting does not reduce it."
     )
-    cause_zh = "胶接面和预紧接触面仅在热应变超过摩擦时滑移。温度每次反向后零偏落后，最多半个回线宽度，且不随等待消失。"
+    cause_zh = (
+        "胶接面和预紧接触面仅在热应变超过摩擦时滑移。温度每次反向后零偏落后，最多为迟滞回线宽度的一半，且不随等待消失。"
+    )
     reference = (
         "Krasnosel'skii and Pokrovskii, Systems with Hysteresis, Springer 1989; IEEE 952-2020, thermal hysteresis"
     )

@@ -10,7 +10,7 @@ from stream.batch import FloatArray
 
 
 class WarmUp(Effect):
-    """Bias that dies out as exp(-t/time_constant), t being the time since power-on."""
+    """Bias that decays as exp(-t/time_constant), t being the time since power-on."""
 
     name = "warm_up"
     en = "warm-up after power-on"
@@ -26,13 +26,13 @@ class WarmUp(Effect):
         ),
     )
     cause = (
-        "Source, electronics and drive heat themselves after power-on, where the temperature sensor hardly sees it. "
-        "The bias settles as they come to equilibrium."
+        "Source, electronics and drive heat themselves after power-on, which the temperature sensor hardly measures. "
+        "The bias settles as they reach thermal equilibrium."
     )
     cause_zh = "通电后光源、电路和驱动自身发热，温度传感器几乎测不到。零偏随其达到热平衡而稳定。"
     reference = "IEEE 952-2020, warm-up time; GJB 2426A-2004, start-up time; JJF 2014-2022"
     aliases = ("temperature", "thermal_lag", "drift_in_run")
-    separating_test = "power on when gyro and fixture are soaked already, at two temperatures"
+    separating_test = "power on after gyro and fixture have soaked, at two temperatures"
     separating_test_zh = "在两个温度下，待陀螺与工装充分保温后再通电"
 
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
@@ -40,7 +40,7 @@ class WarmUp(Effect):
 
     def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         since_s = channels["time_since_power_on"]
-        return coefficients[0] * decay_simulated(time_s, since_s, positive(shape, "time_constant"))
+        return coefficients[0] * _simulated_decay(time_s, since_s, positive(shape, "time_constant"))
 
 
 class ScaleFactorWarmUp(Effect):
@@ -69,12 +69,12 @@ class ScaleFactorWarmUp(Effect):
         return (run.mean("input_rate") * left)[:, None]
 
     def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
-        left = decay_simulated(time_s, channels["time_since_power_on"], positive(shape, "time_constant"))
+        left = _simulated_decay(time_s, channels["time_since_power_on"], positive(shape, "time_constant"))
         return coefficients[0] * channels["input_rate"] * left
 
 
-def decay_simulated(time_s: FloatArray, since_power_on_s: FloatArray, time_constant_s: float) -> FloatArray:
-    """What is left of 1 after power-on, by integrating dx/dt = -x/time_constant; each power-on starts it again."""
+def _simulated_decay(time_s: FloatArray, since_power_on_s: FloatArray, time_constant_s: float) -> FloatArray:
+    """Decay from 1 after power-on by integration of dx/dt = -x/time_constant; each power-on restarts it."""
     left = np.exp(-since_power_on_s[0] / time_constant_s)
     course = np.empty(time_s.size)
     course[0] = left

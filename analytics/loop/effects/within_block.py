@@ -1,6 +1,6 @@
 """Means over a block of functions of a channel, from its mean and spread, or its phasors, within the block.
 
-The readings within a block are taken as normally distributed; where the channel rests, the functions are plain.
+The readings within a block are assumed normally distributed; at zero spread the function of the mean results.
 """
 
 import numpy as np
@@ -64,7 +64,7 @@ def mean_inside(channel: Channel, half_width: float) -> FloatArray:
 
 
 def mirrored(channel: Channel) -> Channel:
-    """The channel with its sign turned."""
+    """The channel with its sign reversed."""
     return Channel(-channel.mean, channel.spread, channel.unit_of_measure)
 
 
@@ -84,7 +84,7 @@ def radians_per_unit(channel: Channel) -> float:
 
     Raises
     ------
-    BadInput: If the unit is that of no angle, such as counts of an encoder.
+    BadInput: If it is not a unit of angle, such as counts of an encoder.
 
     Examples
     --------
@@ -103,8 +103,7 @@ def radians_per_unit(channel: Channel) -> float:
 def phasor(run: RunBlocks, channel: str, harmonic: int) -> Phasor:
     """Mean of exp(1j*harmonic*angle) in each block.
 
-    Where the channel comes without means of its own, it is taken to have moved evenly within the block, as far as its
-    spread says.
+    Without recorded phasors the angle is assumed to move uniformly within the block, over a range given by its spread.
     """
     angle = run.channels[channel]
     if angle.phasors is not None and harmonic <= len(angle.phasors):
