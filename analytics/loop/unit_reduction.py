@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analytics.loop.blocks.checks import Note, in_runs
+from analytics.loop.blocks.block_reducer import BLOCK_S, BlockReducer
 from analytics.loop.blocks.left_out import LeftOut
-from analytics.loop.blocks.records import usual_block_s
-from analytics.loop.blocks.reduction import BLOCK_S, BlockReducer
+from analytics.loop.blocks.reduction_notes import Note, in_runs
 from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.blocks.stored_signals import usual_block_s
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.declared_noise import GivenNoise, declared_noise, with_turn_on
 from analytics.loop.model.error_model import ErrorModel

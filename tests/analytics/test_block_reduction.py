@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analytics.loop.blocks.checks import check_clocks
-from analytics.loop.blocks.reduction import BlockReducer, Reduction
+from analytics.loop.blocks.block_reducer import BlockReducer, Reduction
+from analytics.loop.blocks.record_checks import check_clocks
 from analytics.loop.model.error_model import ErrorModel
 from storage.lake.lake import Lake, builder_lock
 from storage.sql.catalog import Catalog

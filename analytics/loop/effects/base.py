@@ -15,8 +15,8 @@ from stream.errors import BadInput
 
 Shape = Mapping[str, object]
 """Values of an effect's shape parameters: numbers, or lists of numbers such as the knots of a function; JSON."""
-Series = Mapping[str, FloatArray]
-"""Channels as a simulation has them, shape (n,) each, in standard units at the instants of the simulation."""
+Inputs = Mapping[str, FloatArray]
+"""True inputs of the gyro: each channel in its standard unit at the instants of a simulation, shape (n,)."""
 
 
 class Role(StrEnum):
@@ -174,7 +174,7 @@ class Effect(ABC):
                 return f"channel {channel} stays at {finite[0]:g} {unit} in these runs"
         return None
 
-    def recorded(self, time_s: FloatArray, channels: Series) -> Series:
+    def recorded(self, time_s: FloatArray, channels: Inputs) -> Inputs:
         """Channels as the record has them: a fault of an auxiliary sensor alters its channel."""
         return channels
 
@@ -183,7 +183,7 @@ class Effect(ABC):
         """Columns of the effect, shape (blocks, columns); NaN only where a needed channel is NaN."""
 
     @abstractmethod
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         """Contribution of the effect to the signal at each instant, by its physics and not by `regressors`.
 
         Parameters

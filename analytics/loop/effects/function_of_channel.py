@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Kind, Series, Shape, ShapeParameter, numbers, range_over
+from analytics.loop.effects.base import Effect, Inputs, Kind, Shape, ShapeParameter, numbers, range_over
 from analytics.loop.effects.channel_names import channel_name
 from analytics.loop.effects.within_block import mean_excess
 from stream.batch import FloatArray
@@ -65,7 +65,7 @@ class FunctionOfChannel(Effect):
         low = _spline_columns(channel.mean - channel.spread, knots)
         return (0.5 * (low + _spline_columns(channel.mean + channel.spread, knots)))[:, 1:]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         return _spline_value(channels[self.needs[0]], numbers(shape, _KNOTS), [0.0, *coefficients])
 
 
@@ -117,7 +117,7 @@ class FunctionOfInputRate(Effect):
         hats = np.hstack([ones, risen]) - np.hstack([risen, 0.0 * ones])
         return np.delete(hats, np.argmin(np.abs(knots)), axis=1)
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         knots = numbers(shape, _KNOTS)
         heights = np.insert(np.asarray(coefficients, np.float64), int(np.argmin(np.abs(knots))), 0.0)
         slopes = np.diff(heights) / np.diff(knots)
@@ -165,7 +165,7 @@ class FunctionOfPosition(Effect):
         columns[np.isnan(position)] = np.nan
         return columns
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         error = np.zeros(time_s.size)
         for position, bias in zip(numbers(shape, _POSITIONS)[1:], coefficients, strict=True):
             error += np.where(channels["position"] == position, bias, 0.0)

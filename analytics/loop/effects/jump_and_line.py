@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Kind, Series, Shape, ShapeParameter, number, positive
+from analytics.loop.effects.base import Effect, Inputs, Kind, Shape, ShapeParameter, number, positive
 from stream.batch import FloatArray
 
 
@@ -37,7 +37,7 @@ class Jump(Effect):
         share = np.clip((end_s - number(shape, "at_s")) / run.block_s, 0.0, 1.0)
         return np.asarray(share, np.float64)[:, None]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         return np.where(time_s >= number(shape, "at_s"), coefficients[0], 0.0)
 
 
@@ -70,7 +70,7 @@ class PeriodicLine(Effect):
         left = np.sinc(frequency_hz * run.block_s)
         return np.stack([left * np.cos(phase), left * np.sin(phase)], axis=1)
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         amplitude = complex(coefficients[0], -coefficients[1])
         turning = np.exp(2j * np.pi * positive(shape, "frequency_hz") * time_s)
         return np.asarray((amplitude * turning).real)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
-from analytics.loop.effects.base import Effect, Kind, Role, Series, Shape, ShapeParameter
+from analytics.loop.effects.base import Effect, Inputs, Kind, Role, Shape, ShapeParameter
 from analytics.loop.effects.channel_names import channel_name, reference_point, standard_reference
 from stream.batch import FloatArray
 from stream.errors import BadInput
@@ -67,7 +67,7 @@ class Monomial(Effect):
             column = column * _moment(channel, reference, power)
         return column[:, None]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         error = np.full(time_s.size, coefficients[0])
         for name, power in self.powers.items():
             error *= (channels[name] - _reference(name, shape, standard_reference(name))) ** power

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Role, Series, Shape
+from analytics.loop.effects.base import Effect, Inputs, Role, Shape
 from analytics.loop.effects.time_kernels import mean_slope_per_s, slope_per_s
 from stream.batch import FloatArray
 
@@ -48,11 +48,11 @@ class SensorClock(Effect):
         column = slope(run, self.channel)
         return (column * run.time_s / _PER_HOUR if self.is_growing else column)[:, None]
 
-    def recorded(self, time_s: FloatArray, channels: Series) -> Series:
+    def recorded(self, time_s: FloatArray, channels: Inputs) -> Inputs:
         late_by = _RATE_ERROR * time_s if self.is_growing else np.full(time_s.size, _OFFSET_S)
         return {**channels, self.channel: np.interp(time_s - late_by, time_s, channels[self.channel])}
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         missed = channels[self.channel] - self.recorded(time_s, channels)[self.channel]
         return coefficients[0] / (_RATE_ERROR * _PER_HOUR if self.is_growing else _OFFSET_S) * missed
 

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
-from analytics.loop.effects.base import Effect, Role, Series, Shape
+from analytics.loop.effects.base import Effect, Inputs, Role, Shape
 from stream.batch import FloatArray
 
 Mask = npt.NDArray[np.bool_]
@@ -60,14 +60,14 @@ class _StaleChannel(Effect):
             error[is_frozen] = channel.mean[is_frozen] - self._truth(run, is_frozen)
         return error[:, None]
 
-    def recorded(self, time_s: FloatArray, channels: Series) -> Series:
+    def recorded(self, time_s: FloatArray, channels: Inputs) -> Inputs:
         held = channels[self.needs[0]].copy()
         for hang in _HANGS_FROM_TO:
             first, end = np.searchsorted(time_s, np.quantile(time_s, hang))
             held[first:end] = held[first]
         return {**channels, self.needs[0]: held}
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         return coefficients[0] * (self.recorded(time_s, channels)[self.needs[0]] - channels[self.needs[0]])
 
 
@@ -109,7 +109,7 @@ class StaleTemperature(_StaleChannel):
 
 
 class StaleInputRate(_StaleChannel):
-    """Frozen rate reference; its true values are estimated from the table rate, times the ratio of both beside the gap."""
+    """Frozen rate reference; its true values are estimated from the table rate, by their ratio beside the gap."""
 
     name = "stale_input_rate"
     en = "rate reference frozen or dropped out"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import HARMONICS, RunBlocks
-from analytics.loop.effects.base import Effect, Kind, Series, Shape
+from analytics.loop.effects.base import Effect, Inputs, Kind, Shape
 from analytics.loop.effects.within_block import phasor, radians_per_unit
 from stream.batch import FloatArray
 from stream.errors import BadInput
@@ -70,7 +70,7 @@ class TableAngleHarmonic(_OfTableAngle):
         mean = phasor(run, "table_angle", self.harmonic)
         return np.stack([mean.real, mean.imag], axis=1)
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         cos, sin = coefficients
         crest = math.atan2(sin, cos)
         return math.hypot(cos, sin) * np.cos(self.harmonic * np.deg2rad(channels["table_angle"]) - crest)
@@ -102,7 +102,7 @@ class Heading(_OfTableAngle):
         mean = phasor(run, "table_angle", 1)
         return np.stack([level * mean.real, level * mean.imag], axis=1)
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         tilt = np.arcsin(np.clip(channels["gravity_i"], -1.0, 1.0))
         heading = np.deg2rad(channels["table_angle"])
         north, east = coefficients
@@ -110,7 +110,7 @@ class Heading(_OfTableAngle):
 
 
 class FunctionOfTableAngle(_OfTableAngle):
-    """Any smooth function of the table angle, up to a constant: sixteen bell functions around the circle except the first."""
+    """Any smooth function of the table angle, up to a constant: sixteen bells around the circle except the first."""
 
     name = "function_of_table_angle"
     en = "function of table angle"
@@ -136,7 +136,7 @@ class FunctionOfTableAngle(_OfTableAngle):
         bells = 1.0 + ((phasors * series) @ np.exp(-1j * np.outer(orders, centres))).real
         return np.asarray(bells / _CENTRES, np.float64)[:, 1:]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         heights = np.array([0.0, *coefficients])
         angle = np.deg2rad(channels["table_angle"])
         weighted, total = np.zeros(time_s.size), np.zeros(time_s.size)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Kind, Series, Shape, ShapeParameter, number
+from analytics.loop.effects.base import Effect, Inputs, Kind, Shape, ShapeParameter, number
 from analytics.loop.effects.monomial import Monomial
 from analytics.loop.effects.within_block import share_above
 from stream.batch import FloatArray
@@ -74,7 +74,7 @@ class TemperatureGradient(Effect):
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         return (run.mean("case_temperature") - run.mean("temperature"))[:, None]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         heat_flow = channels["case_temperature"] - channels["temperature"]
         return coefficients[0] * heat_flow
 
@@ -114,5 +114,5 @@ class TemperatureThreshold(Effect):
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         return share_above(run.channels["temperature"], number(shape, "threshold"))[:, None]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         return np.where(channels["temperature"] > number(shape, "threshold"), coefficients[0], 0.0)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Series, Shape, ShapeParameter, positive
+from analytics.loop.effects.base import Effect, Inputs, Shape, ShapeParameter, positive
 from analytics.loop.effects.time_kernels import lagged, slope_per_s
 from stream.batch import FloatArray
 
@@ -31,7 +31,7 @@ class TemperatureRate(Effect):
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         return slope_per_s(run, "temperature")[:, None]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         return coefficients[0] * np.gradient(channels["temperature"], time_s)
 
 
@@ -60,7 +60,7 @@ class CaseTemperatureRate(Effect):
         conducted = lagged(run, "case_temperature", positive(shape, "time_constant"))
         return slope_per_s(run, "case_temperature", conducted)[:, None]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         case, time_constant_s = channels["case_temperature"], positive(shape, "time_constant")
         coil = case[0]
         error = np.empty(time_s.size)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Series, Shape, ShapeParameter, positive
+from analytics.loop.effects.base import Effect, Inputs, Shape, ShapeParameter, positive
 from analytics.loop.effects.time_kernels import lagged, played
 from stream.batch import FloatArray
 
@@ -44,7 +44,7 @@ class ThermalLag(Effect):
         behind = lagged(run, "temperature", positive(shape, "time_constant"))
         return (behind - run.mean("temperature"))[:, None]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         sensor, time_constant_s = channels["temperature"], positive(shape, "time_constant")
         inner = sensor[0]
         difference = np.zeros(time_s.size)
@@ -89,7 +89,7 @@ class ThermalHysteresis(Effect):
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         return (played(run, "temperature", positive(shape, "width")) - run.mean("temperature"))[:, None]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         stretch = positive(shape, "width") / 2
         elastic = np.zeros(time_s.size)
         for i, step in enumerate(np.diff(channels["temperature"]), 1):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Kind, Series, Shape
+from analytics.loop.effects.base import Effect, Inputs, Kind, Shape
 from stream.batch import FloatArray
 
 TURN_ON = "turn_on"
@@ -31,5 +31,5 @@ class TurnOnScatter(Effect):
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         return np.ones((len(run), 1))
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         return np.full(time_s.size, float(coefficients[0]))

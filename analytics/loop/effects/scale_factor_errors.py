@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Series, Shape, ShapeParameter, positive
+from analytics.loop.effects.base import Effect, Inputs, Shape, ShapeParameter, positive
 from analytics.loop.effects.monomial import Monomial
 from analytics.loop.effects.within_block import mean_excess, mean_inside, mean_magnitude, mirrored
 from stream.batch import FloatArray
@@ -102,7 +102,7 @@ class ScaleFactorAsymmetry(Effect):
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         return mean_magnitude(run.channels["input_rate"])[:, None]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         rate = channels["input_rate"]
         forward, backward = coefficients[0], -coefficients[0]
         return np.where(rate >= 0.0, forward, backward) * rate
@@ -139,7 +139,7 @@ class DeadZone(Effect):
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         return mean_inside(run.channels["input_rate"], positive(shape, "half_width"))[:, None]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         rate = channels["input_rate"]
         seen = np.where(np.abs(rate) >= positive(shape, "half_width"), rate, 0.0)
         return coefficients[0] * (rate - seen)
@@ -177,6 +177,6 @@ class Saturation(Effect):
         rate, limit = run.channels["input_rate"], positive(shape, "limit")
         return (mean_excess(rate, limit) - mean_excess(mirrored(rate), limit))[:, None]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         rate, limit = channels["input_rate"], positive(shape, "limit")
         return coefficients[0] * (rate - np.clip(rate, -limit, limit))

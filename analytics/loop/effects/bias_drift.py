@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Series, Shape
+from analytics.loop.effects.base import Effect, Inputs, Shape
 from analytics.loop.effects.monomial import Monomial
 from stream.batch import FloatArray
 
@@ -46,5 +46,5 @@ class DriftInRun(Effect):
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         return (run.time_s / 3600.0)[:, None]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         return coefficients[0] / 3600.0 * time_s

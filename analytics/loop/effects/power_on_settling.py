@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Series, Shape, ShapeParameter, positive
+from analytics.loop.effects.base import Effect, Inputs, Shape, ShapeParameter, positive
 from stream.batch import FloatArray
 
 
@@ -38,7 +38,7 @@ class WarmUp(Effect):
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         return np.exp(-run.mean("time_since_power_on") / positive(shape, "time_constant"))[:, None]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         since_s = channels["time_since_power_on"]
         return coefficients[0] * _simulated_decay(time_s, since_s, positive(shape, "time_constant"))
 
@@ -68,7 +68,7 @@ class ScaleFactorWarmUp(Effect):
         left = np.exp(-run.mean("time_since_power_on") / positive(shape, "time_constant"))
         return (run.mean("input_rate") * left)[:, None]
 
-    def simulate(self, time_s: FloatArray, channels: Series, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         left = _simulated_decay(time_s, channels["time_since_power_on"], positive(shape, "time_constant"))
         return coefficients[0] * channels["input_rate"] * left
 
