@@ -13,12 +13,7 @@ _TURNING_DEG, _TRUSTED_DEG = 10.0, 15.0
 
 
 class AngleBlocks:
-    """Block means of an angle that is read piece by piece and may wrap.
-
-    Parameters
-    ----------
-    grid, block_ns: Position and length of the blocks.
-    factor_deg: Degrees in the angle's own unit.
+    """Block means of an angle that is read piece by piece and may wrap; `factor_deg` converts it to degrees.
 
     Examples
     --------
@@ -80,18 +75,12 @@ def polled_angle(slot: IntArray, block_s: float, readings: Readings, rate_deg_pe
 
     A reading is of one moment, the rate a mean over an interval: the interval that begins with the reading, ends with
     it or is centred on it, whichever makes the readings consistent. The mean of exp(1j*k*angle) over an interval is
-    then known for any number of revolutions in it.
+    then known for any number of revolutions in it. None where the rate is not that of the angle.
 
     Parameters
     ----------
-    slot, block_s: Requested blocks, and their length.
     readings: The angle in degrees; it may wrap.
     rate_deg_per_s: shape (readings,); mean rate about each reading; NaN where it is unknown.
-
-    Returns
-    -------
-    Channel or None
-        None where the rate is not that of the angle.
 
     Examples
     --------
@@ -133,10 +122,8 @@ def _wrapped(degrees: FloatArray) -> FloatArray:
 
 
 def without_aliases(angle: Channel, rate_deg_per_s: FloatArray, interval_s: float) -> Channel:
-    """An angle where its readings resolve it: half a revolution or more between two of them is ambiguous.
-
-    Where k times the angle turns that fast, phasor k is 0, as of whole revolutions; where the angle does, its mean is
-    NaN.
+    """An angle where its readings resolve it: phasor k is 0 where k times the angle turns by half a revolution or more
+    between two of them, as of whole revolutions; the mean is NaN where the angle does.
     """
     if angle.phasors is None:
         return angle

@@ -40,14 +40,7 @@ _LONGEST_S = 1e9
 
 @dataclass(frozen=True)
 class Reduction:
-    """Result of a reduction.
-
-    Parameters
-    ----------
-    runs: In the order of time.
-    notes: What was left out, converted, assumed or looks wrong.
-    left_out: What was left out, with its share of blocks, runs, steps and excitation.
-    """
+    """Runs in the order of time, notes on them, and what was left out with its share of the record."""
 
     runs: tuple[RunBlocks, ...]
     notes: tuple[Note, ...] = ()
@@ -61,7 +54,15 @@ class Reduction:
 
 @dataclass
 class _Run:
-    """A run of the unit between the store and its blocks."""
+    """A run of the unit between the store and its blocks.
+
+    Parameters
+    ----------
+    blocks: All blocks with their channels: first those recorded, then with those derived.
+    outliers: Of the channels.
+    is_far, is_partial, is_unresolved: Blocks to leave out: with an outlier of the signal, too few samples, or an edge of
+        the reference rate.
+    """
 
     name: str
     record: RecordedSignal
@@ -70,15 +71,10 @@ class _Run:
     steps: list[Step]
     power_on_ns: list[int]
     blocks: RunBlocks
-    """All blocks with their channels; first as recorded, then with those that are derived."""
     outliers: dict[str, Outliers]
-    """Of the channels."""
     is_far: BoolArray
-    """Blocks that are left out for an outlier of the signal."""
     is_partial: BoolArray
-    """Blocks that are left out for too few samples."""
     is_unresolved: BoolArray
-    """Blocks that are left out for an edge of the reference rate."""
 
     @property
     def reference(self) -> ChannelSource | None:
@@ -105,10 +101,6 @@ class BlockReducer:
     tolerance_s: Longest time from a reading at which a channel is valid; by default a block, or the channel's own
         interval where that is longer.
     channels: Other outputs of the units that are to be channels.
-
-    Raises
-    ------
-    BadInput: If the length of a block or the tolerance is not positive.
 
     Notes
     -----

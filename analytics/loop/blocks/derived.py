@@ -45,9 +45,6 @@ def with_motion(
 
     Parameters
     ----------
-    run: With the recorded channels.
-    blocks: Times of the samples of each block.
-    steps: Of the unit in the run.
     turns: Component of the table's axis along the input axis where positions do not define it; None if unknown.
     numbers: Number of each word in the channel ``position``.
     """

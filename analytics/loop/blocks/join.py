@@ -38,13 +38,7 @@ class Outliers(NamedTuple):
 
 
 class JoinedChannels(NamedTuple):
-    """The channels of a run at the blocks of a signal.
-
-    Parameters
-    ----------
-    channels, outliers: By name of the channel.
-    is_far: shape (blocks,); blocks in which the signal itself has an outlier.
-    """
+    """The channels of a run, their outliers by name, and the blocks in which the signal itself has an outlier."""
 
     channels: dict[str, Channel]
     outliers: dict[str, Outliers]
@@ -52,14 +46,9 @@ class JoinedChannels(NamedTuple):
 
 
 class _Joined(NamedTuple):
-    """A channel at the blocks of a signal.
+    """A channel at the blocks of a signal, without and with outliers; the blocks that contain outliers.
 
-    Parameters
-    ----------
-    channel, with_far: Without and with outliers.
-    is_far: shape (blocks,); blocks that contain outliers.
-    reading: shape (blocks,); the outlier of each block in the stored unit; NaN where there is none.
-    outliers: All of them.
+    `reading` is the outlier of each block in the stored unit, NaN where there is none.
     """
 
     channel: Channel
@@ -72,12 +61,7 @@ class _Joined(NamedTuple):
 class ChannelJoiner:
     """Joins channels to blocks; blocks of an instrument are reused for the next unit of its run.
 
-    Parameters
-    ----------
-    catalog: The store.
-    block_s: Length of a block, seconds.
-    tolerance_s: Longest time from a reading at which a channel is valid; by default a block, or the channel's own
-        interval where that is longer.
+    For the parameters see `BlockReducer`.
     """
 
     def __init__(self, catalog: Catalog, block_s: float, tolerance_s: float | None = None) -> None:
@@ -97,10 +81,7 @@ class ChannelJoiner:
     ) -> None:
         """Reduce the channels of several runs, each channel in one query for all runs.
 
-        Parameters
-        ----------
-        sources, grids: By run: the channels, and the position of the blocks.
-        sampled: By run: interval of the signal's samples in seconds, and the time of the first.
+        `sampled` is the interval of the signal's samples in seconds and the time of the first, by run.
         """
         self._sampled.update(sampled)
         wanted: dict[tuple[str, str, bool], dict[str, Grid]] = {}
@@ -122,13 +103,8 @@ class ChannelJoiner:
     ) -> JoinedChannels:
         """Prepared channels of a run at the blocks of the signal, without outliers.
 
-        An outlier that another rate shows as well, the signal included, is motion and kept.
-
-        Parameters
-        ----------
-        sources: The channels.
-        signal, grid: The blocks.
-        own: The signal, where it is an angular rate.
+        An outlier that another rate shows as well, the signal included, is motion and kept; `own` is the signal if it
+        is an angular rate.
         """
         joined = {each.name: self._joined(each, signal, grid) for each in sources}
         is_far, outliers = signal.is_far.copy(), {}

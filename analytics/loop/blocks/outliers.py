@@ -43,13 +43,9 @@ def _unrest(value: FloatArray) -> FloatArray:
 
 
 class RateSeries(NamedTuple):
-    """One angular rate in the blocks of a run.
+    """One angular rate in the blocks of a run, deg/s, outliers included; blocks with an outlier; and that outlier.
 
-    Parameters
-    ----------
-    value: shape (blocks,); deg/s, outliers included.
-    is_far: shape (blocks,); blocks that contain an outlier.
-    reading: shape (blocks,); the outlier, in the unit in which it was stored; NaN where there is none.
+    `reading` is in the unit in which it was stored; NaN where there is no outlier.
     """
 
     value: FloatArray

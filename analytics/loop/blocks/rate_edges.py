@@ -26,9 +26,7 @@ def unresolved(
 
     Parameters
     ----------
-    run: With ``input_rate``.
-    changes: shape (blocks,); change of the reference from the last reading before each block to the first after it, in
-        its unit.
+    changes: shape (blocks,); range of the reference from the last reading before each block to the first after it.
     interval_s: Between readings, seconds.
     commanded: shape (blocks,); commanded rate throughout the block, deg/s, else NaN; a block that has it is kept.
     gone: shape (blocks,); blocks to ignore.
@@ -71,13 +69,7 @@ def is_followed(value: FloatArray, reference: FloatArray, edges: FloatArray, row
 
     Readings at one moment of a block are wrong by a third of an edge in half of the edges. The difference of the signal
     from a line in the reference shows it; the line comes from the blocks without edges, if the rate varies there, and
-    the scatter of those blocks is allowed for.
-
-    Parameters
-    ----------
-    value, reference: shape (blocks,); in one unit.
-    edges: shape (blocks,); change of the reference about each block.
-    rows: shape (blocks,); blocks across edges.
+    the scatter of those blocks is allowed for. Value, reference and edges are in one unit; `rows` are across edges.
 
     Examples
     --------

@@ -132,14 +132,7 @@ def check_clocks(
     signal: str,
     instruments: Sequence[tuple[str, str]],
 ) -> list[Note]:
-    """Notes on runs in which the clocks of a unit and of an instrument are more than a second apart.
-
-    Parameters
-    ----------
-    offsets: See `clock_offsets`.
-    unit, signal: Whose clock is compared.
-    instruments: Run and name of each instrument.
-    """
+    """Notes on runs in which the clocks of a unit and of an instrument (run and name) are over a second apart."""
     apart: dict[str, dict[str, float]] = {}
     for run, instrument in instruments:
         own, other = offsets.get((run, unit), {}).get(signal), offsets.get((run, instrument))

@@ -111,7 +111,7 @@ class RunBlocks:
         """Block means of a channel of the run."""
         return self.channels[channel].mean
 
-    def part(self, rows: BoolArray) -> "RunBlocks":
+    def part(self, rows: BoolArray | slice) -> "RunBlocks":
         """The run with some of its blocks."""
         return replace(
             self,
@@ -124,7 +124,7 @@ class RunBlocks:
 
 
 def stands_still(value: FloatArray) -> bool:
-    """Whether a signal changes by no more than rounding: the output of a sensor that is dead or stuck.
+    """Whether a signal changes by no more than rounding, as of a sensor that is dead or stuck.
 
     Examples
     --------

@@ -26,14 +26,12 @@ class SignalBlocks:
 
     Parameters
     ----------
-    slot: Numbers of the blocks, increasing.
-    n: Samples in each.
+    slot, n: Increasing numbers of the blocks, and samples in each.
     mean, spread: Mean and standard deviation of the samples in each.
     centre_s, first_s, last_s: Mean, first and last time of the samples, seconds from the start of slot 0; from rollups
         as of samples that are spread evenly from a whole second on.
     white_variance: Of each mean, from the scatter within the block; NaN where that is unknown.
-    is_far: Whether the block contains an outlier, so that its mean is not a measurement.
-    far_reading: The outlier; NaN where there is none.
+    is_far, far_reading: Whether the block contains an outlier, so that its mean is not a measurement; the outlier or NaN.
     farthest: The farthest outlier of the run; 0 where there is none.
     """
 

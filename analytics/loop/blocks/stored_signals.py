@@ -23,7 +23,7 @@ _REFERENCE = re.compile(r"table|stage|fixture|reference|command|set_?point|input
 
 
 class RecordedSignal(NamedTuple):
-    """A signal of one run; `run_first_ns` is its first sample of any unit in the run."""
+    """The reduced signal in one run; `run_first_ns` is its first sample of any unit in the run."""
 
     first_ns: int
     last_ns: int
@@ -49,17 +49,7 @@ class RecordedSignal(NamedTuple):
 
 
 class ChannelSource(NamedTuple):
-    """One stored signal of one run that is a channel.
-
-    Parameters
-    ----------
-    name: Of the channel.
-    unit, signal, run: What is stored.
-    unit_of_measure: Of the stored values.
-    interval_s: Between readings, seconds.
-    samples, kept_raw: Number of readings, and of those that are still stored one by one.
-    first_ns: Time of the first reading.
-    """
+    """A stored signal of one run that is the channel `name`; `kept_raw` readings are still stored one by one."""
 
     name: str
     unit: str
@@ -101,13 +91,7 @@ def is_rolled_up(interval_s: float, samples: int, kept_raw: int) -> bool:
 
 
 def records_of(catalog: Catalog, unit: str, signal: str, runs: Iterable[str] | None) -> dict[str, RecordedSignal]:
-    """Records of a signal by run, in the order of time.
-
-    Raises
-    ------
-    NotFound: If the store lacks the signal, or one of the named runs.
-    BadInput: If the runs have the signal in incompatible units of measure.
-    """
+    """Records of a signal by run, in the order of time."""
     rows = catalog.rows(
         "select s.run, s.t_first_ns, s.t_last_ns, s.samples, s.kept_raw, coalesce(s.sample_interval_s, 0), "
         "s.unit_of_measure, coalesce(r.date_known, true), "
