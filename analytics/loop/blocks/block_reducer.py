@@ -60,8 +60,7 @@ class _Run:
     ----------
     blocks: All blocks with their channels: first those recorded, then with those derived.
     outliers: Of the channels.
-    is_far, is_partial, is_unresolved: Blocks to leave out: with an outlier of the signal, too few samples, or an edge of
-        the reference rate.
+    is_far, is_partial, is_unresolved: Blocks to leave out: with an outlier of the signal, too few samples, an edge.
     """
 
     name: str

@@ -31,7 +31,7 @@ class SignalBlocks:
     centre_s, first_s, last_s: Mean, first and last time of the samples, seconds from the start of slot 0; from rollups
         as of samples that are spread evenly from a whole second on.
     white_variance: Of each mean, from the scatter within the block; NaN where that is unknown.
-    is_far, far_reading: Whether the block contains an outlier, so that its mean is not a measurement; the outlier or NaN.
+    is_far, far_reading: Whether the block contains an outlier, so that its mean is wrong; the outlier, else NaN.
     farthest: The farthest outlier of the run; 0 where there is none.
     """
 
