@@ -145,7 +145,7 @@ def test_several_positions_that_say_nothing_give_no_input_rate(tested: TestedUni
     (run,) = reduction.runs
     assert "input_rate" not in run.channels
     assert run.mean("position").tolist() == [1.0, 1.0, 1.0, 2.0, 2.0, 2.0]
-    assert "the positions left, right do not say how the input axis lies" in " ".join(reduction.limits)
+    assert "the positions left, right do not define the direction of the input axis" in " ".join(reduction.limits)
     assert "position stands for: 1 left, 2 right" in " ".join(note.text for note in reduction.notes)
 
 
@@ -223,7 +223,7 @@ def test_of_two_instruments_the_one_that_moves_has_the_name(tested: TestedUnits)
     assert run.mean("table_rate").tolist() == [0.0] * 14 + [5.0] * 14  # beside the edge it may have been either
     assert run.mean("other.table_rate")[-1] == pytest.approx(0.1, rel=0.05)
     assert "angular.table_rate" not in run.channels
-    told = "channel table_rate is that of table; angular, other give one of that name as well"
+    told = "channel table_rate is taken from table; angular, other have a channel of that name as well"
     assert told in [note.text for note in reduction.notes]
 
 

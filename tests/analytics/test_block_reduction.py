@@ -81,7 +81,7 @@ def test_samples_that_are_no_numbers_are_left_out_and_counted(tested: TestedUnit
     assert run.n.tolist() == [300, 150, 150, *([300] * 17)]
     np.testing.assert_allclose(run.value[1], rate[300:450].mean())
     (note,) = [note for note in reduction.notes if note.what == "not_finite"]
-    assert note.text == "300 samples are no finite numbers in run r1: left out"
+    assert note.text == "300 samples are not finite in run r1: left out"
 
 
 def test_runs_and_time_are_chosen(tested: TestedUnits) -> None:

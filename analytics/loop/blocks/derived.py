@@ -118,8 +118,8 @@ def assumed_axis(steps: Mapping[str, Sequence[Step]], runs: Sequence[RunBlocks])
         words = sorted({word for run in without for word in unknown(steps.get(run.run, ()), run.signal)})
         if len(words) > 1:
             text = (
-                f"no input_rate is recorded, and the {kind} {', '.join(words)} do not say how the input axis lies: "
-                "there is no input rate; record or import it as channel input_rate"
+                f"no input_rate is recorded, and the {kind} {', '.join(words)} do not define the direction of the "
+                "input axis: record or import channel input_rate"
             )
             return None, [Note("no_input_rate", text, "input_rate", names, is_limit=True)]
     return 1.0, []
@@ -134,8 +134,8 @@ def source_of_input_rate(before: Sequence[RunBlocks], after: Sequence[RunBlocks]
         runs = [new.run for old, new in taken if ("table_rate" in old.channels) is has_table]
         if runs:
             text = (
-                f"input_rate is taken from {source} {in_runs(runs, len(before))}: the table's axis is supposed to lie "
-                "along the input axis, as far as the axis or position of a step does not say otherwise"
+                f"input_rate is taken from {source} {in_runs(runs, len(before))}: the table's axis is assumed to be "
+                "the input axis unless the axis or position of a step says otherwise"
             )
             notes.append(Note("input_rate", text, "input_rate", tuple(runs), is_limit=True))
     return notes

@@ -35,9 +35,9 @@ def check_runs(runs: Sequence[RunBlocks]) -> list[Note]:
     notes = []
     still = [run.run for run in runs if len(run) > 1 and stands_still(run.value)]
     if still:
+        where = in_runs(still, len(runs))
         text = (
-            f"signal {runs[0].signal} never changes {in_runs(still, len(runs))}, as of an output that is dead or "
-            "stuck: leave such runs out with --run"
+            f"signal {runs[0].signal} never changes {where}: its output is dead or stuck; exclude such runs with --run"
         )
         notes.append(Note("still", text, runs=tuple(still), is_limit=True))
     first: dict[bytes, str] = {}
@@ -49,10 +49,7 @@ def check_runs(runs: Sequence[RunBlocks]) -> list[Note]:
     ]
     if same:
         listed = ", ".join(f"{one} and {other}" for one, other in same[:3]) + (", ..." if len(same) > 3 else "")
-        text = (
-            f"runs hold the same samples ({listed}): the one confirms nothing that the other says; leave one of each "
-            "out with --run"
-        )
+        text = f"runs have the same samples ({listed}) and do not confirm each other; exclude one of each with --run"
         notes.append(Note("same_samples", text, is_limit=True))
     return notes
 
@@ -68,7 +65,7 @@ def _check_one(runs: Sequence[RunBlocks], name: str) -> list[Note]:
     having = [run for run in runs if name in run.channels]
     notes = []
     if missing := [run.run for run in runs if name not in run.channels]:
-        text = f"channel {name} is missing {in_runs(missing, len(runs))}: effects that need it are looked for nowhere"
+        text = f"channel {name} is missing {in_runs(missing, len(runs))}: effects that need it are not searched for"
         notes.append(Note("missing_channel", text, name, tuple(missing)))
     gaps = {run.run: int(np.isnan(run.mean(name)).sum()) for run in having}
     if gone := [run for run, blocks in gaps.items() if blocks]:
@@ -76,7 +73,7 @@ def _check_one(runs: Sequence[RunBlocks], name: str) -> list[Note]:
         text = f"channel {name} has no reading near {blocks:,} of {total:,} blocks, {in_runs(gone, len(having))}"
         notes.append(Note("channel_gap", text, name, tuple(gone)))
     if _is_constant(having, name) and name not in _DERIVED:
-        text = f"channel {name} never changes: what depends on it cannot be seen, nor told from the bias"
+        text = f"channel {name} never changes: its effects cannot be distinguished from the bias"
         notes.append(Note("constant", text, name, tuple(run.run for run in having)))
     units = sorted({run.channels[name].unit_of_measure for run in having})
     if len(units) > 1:
@@ -99,9 +96,7 @@ def _check_copies(runs: Sequence[RunBlocks], names: Sequence[str]) -> list[Note]
     notes = []
     for one, other in itertools.combinations(everywhere, 2):
         if not _BY_NATURE.issuperset((one, other)) and _is_copy(values[one], values[other]):
-            text = (
-                f"channels {one} and {other} are copies of each other: an effect of one cannot be told from the other"
-            )
+            text = f"channels {one} and {other} are copies of each other: their effects cannot be distinguished"
             notes.append(Note("copy", text, other))
     return notes
 
@@ -145,7 +140,7 @@ def check_clocks(
         Note(
             "clock_offset",
             f"the clock of {instrument} is {_signed(list(by_run.values()))} s off that of {unit} in run "
-            f"{', '.join(by_run)}: its channels are joined where their own clock puts them",
+            f"{', '.join(by_run)}: its channels are joined by their own clock",
             runs=tuple(by_run),
             is_limit=True,
         )
@@ -173,8 +168,8 @@ def check_labels(runs: Sequence[RunBlocks]) -> list[Note]:
             size_text = f"{ratio:,.4g} times" if ratio > 1 else f"1/{1 / ratio:,.4g} of"
             text = (
                 f"{runs[0].signal} is {size_text} {name} {in_runs(names, len(runs))}, both in the units they are "
-                f"labelled with, {_MISTAKES[factor]}: mend the label and import anew, else every coefficient of {name} "
-                "is off by that"
+                f"labelled with, {_MISTAKES[factor]}: correct the label and import again, else every coefficient of "
+                f"{name} is wrong by this factor"
             )
             notes.append(Note("unit_label", text, name, tuple(names), is_limit=True))
     return notes

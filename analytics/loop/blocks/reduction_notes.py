@@ -51,7 +51,7 @@ def not_finite(missing: Mapping[str, int]) -> list[Note]:
     if not having:
         return []
     where = in_runs(having, len(missing))
-    text = f"{sum(missing[run] for run in having):,} samples are no finite numbers {where}: left out"
+    text = f"{sum(missing[run] for run in having):,} samples are not finite {where}: left out"
     return [Note("not_finite", text, runs=tuple(having))]
 
 
@@ -75,9 +75,8 @@ def far_outside(name: str, far: Mapping[str, tuple[int, float]], units: Mapping[
     worst = max(far, key=lambda run: abs(far[run][1]))
     count, value = sum(count for count, _ in far.values()), f"{far[worst][1]:g} {units[worst]}"
     text = (
-        f"{count:,} blocks or readings of {name} are left out {in_runs(far, of)}: a reading, {value} the "
-        "largest, lies far outside of those before and after it, as a fill value does, a bit that was flipped on the "
-        "way, or a knock"
+        f"{count:,} blocks or readings of {name} are left out {in_runs(far, of)}: outliers of up to {value}, as from a "
+        "fill value, a transmission error or a shock"
     )
     return [Note("far_outside", text, name, tuple(far), is_limit=True)]
 
@@ -127,8 +126,8 @@ def positions(words: Collection[str], numbers: Mapping[str, float]) -> list[Note
     text = f"channel position stands for: {', '.join(f'{numbers[word]:g} {word}' for word in sorted(words))}"
     if len(words) > 1:
         text += (
-            "; what differs between positions is gravity, the earth's rate and field, or the mounting itself: only "
-            "positions that were mounted anew several times tell"
+            "; positions differ by gravity, earth rate, magnetic field and mounting: only positions that were "
+            "remounted several times show by which"
         )
     return [Note("positions", text, "position", is_limit=len(words) > 1)]
 
@@ -157,8 +156,5 @@ def no_scatter(runs: Sequence[RunBlocks]) -> list[Note]:
         return []
     most = max(int(run.n.max()) for run in runs)
     held = "hold one sample each" if most == 1 else f"hold up to {most:,} samples without scatter"
-    text = (
-        f"blocks of {runs[0].block_s:g} s {held}: nothing within them tells the noise, which is judged by what the "
-        "model leaves"
-    )
+    text = f"blocks of {runs[0].block_s:g} s {held}: the noise is estimated from the residual of the model alone"
     return [Note("no_scatter", text, is_limit=True)]

@@ -192,8 +192,8 @@ def sources_of(
     notes = []
     if outputs:
         text = (
-            f"{', '.join(sorted(outputs))} of {unit} are outputs of the unit like {signal}: not taken as channels; a "
-            "reference is imported under a standard name, such as gravity_i"
+            f"{', '.join(sorted(outputs))} of {unit} are outputs like {signal} and not channels; import a reference "
+            "under a standard name, such as gravity_i"
         )
         notes.append(Note("output", text))
     chosen: dict[str, list[ChannelSource]] = {}
@@ -206,7 +206,7 @@ def sources_of(
             if len(sources) > 1:
                 several.setdefault((name, own.unit), set()).update(each.unit for each in sources if each is not own)
     for (name, of), others_of in sorted(several.items()):
-        text = f"channel {name} is that of {of}; {', '.join(sorted(others_of))} give one of that name as well"
+        text = f"channel {name} is taken from {of}; {', '.join(sorted(others_of))} have a channel of that name as well"
         notes.append(Note("several", text, name))
     return chosen, notes
 
