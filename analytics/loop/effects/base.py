@@ -51,9 +51,8 @@ class ShapeParameter:
     Parameters
     ----------
     name, unit_of_measure: Such as ``time_constant`` in ``s``.
-    grid: Values to try; with `relative_to`, fractions of that channel's range.
+    grid: Values to try; of a parameter in the unit of a channel, ``{temperature}``, fractions of that channel's range.
     en, zh: Its name.
-    relative_to: Channel whose range over all runs scales the grid; empty: the grid is absolute.
     """
 
     name: str
@@ -61,13 +60,12 @@ class ShapeParameter:
     grid: tuple[float, ...]
     en: str
     zh: str
-    relative_to: str = ""
 
     def values(self, runs: Sequence[RunBlocks]) -> tuple[float, ...]:
         """Values to try on these runs; scaled ones have three digits, so that a shape can be written down."""
-        if not self.relative_to:
+        if not self.unit_of_measure.startswith("{"):
             return self.grid
-        found = range_over(self.relative_to, runs)
+        found = range_over(self.unit_of_measure.strip("{}"), runs)
         scale = 0.0 if found is None else found[1] - found[0]
         return tuple(float(f"{part * scale:.3g}") for part in self.grid) if scale > 0 else ()
 

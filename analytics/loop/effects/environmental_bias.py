@@ -35,7 +35,6 @@ def _magnetic(axis: Axis) -> Monomial:
         name=f"magnetic_{axis.key}",
         en=f"magnetic field, {axis.en}",
         zh=f"{axis.zh}磁场",
-        powers={f"magnetic_{axis.key}": 1},
         cause=cause,
         cause_zh=cause_zh,
         reference="Bohm, Petermann and Weidel, Optics Letters 7(4), 1982, 180-182; IEEE 952-2020, magnetic sensitivity",
@@ -51,7 +50,6 @@ EFFECTS = (
         name="humidity",
         en="humidity",
         zh="湿度",
-        powers={"humidity": 1},
         cause="Adhesive and plastic absorb moisture, swell and strain the coil or die, and surface leakage currents "
         "increase. In packages that are not hermetic the bias shifts within hours.",
         cause_zh="胶和塑料吸湿膨胀使光纤环或芯片受力，表面漏电增加。非气密封装的零偏在数小时内移动。",
@@ -64,7 +62,6 @@ EFFECTS = (
         name="supply_voltage",
         en="supply voltage",
         zh="供电电压",
-        powers={"supply_voltage": 1},
         cause="Voltage references and source current are not fully independent of the supply voltage. For small "
         "changes of the voltage the bias changes in proportion.",
         cause_zh="基准与光源电流对电源的抑制有限。电压小幅变化时零偏成比例移动。",
@@ -91,7 +88,6 @@ EFFECTS = (
         name="vibration",
         en="vibration level",
         zh="振动量级（一次项）",
-        powers={"vibration": 1},
         cause="Frictional contacts and loose parts shift under vibration, roughly in proportion to its level. The "
         "bias follows the level, not the direction.",
         cause_zh="摩擦接触面与松动件在振动下移动，大致与量级成正比。零偏随量级变化而与方向无关。",

@@ -64,7 +64,6 @@ def _linear(axis: Axis) -> Monomial:
         name=f"gravity_{axis.key}",
         en=f"gravity, {axis.en}",
         zh=f"{axis.zh}重力敏感项",
-        powers={f"gravity_{axis.key}": 1},
         cause=cause,
         cause_zh=cause_zh,
         reference="IEEE 1431-2004, acceleration sensitivity; IEEE 517-1974, mass unbalance; GJB 2426A-2004",

@@ -29,19 +29,19 @@ class Monomial(Effect):
 
     Parameters
     ----------
-    powers: Exponent of each channel, 1 to 3.
+    powers: Exponent of each channel, 1 to 3; by default the channel of the effect's name, linear.
     per: See `Effect`; by default the product of the channels' units.
     """
 
     name: str
     en: str
     zh: str
-    powers: Mapping[str, int]
     cause: str
     cause_zh: str
     reference: str
     separating_test: str
     separating_test_zh: str
+    powers: Mapping[str, int] = field(default_factory=dict)
     aliases: tuple[str, ...] = ()
     follows: tuple[str, ...] = ()
     role: Role = Role.CAUSE
@@ -52,6 +52,7 @@ class Monomial(Effect):
 
     def __post_init__(self) -> None:
         """Derive channels and unit from the powers."""
+        self.powers = self.powers or {self.name: 1}
         self.needs = tuple(self.powers)
         units = (f"{{{channel}}}" + (f"^{power}" if power > 1 else "") for channel, power in self.powers.items())
         self.per = self.per or "*".join(units)

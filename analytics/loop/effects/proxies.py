@@ -8,7 +8,6 @@ EFFECTS = (
         name="chamber_setpoint",
         en="chamber set-point",
         zh="温箱设定值",
-        powers={"chamber_setpoint": 1},
         role=Role.PROXY,
         cause="The set-point is a command and does not act on the gyro; temperatures follow it. If it explains more "
         "than any temperature, a sensor at the relevant place is missing.",
@@ -23,7 +22,6 @@ EFFECTS = (
         name="chamber_temperature",
         en="chamber air temperature",
         zh="温箱空气温度",
-        powers={"chamber_temperature": 1},
         role=Role.PROXY,
         cause="Air heats the case and the case heats the gyro; the air itself acts only on connectors and cables. Its "
         "temperature leads the temperature that determines the bias.",
@@ -38,7 +36,6 @@ EFFECTS = (
         name="supply_current",
         en="supply current",
         zh="供电电流",
-        powers={"supply_current": 1},
         role=Role.PROXY,
         cause="The current depends on voltage, temperature and the state of the electronics. It indicates a change "
         "but is rarely the cause of a change of the bias.",
@@ -53,7 +50,6 @@ EFFECTS = (
         name="table_rate",
         en="table rate",
         zh="转台角速率",
-        powers={"table_rate": 1},
         role=Role.PROXY,
         cause="The table acts on the gyro through the rates about its three axes, which are the channels to analyse. "
         "The table rate itself explains more only through slip rings, motor fields or a wrong orientation in the "

@@ -122,7 +122,6 @@ class DeadZone(Effect):
             (0.001, 0.0014, 0.002, 0.0028, 0.004, 0.0057, 0.008, 0.011, 0.016, 0.023, 0.032),
             "half width of the dead zone",
             "死区半宽",
-            "input_rate",
         ),
     )
     per = "{input_rate}"
@@ -154,12 +153,7 @@ class Saturation(Effect):
     needs = ("input_rate",)
     parameters = (
         ShapeParameter(
-            "limit",
-            "{input_rate}",
-            (0.2, 0.25, 0.3, 0.35, 0.4, 0.45),
-            "rate at which it begins",
-            "饱和起点",
-            "input_rate",
+            "limit", "{input_rate}", (0.2, 0.25, 0.3, 0.35, 0.4, 0.45), "rate at which it begins", "饱和起点"
         ),
     )
     per = "{input_rate}"

@@ -15,7 +15,6 @@ EFFECTS = (
         name="temperature",
         en="temperature",
         zh="温度（一次项）",
-        powers={"temperature": 1},
         cause="Optical source, coil and electronics change with temperature, and the bias with them. Near room "
         "temperature the change is linear.",
         cause_zh="光源、光纤环和电路参数随温度漂移，零偏随之变化。在常温附近近似为直线。",
@@ -91,7 +90,7 @@ class TemperatureThreshold(Effect):
     zh = "温度阈值"
     needs = ("temperature",)
     kind = Kind.SECOND_TIER
-    parameters = (ShapeParameter("threshold", "{temperature}", _PARTS, "threshold", "阈值", "temperature"),)
+    parameters = (ShapeParameter("threshold", "{temperature}", _PARTS, "threshold", "阈值"),)
     cause = (
         "A heater, a range switch or a mode hop of the source occurs at a certain temperature. The bias has two "
         "levels without a transition."

@@ -67,9 +67,7 @@ class ThermalHysteresis(Effect):
     zh = "热迟滞"
     needs = ("temperature",)
     parameters = (
-        ShapeParameter(
-            "width", "{temperature}", (0.04, 0.1, 0.18, 0.25, 0.4), "width of the loop", "迟滞回线宽度", "temperature"
-        ),
+        ShapeParameter("width", "{temperature}", (0.04, 0.1, 0.18, 0.25, 0.4), "width of the loop", "迟滞回线宽度"),
     )
     per = "{temperature}"
     cause = (
