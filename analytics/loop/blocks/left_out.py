@@ -1,4 +1,4 @@
-"""What was left out of a record before a fit, as shares of its blocks, runs, steps and excitation."""
+"""What was left out of a record before anything was fitted, as shares of what it could have told."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -9,8 +9,8 @@ import numpy as np
 from analytics.loop.blocks.run_blocks import RunBlocks
 from stream.batch import BoolArray, FloatArray
 
-REPORTED, GRAVE = 0.2, 0.5
-"""Share of a kind of run or of a channel's excitation that is reported, and that prevents a negative verdict."""
+TOLD, GRAVE = 0.2, 0.5
+"""Share of a kind of run or of a channel's excitation that is worth a word, and one without which nothing is denied."""
 _TAIL = 0.05
 _DERIVED = frozenset({"day", "time_since_power_on", "position"})
 _AT_EDGES = frozenset({"table_acceleration"})  # blocks across an edge hold all of it
@@ -22,8 +22,9 @@ class LeftOut(msgspec.Struct, frozen=True):
     Parameters
     ----------
     what: Blocks, runs of a kind, a step, or a channel's excitation.
-    share: Part of it, 0 to 1.
-    is_grave: Whether the rest of the record cannot show that no effect is missing.
+    share: Part of it that was left out, 0 to 1.
+    why: As a sentence.
+    is_grave: Whether what remains cannot show that nothing is missing.
     """
 
     what: str
@@ -37,7 +38,7 @@ class LeftOut(msgspec.Struct, frozen=True):
 
     @property
     def sentence(self) -> str:
-        """As a caveat of a verdict."""
+        """As a limit of a verdict."""
         return f"{self.share:.0%} of {self.what} left out: {self.why}"
 
 
@@ -46,8 +47,8 @@ class Loss(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    why: The reason, as a sentence.
-    rows: Blocks of each run that were left out, by the name of the run; a run that lost none may be missing.
+    why: The reason.
+    rows: Blocks of each run that were left out for it, by the name of the run; a run that lost none may be missing.
     """
 
     why: str
@@ -57,13 +58,13 @@ class Loss(msgspec.Struct, frozen=True):
 def left_out(
     runs: Sequence[RunBlocks], losses: Sequence[Loss], steps: Mapping[tuple[str, str], BoolArray] | None = None
 ) -> tuple[LeftOut, ...]:
-    """Shares of the blocks, kinds of run, steps and excitation that losses of blocks cost; the worst first.
+    """Return what losses of blocks mean for runs: how many, of which kind of run, step and excitation; worst first.
 
     Parameters
     ----------
     runs: All blocks, those that were left out included.
-    losses: A block that is in several counts for the first.
-    steps: Blocks in each step, by run and name of the step.
+    losses: Why, and which; a block that is in several counts for the first.
+    steps: By run and name of a step, the blocks that lie in it.
     """
     gone = _total(runs, losses)
     blocks = sum(map(len, runs))
@@ -81,7 +82,7 @@ def left_out(
 
 
 def kind_of_run(name: str) -> str:
-    """Name of a run without its numbers: runs of one name are of one kind.
+    """What a run is called without its numbers: runs of one name are of one kind.
 
     Examples
     --------
@@ -101,7 +102,7 @@ def _total(runs: Sequence[RunBlocks], losses: Sequence[Loss]) -> dict[str, BoolA
 
 
 def _mostly(losses: Sequence[Loss], weight: Mapping[str, FloatArray]) -> str:
-    """The reason with the largest total weight."""
+    """The reason that weighs most."""
 
     def weight_of(loss: Loss) -> float:
         return float(sum(weight[name][rows].sum() for name, rows in loss.rows.items() if name in weight))
@@ -116,7 +117,7 @@ def _kinds(runs: Sequence[RunBlocks], losses: Sequence[Loss], gone: Mapping[str,
     found = []
     for kind, of_kind in kinds.items():
         share = sum(int(gone[run.run].sum()) for run in of_kind) / max(1, sum(map(len, of_kind)))
-        if share < REPORTED:
+        if share < TOLD:
             continue
         what = "all runs" if len(kinds) == 1 else f"runs '{kind}'" if kind else f"runs {of_kind[0].run} and the like"
         why = _mostly(losses, {run.run: np.ones(len(run)) for run in of_kind})
@@ -125,7 +126,7 @@ def _kinds(runs: Sequence[RunBlocks], losses: Sequence[Loss], gone: Mapping[str,
 
 
 def _excitation(runs: Sequence[RunBlocks], losses: Sequence[Loss], gone: Mapping[str, BoolArray]) -> list[LeftOut]:
-    """Losses of each channel's sum of squares about its median, clipped to the central 90 % of each run."""
+    """Of each channel the sum of squares about its middle, but for what it does in less than a twentieth of a run."""
     found = []
     for name in sorted({name for run in runs for name in run.channels} - _DERIVED):
         clipped = {run.run: _clipped(run.mean(name)) for run in runs if name in run.channels}
@@ -137,8 +138,8 @@ def _excitation(runs: Sequence[RunBlocks], losses: Sequence[Loss], gone: Mapping
         whole = sum(float(each.sum()) for each in squares.values())
         lost = sum(float(each[gone[run]].sum()) for run, each in squares.items())
         blocks = sum(int(gone[run].sum()) for run in squares) / sum(map(len, squares.values()))
-        # noise contributes to the squares in every block
-        if whole > 0 and lost / whole >= max(REPORTED, 1.5 * blocks):
+        # noise has its share of the squares in every block
+        if whole > 0 and lost / whole >= max(TOLD, 1.5 * blocks):
             share = lost / whole
             is_grave = share >= GRAVE and name not in _AT_EDGES
             found.append(LeftOut(f"the excitation of {name}", share, _mostly(losses, squares), is_grave))

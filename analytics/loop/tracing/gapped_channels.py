@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analytics.loop.blocks.left_out import REPORTED, LeftOut, Loss, left_out
+from analytics.loop.blocks.left_out import TOLD, LeftOut, Loss, left_out
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.registry import effect, effects_for
 from analytics.loop.model.error_model import ErrorModel
@@ -116,7 +116,7 @@ def _costs_much(runs: Sequence[RunBlocks], name: str, known: dict[str, BoolArray
     if share > MOST_LOST:
         return True
     lost = left_out(runs, [Loss("", {run: ~each for run, each in known.items()})])
-    return any(each.share >= REPORTED and each.what != f"the excitation of {name}" for each in lost)
+    return any(each.share >= TOLD and each.what != f"the excitation of {name}" for each in lost)
 
 
 def _less(runs: Sequence[RunBlocks], names: set[str]) -> tuple[RunBlocks, ...]:
