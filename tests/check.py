@@ -2,7 +2,7 @@
 
 Sets up ``.venv``, runs ruff, mypy, import-linter and pytest on the checkout, then builds the wheel and runs the laws
 of estimators and metrics and the demo once more against it, installed in a clean environment (``.venv-wheel``).
-With ``--all``, the long forms of the tests run as well.
+With ``--all``, the long forms of the tests run as well, and some against the lowest versions of the libraries.
 """
 
 import argparse
@@ -20,6 +20,16 @@ ROOT = Path(__file__).resolve().parents[1]
 DEMO = (
     "tests/e2e/test_demo.py::test_every_simulated_sample_is_in_the_lake_and_judged",
     "tests/e2e/test_demo.py::test_the_effect_that_nobody_declared_is_found_in_its_unit_and_in_no_other",
+)
+# what touches each library, run against the lowest versions that pyproject.toml allows
+LOWEST = (
+    "tests/test_commands.py",
+    "tests/e2e/test_api_store.py",
+    "tests/e2e/test_spectrum.py",
+    "tests/e2e/test_sql.py",
+    "tests/ingest/test_can_bus.py",
+    "tests/ingest/test_can_log.py",
+    "tests/analytics/test_trends_report.py",
 )
 PARALLEL = ("--numprocesses", str((os.cpu_count() or 1) + 1), "--dist", "worksteal")
 
@@ -41,6 +51,18 @@ def environment(folder: Path) -> Path:
     return folder / "bin"
 
 
+def share_libraries(source: Path, target: Path) -> None:
+    """Let one environment import the libraries of another, not what is installed editable there."""
+    paths = [
+        subprocess.check_output(
+            [bin_ / "python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], text=True
+        ).strip()
+        for bin_ in (source, target)
+    ]
+    # a .pth file adds a folder to the path; the .pth files in that folder are not read
+    (Path(paths[1]) / "libraries.pth").write_text(f"{paths[0]}\n")
+
+
 def development_requirements() -> list[str]:
     """The `dev` group; the pip that comes with Python 3.11 does not know groups."""
     with (ROOT / "pyproject.toml").open("rb") as file:
@@ -51,7 +73,8 @@ def development_requirements() -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Every gate of gyrofleet, in virtual environments that it makes.")
     parser.add_argument("--all", action="store_true", help="Run the long forms of the tests as well.")
-    chosen = ("-m", "") if parser.parse_args().all else ()
+    everything = parser.parse_args().all
+    chosen = ("-m", "") if everything else ()
     if sys.version_info < (3, 11):
         sys.exit(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
     bin_ = environment(ROOT / ".venv")
@@ -71,7 +94,8 @@ def main() -> None:
         (wheel,) = (there / "dist").glob("*.whl")
         shutil.rmtree(ROOT / ".venv-wheel", ignore_errors=True)
         clean = environment(ROOT / ".venv-wheel")
-        run(clean / "python", "-m", "pip", "install", "--quiet", f"{wheel}[test]")
+        run(clean / "python", "-m", "pip", "install", "--quiet", "--no-deps", wheel)
+        share_libraries(bin_, clean)
         # beside nothing of the checkout but its tests, so that only the wheel can be imported
         shutil.copytree(ROOT / "tests", there / "project" / "tests", ignore=shutil.ignore_patterns("__pycache__"))
         shutil.copy(ROOT / "pyproject.toml", there / "project")
@@ -81,6 +105,13 @@ def main() -> None:
         # what reads files that are no Python, and the whole path
         again = ("tests/laws/test_estimator_laws.py", "tests/laws/test_metric_laws.py", *DEMO)
         run(clean / "python", "-m", "pytest", *PARALLEL, *again, cwd=there / "project")
+
+    if everything:
+        lowest = environment(ROOT / ".venv-lowest")
+        run(lowest / "python", "-m", "pip", "install", "--quiet", "uv")
+        to = ("--python", lowest / "python", "--resolution", "lowest-direct")
+        run(lowest / "uv", "pip", "install", "--quiet", *to, "--editable", ".[test]")
+        run(lowest / "python", "-m", "pytest", *PARALLEL, "-p", "no:cacheprovider", *LOWEST)
 
 
 if __name__ == "__main__":
