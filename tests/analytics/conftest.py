@@ -12,8 +12,8 @@ import pyarrow as pa
 import pytest
 
 from analytics.evaluation.evaluation import define_views, evaluate
-from analytics.loop.blocks.checks import Note
-from analytics.loop.blocks.reduction import BlockReducer, Reduction
+from analytics.loop.blocks.block_reducer import BlockReducer, Reduction
+from analytics.loop.blocks.reduction_notes import Note
 from analytics.loop.report.remarks_zh import in_chinese
 from analytics.loop.tracing import diagnosis
 from analytics.metrics.registry import metrics

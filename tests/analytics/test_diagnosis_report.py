@@ -15,8 +15,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from analytics.commands.diagnose import _tell_unit
-from analytics.loop.blocks.checks import Note
 from analytics.loop.blocks.left_out import LeftOut
+from analytics.loop.blocks.reduction_notes import Note
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
 from analytics.loop.report.diagnosis_html import report_html, write_report

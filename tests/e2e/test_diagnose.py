@@ -129,7 +129,7 @@ def test_a_verdict_is_told_though_its_model_cannot_be_saved(
 def fleet(store: Path) -> Result:
     """All units of the store diagnosed together, with every line of progress."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stream.console._TOLD_EVERY_S", 0.0)
+        patch.setattr("stream.console._STATUS_EVERY_S", 0.0)
         done = CliRunner().invoke(main, ["diagnose", "--fleet", "--model", MODEL, "--store", str(store), "--json"])
     assert done.exit_code == 0, done.output
     return done
@@ -237,7 +237,7 @@ def test_hit_2012_lacks_something_that_the_table_cannot_name(gyrofleet: Callable
     before, after = (found["error"][part]["rms_60s"] for part in ("before", "after"))
     assert before == pytest.approx(0.82e-3, rel=0.1)  # V, the speed that was held out
     assert after < 0.5 * before
-    assert any("mounted anew" in note["text"] for note in found["reduction"])
+    assert any("remounted" in note["text"] for note in found["reduction"])
 
 
 @pytest.mark.measured

@@ -110,29 +110,28 @@ _SENTENCES: Final[Mapping[str, str]] = {
     "the unit's own Allan fits; turn-on scatter estimated from these runs":
         "产品自身的Allan拟合；逐次启动散布由这些试验估计",
     # notes on the reduction
-    "signal {name} never changes {where}, as of an output that is dead or stuck: leave such runs out with --run":
+    "signal {name} never changes {where}: its output is dead or stuck; exclude such runs with --run":
         "信号{name}{where}从不变化，如同输出失效或卡死：用--run略去这些试验",
-    "runs hold the same samples ({runs}): the one confirms nothing that the other says; leave one of each "
-    "out with --run":
+    "runs have the same samples ({runs}) and do not confirm each other; exclude one of each with --run":
         "试验的采样相同（{runs}）：不能互相证实；用--run各略去一次",
-    "channel {name} is missing {where}: effects that need it are looked for nowhere":
+    "channel {name} is missing {where}: effects that need it are not searched for":
         "{where}缺少通道{name}：不查找需要它的效应",
     "channel {name} has no reading near {bad} of {blocks} blocks, {where}":
         "{where}，通道{name}在{blocks}个数据块中的{bad}个附近没有读数",
-    "channel {name} never changes: what depends on it cannot be seen, nor told from the bias":
+    "channel {name} never changes: its effects cannot be distinguished from the bias":
         "通道{name}从不变化：与它相关的效应看不到，也无法与零偏区分",
     "channel {name} is in {units}, depending on the run: import it in one unit of measure":
         "通道{name}的单位因试验而异（{units}）：请以同一单位导入",
     "channel {name} is in {unit}: coefficients are per {same}": "通道{name}的单位为{unit}：系数按每{same}计",
-    "channels {first} and {second} are copies of each other: an effect of one cannot be told from the other":
+    "channels {first} and {second} are copies of each other: their effects cannot be distinguished":
         "通道{first}与{second}互为副本：二者的效应无法区分",
-    "the clock of {one} is {seconds} s off that of {other} in run {runs}: its channels are joined where their own "
-    "clock puts them":
+    "the clock of {one} is {seconds} s off that of {other} in run {runs}: its channels are joined by their own "
+    "clock":
         "在试验{runs}中，{one}的时钟与{other}相差{seconds} s：其通道按自身时钟对齐",
-    "{samples} samples are no finite numbers {where}: left out": "{where}有{samples}个采样不是有限数：已略去",
-    "{count} blocks or readings of {name} are left out {where}: a reading, {value} the largest, lies far outside of "
-    "those before and after it, as a fill value does, a bit that was flipped on the way, or a knock":
-        "{where}略去{name}的{count}个数据块或读数：其中有读数（最大为{value}）远离前后读数，如填充值、传输误码或撞击",
+    "{samples} samples are not finite {where}: left out": "{where}有{samples}个采样不是有限数：已略去",
+    "{count} blocks or readings of {name} are left out {where}: outliers of up to {value}, as from a fill value, a "
+    "transmission error or a shock":
+        "{where}略去{name}的{count}个数据块或读数：离群值（最大为{value}），如填充值、传输误码或冲击所致",
     "samples are up to {apart} s apart {where}, blocks are {block} s long: most are empty, and the noise N is "
     "estimated too low; give blocks from {least} s on":
         "{where}采样间隔达{apart} s，而数据块长{block} s：多数数据块为空，噪声N偏低；数据块请取{least} s以上",
@@ -151,25 +150,25 @@ _SENTENCES: Final[Mapping[str, str]] = {
         "{where}略去{count}个数据块：其中参考角速率的变化快于其读数所示；缩短数据块或增加读数可保留更多",
     "the unit was powered on several times {where}: each power-on counts as a run, RUN#1, RUN#2, ...":
         "{where}产品多次上电：每次上电计为一次试验，记作RUN#1、RUN#2……",
-    "channel position stands for: {words}; what differs between positions is gravity, the earth's rate and field, or "
-    "the mounting itself: only positions that were mounted anew several times tell":
+    "channel position stands for: {words}; positions differ by gravity, earth rate, magnetic field and mounting: only "
+    "positions that were remounted several times show by which":
         "通道position代表：{words}；位置之间的差别可能是重力、地球自转与磁场或安装本身：只有多次重新安装的位置才能判别",
     "channel position stands for: {words}": "通道position代表：{words}",
-    "blocks of {block} s hold {what}: nothing within them tells the noise, which is judged by what the model leaves":
-        "{block} s数据块内没有离散（{what}）：块内无法得知噪声，由模型残差判断",
-    "{names} of {unit} are outputs of the unit like {signal}: not taken as channels; a reference is imported under a "
-    "standard name, such as gravity_i":
+    "blocks of {block} s hold {what}: the noise is estimated from the residual of the model alone":
+        "{block} s数据块内没有离散（{what}）：噪声仅由模型残差估计",
+    "{names} of {unit} are outputs like {signal} and not channels; import a reference under a standard name, such as "
+    "gravity_i":
         "{unit}的{names}与{signal}同为产品输出：不作为通道；参考量请以标准名导入，如gravity_i",
-    "channel {name} is that of {of}; {others} give one of that name as well":
+    "channel {name} is taken from {of}; {others} have a channel of that name as well":
         "通道{name}取自{of}；{others}也给出同名通道",
-    "no input_rate is recorded, and the axes {words} do not say how the input axis lies: there is no input rate; "
-    "record or import it as channel input_rate":
+    "no input_rate is recorded, and the axes {words} do not define the direction of the input axis: record or "
+    "import channel input_rate":
         "未记录input_rate，转动轴{words}也未说明输入轴方向：没有输入角速率；请记录或以通道input_rate导入",
-    "no input_rate is recorded, and the positions {words} do not say how the input axis lies: there is no input rate; "
-    "record or import it as channel input_rate":
+    "no input_rate is recorded, and the positions {words} do not define the direction of the input axis: record "
+    "or import channel input_rate":
         "未记录input_rate，位置{words}也未说明输入轴方向：没有输入角速率；请记录或以通道input_rate导入",
-    "input_rate is taken from {source} {where}: the table's axis is supposed to lie along the input axis, as far as "
-    "the axis or position of a step does not say otherwise":
+    "input_rate is taken from {source} {where}: the table's axis is assumed to be the input axis unless the axis "
+    "or position of a step says otherwise":
         "{where}input_rate取自{source}：除非步骤的转动轴或位置另有说明，假定转台轴沿输入轴",
     "{where} {names} is missing, which the model needs: left out": "{where}缺少模型所需的{names}：已略去",
     "signal {signal} is in {unit}: the noise terms are those of an angular rate":
@@ -183,8 +182,8 @@ _SENTENCES: Final[Mapping[str, str]] = {
     "{count} samples of {signal} are isolated outliers {where}, up to {times} times the noise: they raise N by up to "
     "{share}":
         "{where}，{signal}有{count}个孤立离群采样，最大为噪声的{times}倍：使N最多偏大{share}",
-    "{signal} is {size} {name} {where}, both in the units they are labelled with, {how}: mend the label and import "
-    "anew, else every coefficient of {same} is off by that":
+    "{signal} is {size} {name} {where}, both in the units they are labelled with, {how}: correct the label and "
+    "import again, else every coefficient of {same} is wrong by this factor":
         "{where}，按所标单位，{signal}与{name}之比为{size}，疑为单位标注有误：请改正标注后重新导入，否则{name}的系数均差此倍数",
     # what was left out, and why
     "they hold but a few samples": "采样过少",
@@ -229,7 +228,7 @@ def in_chinese(text: str) -> str:
     --------
     >>> in_chinese("channel humidity is missing in 2 of 9 runs")
     '9次试验中有2次缺少通道humidity'
-    >>> in_chinese("3 samples are no finite numbers in run r1: left out")
+    >>> in_chinese("3 samples are not finite in run r1: left out")
     '在试验r1中有3个采样不是有限数：已略去'
     >>> in_chinese("something else")
     'something else'
