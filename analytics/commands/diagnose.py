@@ -251,9 +251,9 @@ def _write(found: "UnitsDiagnosis", report_path: Path | None, plot_folder: Path 
 
 
 def _tell_unit(found: "UnitDiagnosis", language: "Language") -> None:
-    from analytics.loop.report.evidence import alternative, evidence, separating_test
+    from analytics.loop.report.finding_sentences import alternative, evidence, separating_test
     from analytics.loop.report.report_tables import absent_rows, achieved, error_rows, gain_rows, noise_rows
-    from analytics.loop.report.sentences import verdict_sentence
+    from analytics.loop.report.verdict_sentence import verdict_sentence
     from analytics.loop.report.wording import Wording
 
     words, diagnosis, console = Wording(language, found.data.runs[0]), found.diagnosis, results()

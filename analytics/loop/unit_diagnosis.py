@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.tracing.diagnosis import diagnose
-from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, standing
-from analytics.loop.tracing.result import Diagnosis
+from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, significant_findings
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis
 from analytics.loop.unit_reduction import Question, ReducedUnit, ReducedUnits, model_on, reduce_units
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput, GyrofleetError, NotFound
@@ -114,7 +114,7 @@ def trace_units(
         count = len(read.units) + len(read.failed)
         why = "; ".join(f"{unit}: {why}" for unit, why in failed.items())
         raise NotFound(f"none of {count} units can be diagnosed; {why}")
-    return UnitsDiagnosis(done, failed, standing({unit: each.diagnosis for unit, each in done.items()}))
+    return UnitsDiagnosis(done, failed, significant_findings({unit: each.diagnosis for unit, each in done.items()}))
 
 
 def _pooled(
@@ -131,7 +131,7 @@ def _pooled(
         declared_noise={unit: data.noise for unit, data in units.items() if data.noise is not None},
         holdout=held_out,
         left_out={unit: data.left_out for unit, data in units.items()},
-        told=told,
+        on_progress=told,
     )
     done = {unit: UnitDiagnosis(data, fleet.units[unit]) for unit, data in units.items()}
     return UnitsDiagnosis(done, failed, fleet.own_findings, fleet)

@@ -21,17 +21,18 @@ from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
 from analytics.loop.report.diagnosis_html import report_html, write_report
 from analytics.loop.report.diagnosis_plots import figures_of, write_figures
-from analytics.loop.report.drivers import drawn
+from analytics.loop.report.effect_driver import drawn
 from analytics.loop.report.error_by_driver import bias_over_temperature, scale_factor_over_rate
-from analytics.loop.report.evidence import alternative
+from analytics.loop.report.finding_sentences import alternative
 from analytics.loop.report.residual_allan import residual_allan
 from analytics.loop.report.residuals import Residuals, residuals_of
-from analytics.loop.report.sentences import verdict_sentence
+from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.whitened_spectrum import whitened_spectrum
 from analytics.loop.report.wording import Language, Wording
 from analytics.loop.tracing.diagnosis import diagnose
-from analytics.loop.tracing.fleet import diagnose_fleet, standing
-from analytics.loop.tracing.result import Coefficient, Diagnosis, FoundEffect, Verdict
+from analytics.loop.tracing.fleet import diagnose_fleet, significant_findings
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
+from analytics.loop.tracing.result.finding import EffectCoefficient, FoundEffect
 from analytics.loop.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis, held_out_runs
 from analytics.loop.unit_reduction import ReducedUnit
 from stream.errors import BadInput
@@ -60,7 +61,7 @@ def left(found: UnitDiagnosis) -> Residuals:
 
 def as_units(*found: UnitDiagnosis) -> UnitsDiagnosis:
     units = {each.unit: each for each in found}
-    return UnitsDiagnosis(units, {}, standing({unit: each.diagnosis for unit, each in units.items()}))
+    return UnitsDiagnosis(units, {}, significant_findings({unit: each.diagnosis for unit, each in units.items()}))
 
 
 def test_residuals_are_those_of_the_models_and_the_held_out_set_is_the_last_third() -> None:
@@ -186,7 +187,7 @@ def test_a_jump_is_drawn_over_the_time_of_its_run_and_a_line_is_not() -> None:
     run = stack.runs[2]
     step = 3.0 * ((stack.run_number == 2) & (stack.column(lambda each: each.time_s) > 3600.0))
     with_jump = replace(residuals, after=residuals.after + step)
-    size = (Coefficient("", 3.0, 2.9, 3.1, "deg/h"),)
+    size = (EffectCoefficient("", 3.0, 2.9, 3.1, "deg/h"),)
     jump = a_finding(name="jump", parameters={"run": run.run, "at_s": 3600.0}, coefficients=size)
     shown = drawn(with_jump, jump, Wording("en"))
     assert shown is not None
@@ -217,7 +218,7 @@ def test_a_clock_is_asked_for_an_offset_that_a_reader_can_judge() -> None:
 
 
 def a_finding(**more: Any) -> FoundEffect:
-    coefficient = Coefficient("", 14.5, 13.2, 15.8, "deg/h/(degC/s)")
+    coefficient = EffectCoefficient("", 14.5, 13.2, 15.8, "deg/h/(degC/s)")
     head = FoundEffect("temperature_rate", {}, (coefficient,), 13.4, 170.0, {"temperature": "cause"})
     return msgspec.structs.replace(head, **more)
 
@@ -227,29 +228,29 @@ def verdicts() -> Sequence[Diagnosis]:
     head: dict[str, Any] = {"units": ("FOG-1",), "signal": "rate", "runs": ("a", "b", "c")}
     jump = msgspec.structs.replace(a_finding(), name="jump", parameters={"run": "a", "at_s": 60.0}, replicates=False)
     return [
-        Diagnosis(verdict=Verdict.NOTHING_MISSING, declared_noise=NOISE, **head),
-        Diagnosis(verdict=Verdict.NOTHING_MISSING, **head),
-        Diagnosis(verdict=Verdict.EFFECT_FOUND, effects=(a_finding(),), **head),
-        Diagnosis(verdict=Verdict.EFFECT_FOUND, effects=(a_finding(), a_finding(name="warm_up")), **head),
-        Diagnosis(verdict=Verdict.CONFOUNDED, effects=(a_finding(confounded=confounded), jump), **head),
+        Diagnosis(verdict=ModelVerdict.NOTHING_MISSING, declared_noise=NOISE, **head),
+        Diagnosis(verdict=ModelVerdict.NOTHING_MISSING, **head),
+        Diagnosis(verdict=ModelVerdict.EFFECT_FOUND, effects=(a_finding(),), **head),
+        Diagnosis(verdict=ModelVerdict.EFFECT_FOUND, effects=(a_finding(), a_finding(name="warm_up")), **head),
+        Diagnosis(verdict=ModelVerdict.CONFOUNDED, effects=(a_finding(confounded=confounded), jump), **head),
         Diagnosis(
-            verdict=Verdict.CONFOUNDED, effects=(a_finding(confounded=confounded),), replication="within_run", **head
+            verdict=ModelVerdict.CONFOUNDED, effects=(a_finding(confounded=confounded),), replication="within_run", **head
         ),
         Diagnosis(
-            verdict=Verdict.UNKNOWN_FUNCTION, effects=(a_finding(unknown_function_of=("temperature",)),), **head
+            verdict=ModelVerdict.UNKNOWN_FUNCTION, effects=(a_finding(unknown_function_of=("temperature",)),), **head
         ),
-        Diagnosis(verdict=Verdict.UNREPLICATED, effects=(a_finding(),), replication="within_run", **head),
-        Diagnosis(verdict=Verdict.UNREPLICATED, unreplicated=(a_finding(confirmed=False),), **head),
-        Diagnosis(verdict=Verdict.UNREPLICATED, unreplicated=(a_finding(largest_share=0.99),), **head),
-        Diagnosis(verdict=Verdict.UNREPLICATED, effects=(jump,), **head),
-        Diagnosis(verdict=Verdict.UNEXPLAINED, noise_excess=2.5, **head),
-        Diagnosis(verdict=Verdict.UNEXPLAINED, effects=(jump, jump), **head),
-        Diagnosis(verdict=Verdict.NOT_ENOUGH_DATA, missing=("9 blocks are there, 20 are needed",), **head),
+        Diagnosis(verdict=ModelVerdict.UNREPLICATED, effects=(a_finding(),), replication="within_run", **head),
+        Diagnosis(verdict=ModelVerdict.UNREPLICATED, unreplicated=(a_finding(confirmed=False),), **head),
+        Diagnosis(verdict=ModelVerdict.UNREPLICATED, unreplicated=(a_finding(largest_share=0.99),), **head),
+        Diagnosis(verdict=ModelVerdict.UNREPLICATED, effects=(jump,), **head),
+        Diagnosis(verdict=ModelVerdict.UNEXPLAINED, noise_excess=2.5, **head),
+        Diagnosis(verdict=ModelVerdict.UNEXPLAINED, effects=(jump, jump), **head),
+        Diagnosis(verdict=ModelVerdict.NOT_ENOUGH_DATA, missing=("9 blocks are there, 20 are needed",), **head),
     ]  # fmt: skip
 
 
 def test_every_verdict_is_a_sentence_of_its_own_in_both_languages() -> None:
-    assert {each.verdict for each in verdicts()} == set(Verdict)
+    assert {each.verdict for each in verdicts()} == set(ModelVerdict)
     for language, stop in (("en", "."), ("zh", "。")):
         told = [verdict_sentence(each, Wording(language)) for each in verdicts()]  # type: ignore[arg-type]
         assert len(set(told)) == len(told)
@@ -263,7 +264,7 @@ def test_every_verdict_is_a_sentence_of_its_own_in_both_languages() -> None:
 def test_a_sentence_names_what_was_found_its_alternatives_and_what_it_wins() -> None:
     found = diagnosed()
     text = verdict_sentence(found.diagnosis, Wording("en", found.data.runs[0]))
-    assert found.diagnosis.verdict is Verdict.CONFOUNDED
+    assert found.diagnosis.verdict is ModelVerdict.CONFOUNDED
     assert text.startswith("The declared model lacks an effect, and these data cannot tell which: temperature rate")
     assert re.search(r"or hardly time offset of the temperature sensor \(of [1-9],\d{3} s\)", text)
     assert "3 held-out runs confirm it" in text
@@ -321,7 +322,7 @@ def test_of_several_units_those_without_a_finding_come_without_pictures() -> Non
     quiet = diagnosed("temperature_rate", 0.0)
     runs = tuple(replace(run, unit="FOG-<2>") for run in quiet.data.runs)
     other = UnitDiagnosis(replace(quiet.data, runs=runs), quiet.diagnosis)
-    assert other.diagnosis.verdict is Verdict.NOTHING_MISSING
+    assert other.diagnosis.verdict is ModelVerdict.NOTHING_MISSING
     found = as_units(diagnosed(), other)
     assert list(found.own_findings) == ["FOG-0231"]
     page = Page()
@@ -410,7 +411,7 @@ def test_what_was_left_out_comes_before_the_verdict(
 
 def test_not_enough_data_is_a_report_too() -> None:
     head = diagnosed()
-    short = Diagnosis(verdict=Verdict.NOT_ENOUGH_DATA, units=(head.unit,), signal="rate", missing=("9 blocks",))
+    short = Diagnosis(verdict=ModelVerdict.NOT_ENOUGH_DATA, units=(head.unit,), signal="rate", missing=("9 blocks",))
     text = report_html(as_units(UnitDiagnosis(head.data, short)), "en")
     assert "Not enough data for a verdict: 9 blocks." in text
     assert "<img" not in text

@@ -11,7 +11,7 @@ import pytest
 
 from analytics.loop.live.compensating_sender import CompensatingSender
 from analytics.loop.live.compensation_worker import CompensationWorker
-from analytics.loop.live.live_compensation import compensated_epoch
+from analytics.loop.live.epoch_compensation import compensated_epoch
 from analytics.loop.live.live_compensator import LiveCompensator, Out
 from analytics.loop.model.error_model import ErrorModel, ModelTerm
 from analytics.loop.model.live_terms import check_live, live_part, why_not_live

@@ -10,10 +10,10 @@ from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.model.declared_noise import with_turn_on
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
-from analytics.loop.report.sentences import verdict_sentence
+from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Wording
 from analytics.loop.tracing.diagnosis import diagnose
-from analytics.loop.tracing.result import Verdict
+from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
 from tests.bench.loop_campaign import Campaign
 
 TRUE = NoiseCoefficients(N=0.005, B=0.01, K=0.006, turn_on=0.05)
@@ -43,7 +43,7 @@ def test_white_noise_declared_wrongly_is_measured_and_said(quiet_runs: list[RunB
 
 def test_noise_declared_rightly_raises_no_word(quiet_runs: list[RunBlocks]) -> None:
     found = diagnose(quiet_runs, MODEL, declared_noise=TRUE)
-    assert found.verdict is Verdict.NOTHING_MISSING
+    assert found.verdict is ModelVerdict.NOTHING_MISSING
     assert not any("disagree" in each or "less noise" in each for each in found.limits)
 
 
@@ -76,7 +76,7 @@ def two_runs() -> list[RunBlocks]:
 def test_two_runs_that_differ_by_far_more_than_their_noise_are_a_finding_that_two_runs_cannot_tell() -> None:
     runs = two_runs()
     found = diagnose(runs, BIAS)
-    assert found.verdict is Verdict.CONFOUNDED
+    assert found.verdict is ModelVerdict.CONFOUNDED
     assert found.names == ("turn_on",)
     names = {each.name: each.recorded for each in found.confounded}
     assert names["temperature"]

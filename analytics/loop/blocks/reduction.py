@@ -20,7 +20,7 @@ from analytics.loop.blocks.derived import (
 )
 from analytics.loop.blocks.join import ChannelJoiner
 from analytics.loop.blocks.labels import check_labels
-from analytics.loop.blocks.left_out import LeftOut, Loss, left_out
+from analytics.loop.blocks.left_out import FAR_OUTSIDE, FEW_SAMPLES, NOT_RESOLVED, LeftOut, Loss, left_out
 from analytics.loop.blocks.means import Blocks, block_means
 from analytics.loop.blocks.motion import RateSeries
 from analytics.loop.blocks.notes import (
@@ -84,11 +84,7 @@ class _Losses:
 
     def named(self) -> tuple[Loss, ...]:
         """With their reasons."""
-        return (
-            Loss("a reading of the signal lies far outside of those before and after it", self.far),
-            Loss("they hold but a few samples", self.partial),
-            Loss("the reference rate changes within them faster than its readings show", self.unresolved),
-        )
+        return (Loss(FAR_OUTSIDE, self.far), Loss(FEW_SAMPLES, self.partial), Loss(NOT_RESOLVED, self.unresolved))
 
 
 class BlockReducer:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from uuid import UUID
 
-from analytics.loop.live.live_compensation import SUFFIX
+from analytics.loop.live.epoch_compensation import SUFFIX
 from analytics.loop.live.live_compensator import LiveCompensator, Out, lacking_uid
 from analytics.loop.model.model_registry import ModelRegistry
 from analytics.loop.model.model_use import logged_documents, uses_of

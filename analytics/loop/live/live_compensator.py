@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from uuid import UUID, uuid5
 
-from analytics.loop.live.live_compensation import PATIENCE_BATCHES, PATIENCE_S, SUFFIX, EpochCompensation
+from analytics.loop.live.epoch_compensation import PATIENCE_BATCHES, PATIENCE_S, SUFFIX, EpochCompensation
 from analytics.loop.model.live_terms import live_part, needed_channels
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
 from analytics.loop.model.model_use import InUse, Uses

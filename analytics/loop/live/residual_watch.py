@@ -19,7 +19,7 @@ from analytics.loop.model.model_use import (
     rollback_documents,
     uses_of,
 )
-from analytics.loop.tracing.whitened_residual import whitened_residual
+from analytics.loop.tracing.whitening.whitener import whitened_residual
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.batch import FloatArray

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from analytics.loop.effects.registry import effect
 from analytics.loop.report.diagnosis_plots import figures_of
 from analytics.loop.report.error_by_driver import bias_over_temperature, scale_factor_over_rate
-from analytics.loop.report.evidence import alternative, evidence, separating_test
+from analytics.loop.report.finding_sentences import alternative, evidence, separating_test
 from analytics.loop.report.fleet_sentences import fleet_rows, fleet_sentence, unit_rows
 from analytics.loop.report.report_tables import (
     TextTable,
@@ -27,10 +27,11 @@ from analytics.loop.report.report_tables import (
 )
 from analytics.loop.report.residual_allan import residual_allan
 from analytics.loop.report.residuals import residuals_of
-from analytics.loop.report.sentences import verdict_sentence
+from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Language, Wording
 from analytics.loop.tracing.fleet import FleetDiagnosis
-from analytics.loop.tracing.result import Diagnosis, FoundEffect
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis
+from analytics.loop.tracing.result.finding import FoundEffect
 from analytics.loop.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
 from stream.errors import BadInput
 

@@ -11,12 +11,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from analytics.loop.report.drivers import Drawn, drawn
+from analytics.loop.report.effect_driver import Drawn, drawn
 from analytics.loop.report.residual_allan import DeviationAt, residual_allan
 from analytics.loop.report.residuals import residuals_of
 from analytics.loop.report.whitened_spectrum import WhitenedSpectrum, whitened_spectrum
 from analytics.loop.report.wording import Wording
-from analytics.loop.tracing.result import FoundEffect, HoldoutSlope
+from analytics.loop.tracing.result.finding import FoundEffect
+from analytics.loop.tracing.result.holdout import HoldoutSlope
 from analytics.loop.unit_diagnosis import UnitDiagnosis
 from analytics.plots.allan_marks import FLEET, INK, SOFT
 from analytics.plots.figure_file import logarithmic_grid, write_figure

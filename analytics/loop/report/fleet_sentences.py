@@ -5,21 +5,22 @@ from collections.abc import Sequence
 from analytics.loop.report.report_tables import TextTable
 from analytics.loop.report.wording import Wording, number
 from analytics.loop.tracing.fleet import FleetDiagnosis, UnitCoefficient
-from analytics.loop.tracing.result import FoundEffect, Verdict
+from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
+from analytics.loop.tracing.result.finding import FoundEffect
 from analytics.loop.unit_diagnosis import UnitsDiagnosis
 
 _ZH_VERDICTS = {
-    Verdict.NOTHING_MISSING: "无缺项",
-    Verdict.EFFECT_FOUND: "发现效应",
-    Verdict.CONFOUNDED: "无法区分",
-    Verdict.UNREPLICATED: "未重现",
-    Verdict.UNKNOWN_FUNCTION: "未知函数",
-    Verdict.UNEXPLAINED: "未解释",
-    Verdict.NOT_ENOUGH_DATA: "数据不足",
+    ModelVerdict.NOTHING_MISSING: "无缺项",
+    ModelVerdict.EFFECT_FOUND: "发现效应",
+    ModelVerdict.CONFOUNDED: "无法区分",
+    ModelVerdict.UNREPLICATED: "未重现",
+    ModelVerdict.UNKNOWN_FUNCTION: "未知函数",
+    ModelVerdict.UNEXPLAINED: "未解释",
+    ModelVerdict.NOT_ENOUGH_DATA: "数据不足",
 }
 
 
-def verdict_name(verdict: Verdict, words: Wording) -> str:
+def verdict_name(verdict: ModelVerdict, words: Wording) -> str:
     """A verdict in one or two words."""
     return words.of(verdict.value.replace("_", " "), _ZH_VERDICTS[verdict])
 
@@ -27,7 +28,7 @@ def verdict_name(verdict: Verdict, words: Wording) -> str:
 def fleet_sentence(fleet: FleetDiagnosis, words: Wording) -> str:
     """Say what all units have in common, and how many differ."""
     units = len(fleet.units)
-    if fleet.verdict is Verdict.NOT_ENOUGH_DATA:
+    if fleet.verdict is ModelVerdict.NOT_ENOUGH_DATA:
         why = words.of("; ", "；").join(map(words.remark, fleet.limits))
         return words.of(f"Not enough data to pool: {why}.", f"数据不足，无法汇总：{why}。")
     if not fleet.effects:

@@ -8,8 +8,8 @@ from analytics.loop.model.noise import NoiseCoefficients
 from analytics.loop.report.error_by_driver import ErrorOverDriver
 from analytics.loop.report.residual_allan import DeviationAt
 from analytics.loop.report.wording import Wording, measured, number, told_unit
-from analytics.loop.tracing.error_result import ErrorGain, ErrorTable
-from analytics.loop.tracing.result import Diagnosis
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis
+from analytics.loop.tracing.result.error_table import ErrorGain, ErrorTable
 from stream.quantities import ANGULAR_RATE_UNIT
 
 _NUMBER_STARTS = "0123456789-\N{EN DASH}"

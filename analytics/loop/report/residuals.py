@@ -7,11 +7,11 @@ import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.model.noise import NoiseCoefficients
-from analytics.loop.tracing.diagnosis import case_of
-from analytics.loop.tracing.noise_floor import correlated_variance
-from analytics.loop.tracing.record import Record
-from analytics.loop.tracing.result import Diagnosis
-from analytics.loop.tracing.white_variance import record_of
+from analytics.loop.tracing.case import case_of
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis
+from analytics.loop.tracing.whitening.noise_variance import correlated_variance
+from analytics.loop.tracing.whitening.unit_record import UnitRecord
+from analytics.loop.tracing.whitening.white_variance import record_of
 from stream.batch import BoolArray, FloatArray
 
 
@@ -27,7 +27,7 @@ class Residuals:
     held_out: shape (n,); blocks that took no part in the fit; none where no runs were held out.
     """
 
-    record: Record
+    record: UnitRecord
     noise: NoiseCoefficients
     before: FloatArray
     after: FloatArray

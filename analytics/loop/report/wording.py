@@ -8,7 +8,7 @@ from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.coefficient_units import parameter_unit
 from analytics.loop.effects.registry import effect
 from analytics.loop.report.remarks_zh import in_chinese
-from analytics.loop.tracing.result import Coefficient, ConfoundedEffect, FoundEffect
+from analytics.loop.tracing.result.finding import ConfoundedEffect, EffectCoefficient, FoundEffect
 
 Language = Literal["en", "zh"]
 
@@ -119,7 +119,7 @@ class Wording:
             return self.of(f"{count} coefficients", f"{count}个系数")
         return self.of("; ", "；").join(self._one(each) for each in found.coefficients)
 
-    def _one(self, found: Coefficient) -> str:
+    def _one(self, found: EffectCoefficient) -> str:
         head = f"{found.name} " if found.name else ""
         limits = self.of(f"{number(found.lo)} to {number(found.hi)}", f"{number(found.lo)} 至 {number(found.hi)}")
         return f"{head}{number(found.value)} ({limits}) {told_unit(found.unit_of_measure)}"
