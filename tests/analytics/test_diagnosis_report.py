@@ -24,10 +24,9 @@ from analytics.loop.report.diagnosis_plots import figures_of, write_figures
 from analytics.loop.report.effect_driver import drawn
 from analytics.loop.report.error_by_driver import bias_over_temperature, scale_factor_over_rate
 from analytics.loop.report.finding_sentences import alternative
-from analytics.loop.report.residual_allan import residual_allan
+from analytics.loop.report.residual_curves import residual_allan, whitened_spectrum
 from analytics.loop.report.residuals import Residuals, residuals_of
 from analytics.loop.report.verdict_sentence import verdict_sentence
-from analytics.loop.report.whitened_spectrum import whitened_spectrum
 from analytics.loop.report.wording import Language, Wording
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.fleet import diagnose_fleet, significant_findings

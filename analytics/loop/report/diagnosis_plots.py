@@ -12,9 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from analytics.loop.report.effect_driver import Drawn, drawn
-from analytics.loop.report.residual_allan import DeviationAt, residual_allan
+from analytics.loop.report.residual_curves import DeviationAt, WhitenedSpectrum, residual_allan, whitened_spectrum
 from analytics.loop.report.residuals import residuals_of
-from analytics.loop.report.whitened_spectrum import WhitenedSpectrum, whitened_spectrum
 from analytics.loop.report.wording import Wording
 from analytics.loop.tracing.result.finding import FoundEffect
 from analytics.loop.tracing.result.holdout import HoldoutSlope

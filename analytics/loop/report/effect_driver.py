@@ -9,7 +9,7 @@ from analytics.loop.effects.base import Kind
 from analytics.loop.effects.registry import effect
 from analytics.loop.effects.turn_on import TURN_ON
 from analytics.loop.report.residuals import Residuals
-from analytics.loop.report.wording import Wording, told_unit
+from analytics.loop.report.wording import Wording, shown_unit
 from analytics.loop.tracing.result.finding import FoundEffect
 from stream.batch import BoolArray, FloatArray
 
@@ -84,7 +84,7 @@ def _driver(
         if is_function_of(values, predicted):
             return values, f"{channel} ({run.channels[channel].unit_of_measure})"
     if columns.shape[1] == 1:
-        unit = told_unit(found.coefficients[0].unit_of_measure.removeprefix(run.unit_of_measure).removeprefix("/"))
+        unit = shown_unit(found.coefficients[0].unit_of_measure.removeprefix(run.unit_of_measure).removeprefix("/"))
         unit = unit.removeprefix("(").removesuffix(")") if unit.count("(") == 1 else unit
         return columns[:, 0], f"{words.effect(found)} ({unit})" if unit else words.effect(found)
     return predicted, f"{words.of('predicted', '预测值')} ({run.unit_of_measure})"

@@ -1,4 +1,4 @@
-"""The verdict in one sentence; in English or Chinese."""
+"""The verdict of a diagnosis in one sentence, in English or Chinese."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ _OR, _AND = ("or", "或"), ("and", "和")
 
 
 def verdict_sentence(diagnosis: Diagnosis, words: Wording) -> str:
-    """Say in one sentence what the data say of the declared model.
+    """The verdict in one sentence; of several effects the one that explains most of the held-out error comes first.
 
     Examples
     --------
@@ -24,201 +24,192 @@ def verdict_sentence(diagnosis: Diagnosis, words: Wording) -> str:
     """
     match diagnosis.verdict:
         case ModelVerdict.NOT_ENOUGH_DATA:
-            missing = words.of("; ", "；").join(map(words.remark, diagnosis.missing))
-            return words.of(f"Not enough data for a verdict: {missing}.", f"数据不足，无法判定：{missing}。")
+            missing = words.of("; ", "；").join(map(words.text, diagnosis.missing))
+            text = words.of(f"not enough data for a verdict: {missing}", f"数据不足，无法判定：{missing}")
         case ModelVerdict.NOTHING_MISSING:
-            return _nothing_missing(diagnosis, words)
-        case ModelVerdict.EFFECT_FOUND:
-            return _found(diagnosis, words)
-        case ModelVerdict.CONFOUNDED:
-            return _confounded(diagnosis, words)
-        case ModelVerdict.UNKNOWN_FUNCTION:
-            return _unknown_function(diagnosis, words)
+            text = _nothing_missing(diagnosis, words)
         case ModelVerdict.UNREPLICATED:
-            return _unreplicated(diagnosis, words)
+            text = _unreplicated(diagnosis, words)
         case ModelVerdict.UNEXPLAINED:
-            return _unexplained(diagnosis, words)
+            text = _unexplained(diagnosis, words)
+        case ModelVerdict.EFFECT_FOUND | ModelVerdict.CONFOUNDED | ModelVerdict.UNKNOWN_FUNCTION:
+            text = _lacking(diagnosis, words)
+    return text[0].upper() + text[1:] + words.of(".", "。")
 
 
 def _nothing_missing(diagnosis: Diagnosis, words: Wording) -> str:
-    looked_for, what = len(diagnosis.detection_limits), _data(diagnosis, words)
+    tested, count = len(diagnosis.detection_limits), len(diagnosis.runs)
+    data = words.of(f"{count} runs", f"{count}次试验")
+    if diagnosis.replication == "within_run":
+        data = words.of(f"{count} segments of the only run", f"唯一一次试验的{count}段")
     if diagnosis.declared_noise is None:
         return words.of(
-            f"Nothing is shown to be missing: beside noise of the size that {what} themselves suggest, none of "
-            f"{looked_for} effects stands out.",
-            f"未显示缺项：以{what}自身估计的噪声衡量，所查{looked_for}种效应均不显著。",
+            f"no missing effect is detected: relative to the noise estimated from {data}, none of {tested} effects is "
+            "significant",
+            f"未检出缺项：以{data}自身估计的噪声衡量，所检验的{tested}种效应均不显著",
         )
     return words.of(
-        f"Nothing is missing: what the declared model leaves of {what} is noise, and none of {looked_for} effects that "
-        "were looked for is in it.",
-        f"无缺项：已声明模型在{what}中的残差为噪声，所查{looked_for}种效应均不存在。",
+        f"nothing is missing: the residual of the declared model in {data} is noise, and none of the {tested} effects "
+        "tested is present",
+        f"无缺项：已声明模型在{data}中的残差为噪声，所检验的{tested}种效应均不存在",
     )
 
 
-def _data(diagnosis: Diagnosis, words: Wording) -> str:
-    count = len(diagnosis.runs)
+def _lacking(diagnosis: Diagnosis, words: Wording) -> str:
+    """The missing effects, the largest first, then what was seen once, the answer of the held-out runs, the gain."""
+    lasting = [each for each in diagnosis.by_size if each.replicates]
+    if diagnosis.verdict is ModelVerdict.EFFECT_FOUND:
+        lasting = [each for each in lasting if each.confirmed] or lasting
+    others = [each for each in diagnosis.by_size if each not in lasting]
+    rest = "".join(words.of("; also, ", "；另") + _seen_once(each, diagnosis, words) for each in others)
+    if lasting[0].name == TURN_ON:
+        return f"{_runs_differ(lasting[0], diagnosis, words)}{rest}"
+    where = ""
     if diagnosis.replication == "within_run":
-        return words.of(f"{count} segments of the only run", f"唯一一次试验的{count}段")
-    return words.of(f"{count} runs", f"{count}次试验")
+        where = words.of("judging by the only run, ", "就唯一一次试验而言，")
+    rest = f"{rest}{_confirmation(diagnosis, words)}{_gain(diagnosis, words)}"
+    return f"{where}{_effects(lasting, words)}{rest}"
 
 
-def _found(diagnosis: Diagnosis, words: Wording) -> str:
-    confirmed = [each for each in diagnosis.effects if each.confirmed]
-    others = [each for each in diagnosis.effects if not each.confirmed]
-    told = _joined([_told(each, words) for each in confirmed], _AND, words)
-    count = len(confirmed)
-    rest = f"{_confirmation(diagnosis, words)}{_gain(diagnosis, words)}"
-    if others:
-        seen = _joined([_seen_once(each, diagnosis, words) for each in others], _AND, words)
-        rest += words.of(f"; beside it, {seen}", f"；另{seen}")
-    return words.of(
-        f"The declared model lacks {'one effect' if count == 1 else f'{count} effects'}: {told}{rest}.",
-        f"已声明模型缺少{count}种效应：{told}{rest}。",
-    )
+def _effects(lasting: Sequence[FoundEffect], words: Wording) -> str:
+    """The missing effects; a single one in a form of its own."""
+    first, count = lasting[0], len(lasting)
+    if count > 1:
+        listed = _joined([_one_of_several(each, words) for each in lasting], _AND, words)
+        return words.of(
+            f"the declared model lacks {count} effects, the largest first: {listed}",
+            f"已声明模型缺少{count}种效应（按大小排列）：{listed}",
+        )
+    if first.unknown_function_of:
+        channels, nearest = words.listed(first.unknown_function_of), words.effect(first)
+        return words.of(
+            f"the error depends on {channels}, but not in the form of any effect of the library; the nearest is "
+            f"{nearest}",
+            f"误差随{channels}变化，但不符合库中任何效应的形式；最接近的是{nearest}",
+        )
+    if first.confounded:
+        choices = [_sized(first, words), *(_alternative(other, words) for other in first.confounded)]
+        listed = _joined(choices, _OR, words)
+        return words.of(
+            f"the declared model lacks one of several effects, which these data cannot separate: {listed}",
+            f"已声明模型缺少下列效应之一，现有数据无法区分：{listed}",
+        )
+    one = _sized(first, words)
+    return words.of(f"the declared model lacks one effect: {one}", f"已声明模型缺少1种效应：{one}")
 
 
-def _told(found: FoundEffect, words: Wording) -> str:
+def _one_of_several(found: FoundEffect, words: Wording) -> str:
+    text = _sized(found, words)
+    if found.error_share is not None:
+        share = f"{found.error_share:.0%}"
+        text += words.of(f", {share} of the squared error", f"，占误差平方的{share}")
+    if found.unknown_function_of:
+        channels = words.listed(found.unknown_function_of)
+        text += words.of(
+            f" (of unknown form: the error depends on {channels} in another way)",
+            f"（形式未知：误差以其他方式随{channels}变化）",
+        )
+    if found.confounded:
+        others = words.listed([_alternative(other, words) for other in found.confounded], _OR)
+        text += words.of(f" (these data cannot separate it from {others})", f"（现有数据无法与{others}区分）")
+    return text
+
+
+def _sized(found: FoundEffect, words: Wording) -> str:
     return f"{words.effect(found)}{words.of(': ', '：')}{words.coefficient(found)}"
 
 
 def _joined(parts: Sequence[str], last: tuple[str, str], words: Wording) -> str:
-    """Join parts that have commas of their own."""
+    """Join parts that contain commas."""
     if len(parts) < 2:
         return "".join(parts)
     return words.of("; ", "；").join([*parts[:-1], f"{words.of(f'{last[0]} ', last[1])}{parts[-1]}"])
 
 
-def _confounded(diagnosis: Diagnosis, words: Wording) -> str:
-    choices, clear, once = [], [], []
-    for each in diagnosis.effects:
-        others = [_alternative(other, words) for other in each.confounded]
-        if each.name == TURN_ON:
-            choices.append(_runs_differ(each, others, diagnosis, words))
-        elif not each.replicates:
-            once.append(_seen_once(each, diagnosis, words))
-        elif others:
-            choices.append(_joined([_told(each, words), *others], _OR, words))
-        else:
-            clear.append(_told(each, words))
-    which = words.of("; and also ", "；另有").join(choices)
-    if all(each.name == TURN_ON for each in diagnosis.effects):
-        return words.of(f"{which[0].upper()}{which[1:]}.", f"{which}。")
-    if clear:
-        which += words.of("; beside it, clearly, ", "；另可确定") + _joined(clear, _AND, words)
-    if once:
-        which += words.of("; beside it, ", "；另") + _joined(once, _AND, words)
-    where = ""
-    if diagnosis.replication == "within_run":
-        where = words.of("going by the only run, ", "就唯一一次试验而言，")
-    rest = f"{_confirmation(diagnosis, words)}{_gain(diagnosis, words)}"
-    text = words.of(
-        f"{where}the declared model lacks an effect, and these data cannot tell which: {which}{rest}.",
-        f"{where}已声明模型缺少一种效应，但现有数据无法区分是哪一种：{which}{rest}。",
-    )
-    return text[0].upper() + text[1:]
-
-
 def _alternative(other: ConfoundedEffect, words: Wording) -> str:
+    name = words.effect(other)
     if not other.is_plausible and other.implied is not None:
         needed = f"{number(other.implied)} {other.implied_unit}"
-        return words.of(
-            f"hardly {words.effect(other)} (of {needed})", f"{words.effect(other)}（须达{needed}，不大可能）"
-        )
-    return words.effect(other) + ("" if other.recorded else words.of(" (not recorded)", "（未记录）"))
+        return words.of(f"{name} (unlikely: it would need {needed})", f"{name}（须达{needed}，不大可能）")
+    return name + ("" if other.recorded else words.of(" (not recorded)", "（未记录）"))
 
 
-def _runs_differ(found: FoundEffect, others: Sequence[str], diagnosis: Diagnosis, words: Wording) -> str:
-    size = words.coefficient(found)
-    what = words.listed([*others, words.effect(found)])
-    runs = len(diagnosis.runs)
+def _runs_differ(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
+    size, runs = words.coefficient(found), len(diagnosis.runs)
+    causes = words.listed([*(_alternative(other, words) for other in found.confounded), words.effect(found)])
     return words.of(
-        f"the runs differ by {size}; {what} differ between them, and {runs} runs cannot tell",
-        f"各次试验相差{size}；其间{what}均不同，{runs}次试验无法区分",
-    )
-
-
-def _unknown_function(diagnosis: Diagnosis, words: Wording) -> str:
-    strange = [each for each in diagnosis.effects if each.unknown_function_of]
-    channels = list(dict.fromkeys(name for each in strange for name in each.unknown_function_of))
-    nearest = _joined([words.effect(each) for each in strange], _AND, words)
-    depends = words.listed(channels) or words.of("something", "某通道")
-    return words.of(
-        f"The error depends on {depends}, but not as any effect of the library says; nearest comes {nearest}"
-        f"{_confirmation(diagnosis, words)}{_gain(diagnosis, words)}.",
-        f"误差随{depends}变化，但不符合库中任何效应的形式；最接近的是{nearest}"
-        f"{_confirmation(diagnosis, words)}{_gain(diagnosis, words)}。",
+        f"the runs differ by {size}; {causes} differ between them, and {runs} runs cannot separate these causes",
+        f"各次试验相差{size}；其间{causes}均不同，{runs}次试验无法区分",
     )
 
 
 def _unreplicated(diagnosis: Diagnosis, words: Wording) -> str:
-    lasting = [each for each in diagnosis.effects if each.replicates]
+    lasting = [each for each in diagnosis.by_size if each.replicates]
     if diagnosis.replication == "within_run" and lasting:
-        told, gain = _joined([_told(each, words) for each in lasting], _AND, words), _gain(diagnosis, words)
+        effects, gain = _joined([_sized(each, words) for each in lasting], _AND, words), _gain(diagnosis, words)
         return words.of(
-            f"The only run shows {told}, and its segments repeat it; another run must show whether it is an effect or "
-            f"of this run alone{gain}.",
-            f"唯一一次试验显示{told}，其各段均重现；是效应还是仅属本次试验，须由另一次试验证实{gain}。",
+            f"the only run shows {effects}, repeated in its segments; another run is needed to show whether this is an "
+            f"effect or specific to this run{gain}",
+            f"唯一一次试验显示{effects}，其各段均重现；是效应还是仅属本次试验，须由另一次试验证实{gain}",
         )
-    seen = (*diagnosis.effects, *diagnosis.unreplicated)
-    parts = [_seen_once(each, diagnosis, words) for each in seen]
+    seen = (*diagnosis.by_size, *diagnosis.unreplicated)
+    listed = words.of("; ", "；").join(_seen_once(each, diagnosis, words) for each in seen)
     if lasting:
-        return words.of(f"Seen and not confirmed: {'; '.join(parts)}.", f"见到但未证实：{'；'.join(parts)}。")
-    return words.of(f"Nothing that repeats: {'; '.join(parts)}.", f"未发现可重现的效应：{'；'.join(parts)}。")
+        return words.of(f"seen but not confirmed: {listed}", f"见到但未证实：{listed}")
+    return words.of(f"no effect that repeats: {listed}", f"未发现可重现的效应：{listed}")
 
 
 def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
-    name = words.effect(found)
+    name, sized = words.effect(found), _sized(found, words)
     if found.name == JUMP:
-        return words.of(
-            f"a {name} of {words.coefficient(found)} happened once", f"{name}（{words.coefficient(found)}）仅出现一次"
-        )
+        size = words.coefficient(found)
+        return words.of(f"a {name} of {size} happened once", f"{name}（{size}）仅出现一次")
     if found.confirmed is False:
-        slope = _slope_of(diagnosis, found.name)
-        how = "" if slope is None else words.of(f" (slope {_slope(slope)})", f"（斜率{_slope(slope)}）")
+        slope = None if diagnosis.holdout is None else diagnosis.holdout.slope(found.name)
+        size = "" if slope is None else words.of(f" (slope {_slope(slope)})", f"（斜率{_slope(slope)}）")
         return words.of(
-            f"{name} was seen in the training runs, and the held-out runs do not confirm it{how}",
-            f"训练试验中见到{name}，但留出试验未予证实{how}",
+            f"{name} was seen in the training runs, but the held-out runs do not confirm it{size}",
+            f"训练试验中见到{name}，但留出试验未予证实{size}",
         )
-    if found.replicates:
-        told = f"{name}{words.of(': ', '：')}{words.coefficient(found)}"
-        if diagnosis.holdout is None:
-            return words.of(f"{told}; no runs were held out to confirm it", f"{told}；无留出试验可供证实")
+    if not found.replicates:
+        share = f"{found.largest_share:.0%}"
         return words.of(
-            f"{told}; the held-out runs do not excite it, so that they neither confirm nor refuse it",
-            f"{told}；留出试验未激励该效应，既不能证实也不能否定",
+            f"{name} was seen, but {share} of its evidence comes from one run",
+            f"见到{name}，但其证据的{share}来自同一次试验",
         )
+    if diagnosis.holdout is None:
+        return words.of(f"{sized}; no runs were held out to confirm it", f"{sized}；无留出试验可供证实")
     return words.of(
-        f"{name} was seen, but {found.largest_share:.0%} of its evidence comes from one run",
-        f"见到{name}，但其证据的{found.largest_share:.0%}来自同一次试验",
+        f"{sized}; the held-out runs do not excite it and can neither confirm nor refuse it",
+        f"{sized}；留出试验未激励该效应，既不能证实也不能否定",
     )
 
 
 def _unexplained(diagnosis: Diagnosis, words: Wording) -> str:
     if diagnosis.unexplained is not None:
-        why = words.remark(diagnosis.unexplained)
+        why = words.text(diagnosis.unexplained)
         return words.of(
-            f"Something is missing, and nothing in the channels explains it: {why}.",
-            f"存在缺项，但通道中无可解释者：{why}。",
+            f"the declared model lacks something that no channel explains: {why}",
+            f"存在缺项，但通道中无可解释者：{why}",
         )
     if diagnosis.effects:
-        told = _joined([words.effect(each) for each in diagnosis.effects], _AND, words)
+        effects = _joined([words.effect(each) for each in diagnosis.effects], _AND, words)
         return words.of(
-            f"The error changes in ways that happened once each and that nothing in the channels explains: {told}.",
-            f"误差有若干仅出现一次的变化，通道中无可解释者：{told}。",
+            f"the error has changes that happened once each and that no channel explains: {effects}",
+            f"误差有若干仅出现一次的变化，通道中无可解释者：{effects}",
         )
     ratio = number(diagnosis.noise_excess)
     return words.of(
-        f"At averages of 300 to 3600 s the variance is {ratio} times what the declared noise allows, and nothing in "
-        "the channels explains it.",
-        f"在300至3600 s平均时间上方差为已声明噪声的{ratio}倍，通道中无可解释者。",
+        f"at averages of 300 to 3600 s the variance is {ratio} times that of the declared noise, and no channel "
+        "explains it",
+        f"在300至3600 s平均时间上方差为已声明噪声的{ratio}倍，通道中无可解释者",
     )
 
 
 def _confirmation(diagnosis: Diagnosis, words: Wording) -> str:
     if diagnosis.holdout is None:
         return words.of("; no runs were held out to confirm it", "；无留出试验可供证实")
-    count = len(diagnosis.holdout.runs)
-    slope = _slope(diagnosis.holdout.total)
+    count, slope = len(diagnosis.holdout.runs), _slope(diagnosis.holdout.total)
     if diagnosis.holdout.overall is HeldOutAnswer.NO_POWER:
         return words.of(
             f"; the held-out runs do not excite it and cannot confirm it (slope {slope})",
@@ -226,49 +217,41 @@ def _confirmation(diagnosis: Diagnosis, words: Wording) -> str:
         )
     if diagnosis.replication == "within_run":
         return words.of(
-            f"; the {count} segments that were held out confirm it (slope {slope})",
-            f"；留出的{count}段予以证实（斜率{slope}）",
+            f"; the {count} held-out segments confirm it (slope {slope})", f"；留出的{count}段予以证实（斜率{slope}）"
         )
-    runs = words.of("run confirms" if count == 1 else "runs confirm", "")
+    runs = "run confirms" if count == 1 else "runs confirm"
     return words.of(f"; {count} held-out {runs} it (slope {slope})", f"；{count}次留出试验予以证实（斜率{slope}）")
 
 
 def _gain(diagnosis: Diagnosis, words: Wording) -> str:
-    row = None if diagnosis.error is None else diagnosis.error.reference
-    if diagnosis.error is None or row is None or row.gain is None:
+    table = diagnosis.error
+    row = None if table is None else table.reference
+    if table is None or row is None or row.gain is None:
         return ""
-    unit = diagnosis.error.unit_of_measure
-    seconds = f"{row.averaging_s:g} s"
-    where = ("there", "其") if diagnosis.error.is_held_out else ("in the training runs", "训练试验的")
-    raw = words.of(
-        f"{number(row.before)} to {number(row.after)} {unit}{_significance(row.gain, words)}",
-        f"{number(row.before)}变为{number(row.after)} {unit}{_significance(row.gain, words)}",
-    )
-    falls = "falls" if row.gain.is_significant else "goes"
-    told = words.of(
-        f", and the RMS error over {seconds} {where[0]} {falls} from {raw}", f"，{where[1]}{seconds}均方根误差由{raw}"
+    seconds, falls = f"{row.averaging_s:g} s", "falls" if row.gain.is_significant else "goes"
+    where = ("there", "其") if table.is_held_out else ("in the training runs", "训练试验的")
+    before, after = number(row.before), f"{number(row.after)} {table.unit_of_measure}"
+    mark = _significance(row.gain, words)
+    text = words.of(
+        f", and the RMS error over {seconds} {where[0]} {falls} from {before} to {after}{mark}",
+        f"，{where[1]}{seconds}均方根误差由{before}变为{after}{mark}",
     )
     if row.gain.runs < 2 or row.gain_within is None:
-        return told
-    within, noise = (number(row.before_within), number(row.after_within)), number(row.floor_within)
-    return told + words.of(
-        f"; about the mean of each run from {within[0]} to {within[1]}{_significance(row.gain_within, words)} (noise "
-        f"alone {noise})",
-        f"；去除各次试验均值后由{within[0]}变为{within[1]}{_significance(row.gain_within, words)}（仅噪声{noise}）",
+        return text
+    before, after, noise = (number(each) for each in (row.before_within, row.after_within, row.floor_within))
+    mark = _significance(row.gain_within, words)
+    return text + words.of(
+        f"; about the mean of each run from {before} to {after}{mark} (noise alone {noise})",
+        f"；去除各次试验均值后由{before}变为{after}{mark}（仅噪声{noise}）",
     )
 
 
 def _significance(gain: ErrorGain, words: Wording) -> str:
     if gain.lo is None:
-        return words.of(" (one run: no limits)", "（仅一次试验：无置信限）")
+        return words.of(" (one run: no confidence bounds)", "（仅一次试验：无置信限）")
     if gain.is_significant or gain.is_loss:
         return ""
-    return words.of(" (not significant here)", "（此处不显著）")
-
-
-def _slope_of(diagnosis: Diagnosis, name: str) -> HoldoutSlope | None:
-    slopes = () if diagnosis.holdout is None else diagnosis.holdout.effects
-    return next((each for each in slopes if each.effect == name), None)
+    return words.of(" (not significant)", "（不显著）")
 
 
 def _slope(found: HoldoutSlope) -> str:
