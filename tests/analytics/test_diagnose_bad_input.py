@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analytics.commands.diagnose import noise_of
+from analytics.commands.diagnose_options import noise_of
 from analytics.loop.blocks.checks import check_runs
 from analytics.loop.blocks.reduction import BlockReducer
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
@@ -77,7 +77,7 @@ def test_too_little_beside_the_runs_held_out_is_said() -> None:
     )  # fmt: skip
     found = diagnose(runs, MODEL, holdout=["r1", "r2"])
     assert found.verdict is ModelVerdict.NOT_ENOUGH_DATA
-    assert found.missing[0].startswith("without the runs held out: 5 blocks")
+    assert found.missing[0].startswith("without the held-out runs: 5 blocks")
 
 
 def test_dead_runs_and_copies_are_noted() -> None:

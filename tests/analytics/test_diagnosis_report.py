@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from analytics.commands.diagnose import _tell_unit
+from analytics.commands.diagnose_output import print_unit
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.checks import Note
 from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.model.error_model import ErrorModel
@@ -32,6 +33,7 @@ from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.fleet import diagnose_fleet, significant_findings
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.tracing.result.finding import EffectCoefficient, FoundEffect
+from analytics.loop.tracing.whitening.stack import NO_CHANNEL_VALUE
 from analytics.loop.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis, held_out_runs
 from analytics.loop.unit_reduction import ReducedUnit
 from stream.errors import BadInput
@@ -208,12 +210,15 @@ def test_a_clock_is_asked_for_an_offset_that_a_reader_can_judge() -> None:
     assert 0.5 * SHUPE / 0.012 < late.implied < SHUPE / 0.012
     assert not late.is_plausible
     told = alternative(late, Wording("en"))
-    assert "and clocks are off by 120 s at most: hardly" in told
+    assert "but clocks are off by 120 s at most: unlikely" in told
     assert "时钟偏差至多120 s" in alternative(late, Wording("zh"))
     document = found.diagnosis.document()["confounded"]
     assert [each["implied"]["plausible"] for each in document if each["name"] == "temperature_time_offset"] == [False]
     late = msgspec.structs.replace(late, implied=80.0)
-    assert "it would take 80 s at least" in alternative(late, Wording("en"))
+    assert "it would need at least 80 s" in alternative(late, Wording("en"))
+
+
+NINE_BLOCKS = Bilingual("9 blocks", "9个数据块")
 
 
 def a_finding(**more: Any) -> FoundEffect:
@@ -233,7 +238,10 @@ def verdicts() -> Sequence[Diagnosis]:
         Diagnosis(verdict=ModelVerdict.EFFECT_FOUND, effects=(a_finding(), a_finding(name="warm_up")), **head),
         Diagnosis(verdict=ModelVerdict.CONFOUNDED, effects=(a_finding(confounded=confounded), jump), **head),
         Diagnosis(
-            verdict=ModelVerdict.CONFOUNDED, effects=(a_finding(confounded=confounded),), replication="within_run", **head
+            verdict=ModelVerdict.CONFOUNDED,
+            effects=(a_finding(confounded=confounded),),
+            replication="within_run",
+            **head,
         ),
         Diagnosis(
             verdict=ModelVerdict.UNKNOWN_FUNCTION, effects=(a_finding(unknown_function_of=("temperature",)),), **head
@@ -244,7 +252,7 @@ def verdicts() -> Sequence[Diagnosis]:
         Diagnosis(verdict=ModelVerdict.UNREPLICATED, effects=(jump,), **head),
         Diagnosis(verdict=ModelVerdict.UNEXPLAINED, noise_excess=2.5, **head),
         Diagnosis(verdict=ModelVerdict.UNEXPLAINED, effects=(jump, jump), **head),
-        Diagnosis(verdict=ModelVerdict.NOT_ENOUGH_DATA, missing=("9 blocks are there, 20 are needed",), **head),
+        Diagnosis(verdict=ModelVerdict.NOT_ENOUGH_DATA, missing=(NINE_BLOCKS,), **head),
     ]  # fmt: skip
 
 
@@ -264,8 +272,10 @@ def test_a_sentence_names_what_was_found_its_alternatives_and_what_it_wins() -> 
     found = diagnosed()
     text = verdict_sentence(found.diagnosis, Wording("en", found.data.runs[0]))
     assert found.diagnosis.verdict is ModelVerdict.CONFOUNDED
-    assert text.startswith("The declared model lacks an effect, and these data cannot tell which: temperature rate")
-    assert re.search(r"or hardly time offset of the temperature sensor \(of [1-9],\d{3} s\)", text)
+    assert text.startswith(
+        "The declared model lacks one of several effects, which these data cannot separate: temperature rate"
+    )
+    assert re.search(r"or time offset of the temperature sensor \(unlikely: it would need [1-9],\d{3} s\)", text)
     assert "3 held-out runs confirm it" in text
     assert re.search(r"RMS error over \d+ s there falls from", text)
 
@@ -310,7 +320,7 @@ def test_the_report_needs_nothing_but_itself(language: Language) -> None:
     for words in ("a <remark>", "a limit", {"en": "as given", "zh": "用户给定"}[language], "scale_factor"):
         assert words in text
     wanted = {
-        "en": ("temperature rate (Shupe)", "What would tell", "absent above", "Limits of this verdict", "Allan"),
+        "en": ("temperature rate (Shupe)", "Tests that separate them", "absent above", "Caveats", "Allan"),
         "zh": ("温度变化率（Shupe效应）", "可区分的测试", "不高于", "本判定的局限", "Allan"),
     }
     for words in wanted[language]:
@@ -349,7 +359,7 @@ def test_what_units_have_in_common_stands_first_in_the_report() -> None:
         fleet,
     )
     for language, words in (
-        ("en", "What the declared model lacks by the 3 units together: temperature rate"),
+        ("en", "The declared model lacks, in 3 units together: temperature rate"),
         ("zh", "3个产品合并分析，已声明模型缺少"),
     ):
         page = Page()
@@ -394,7 +404,7 @@ def test_what_was_left_out_comes_before_the_verdict(
     language: Language, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = diagnosed()
-    lost = LeftOut("the excitation of input_rate", 0.91, "a channel has no value there", is_grave=True)
+    lost = LeftOut(Bilingual("the excitation of input_rate", "input_rate的激励"), 0.91, NO_CHANNEL_VALUE, is_grave=True)
     diagnosis = msgspec.structs.replace(
         found.diagnosis, left_out=(lost,), limits=(lost.sentence, *found.diagnosis.limits)
     )
@@ -402,7 +412,7 @@ def test_what_was_left_out_comes_before_the_verdict(
     verdict = verdict_sentence(diagnosis, Wording(language, found.data.runs[0]))[:20]
     page = Page()
     page.feed(report_html(as_units(found), language))
-    _tell_unit(found, language)
+    print_unit(found, language)
     for text in ("".join(page.text), capsys.readouterr().out):
         assert 0 <= text.index(words) < text.index(verdict)
         assert text.count(words) == 1
@@ -410,7 +420,12 @@ def test_what_was_left_out_comes_before_the_verdict(
 
 def test_not_enough_data_is_a_report_too() -> None:
     head = diagnosed()
-    short = Diagnosis(verdict=ModelVerdict.NOT_ENOUGH_DATA, units=(head.unit,), signal="rate", missing=("9 blocks",))
+    short = Diagnosis(
+        verdict=ModelVerdict.NOT_ENOUGH_DATA,
+        units=(head.unit,),
+        signal="rate",
+        missing=(Bilingual("9 blocks", "9个数据块"),),
+    )
     text = report_html(as_units(UnitDiagnosis(head.data, short)), "en")
     assert "Not enough data for a verdict: 9 blocks." in text
     assert "<img" not in text

@@ -133,5 +133,5 @@ def test_what_moves_by_rounding_alone_is_not_called_absent() -> None:
     found = diagnose(runs, BIAS, declared_noise=NOISE)
     assert found.verdict is ModelVerdict.NOTHING_MISSING
     assert "temperature_rate" not in found.detection_limits
-    assert "too little to look for it" in found.not_tested["temperature_rate"]
+    assert "too little to test it" in found.not_tested["temperature_rate"]
     assert all(each.absent_above < 1e9 for each in found.detection_limits.values())

@@ -75,7 +75,8 @@ def report_html(found: UnitsDiagnosis, language: Language) -> str:
 
 
 def _separating_tests(found: FoundEffect, words: Wording) -> list[str]:
-    return list(dict.fromkeys(separating_test(each, words) for each in (found, *found.confounded)))
+    others = (separating_test(each, words) for each in found.confounded)
+    return list(dict.fromkeys([separating_test(found, words), *others]))
 
 
 def _unit(found: UnitDiagnosis, words: Wording, *, is_one: bool) -> dict[str, Any]:

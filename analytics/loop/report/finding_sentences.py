@@ -23,7 +23,8 @@ def evidence(found: FoundEffect, diagnosis: Diagnosis | FleetDiagnosis, words: W
         words.of(
             f"Significance z = {found.significance:.1f} (one degree of freedom; noise fitted with and without the "
             f"effect); chi-square less the multiplicity penalty: {left}.",
-            f"显著性z = {found.significance:.1f}（单自由度等效，噪声在有无该效应时分别拟合）；扣除多重性惩罚后的卡方：{left}。",
+            f"显著性z = {found.significance:.1f}（单自由度等效，噪声在有无该效应时分别拟合）；"
+            f"扣除多重性惩罚后的卡方：{left}。",
         )
     ]
     if found.by_run and found.name != TURN_ON:

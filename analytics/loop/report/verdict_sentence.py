@@ -67,7 +67,8 @@ def _lacking(diagnosis: Diagnosis, words: Wording) -> str:
     where = ""
     if diagnosis.replication == "within_run":
         where = words.of("judging by the only run, ", "就唯一一次试验而言，")
-    rest = f"{rest}{_confirmation(diagnosis, words)}{_gain(diagnosis, words)}"
+    them = "it" if len(lasting) == 1 else "them"
+    rest = f"{rest}{_confirmation(diagnosis, them, words)}{_gain(diagnosis, words)}"
     return f"{where}{_effects(lasting, words)}{rest}"
 
 
@@ -206,21 +207,22 @@ def _unexplained(diagnosis: Diagnosis, words: Wording) -> str:
     )
 
 
-def _confirmation(diagnosis: Diagnosis, words: Wording) -> str:
+def _confirmation(diagnosis: Diagnosis, them: str, words: Wording) -> str:
     if diagnosis.holdout is None:
-        return words.of("; no runs were held out to confirm it", "；无留出试验可供证实")
+        return words.of(f"; no runs were held out to confirm {them}", "；无留出试验可供证实")
     count, slope = len(diagnosis.holdout.runs), _slope(diagnosis.holdout.total)
     if diagnosis.holdout.overall is HeldOutAnswer.NO_POWER:
         return words.of(
-            f"; the held-out runs do not excite it and cannot confirm it (slope {slope})",
+            f"; the held-out runs do not excite {them} and cannot confirm {them} (slope {slope})",
             f"；留出试验未激励该效应，不能证实（斜率{slope}）",
         )
     if diagnosis.replication == "within_run":
         return words.of(
-            f"; the {count} held-out segments confirm it (slope {slope})", f"；留出的{count}段予以证实（斜率{slope}）"
+            f"; the {count} held-out segments confirm {them} (slope {slope})",
+            f"；留出的{count}段予以证实（斜率{slope}）",
         )
     runs = "run confirms" if count == 1 else "runs confirm"
-    return words.of(f"; {count} held-out {runs} it (slope {slope})", f"；{count}次留出试验予以证实（斜率{slope}）")
+    return words.of(f"; {count} held-out {runs} {them} (slope {slope})", f"；{count}次留出试验予以证实（斜率{slope}）")
 
 
 def _gain(diagnosis: Diagnosis, words: Wording) -> str:

@@ -86,18 +86,18 @@ def error_table(box: HeldOutSet, found: Search, names: Sequence[str], *, is_held
 
 
 def error_shares(box: HeldOutSet, found: Search) -> dict[str, float]:
-    """Share of each common effect in the decrease of the squared error, relative to the error before.
+    """Share of the squared error before that each common effect explains, at the reference averaging time.
 
-    With the errors b before and a after, b - a is the sum of the predictions p, so that the decrease of the squared
-    error, sum((b - a) (b + a)), is the sum over effects of sum(p (b + a)). The averaging time is that of the reference.
+    sum(p * s) / sum(b**2) with the prediction p of the effect, the sum s of all predictions, and the error b before.
+    The shares add up to sum(s**2) / sum(b**2). The error after is noise, and is left out.
     """
     tables = [averages for seconds, averages in _averages(box) if seconds <= REFERENCE_S]
     if not tables:
         return {}
-    before, after = tables[-1].of(box.before), tables[-1].of(box.after)
-    whole = max(float(np.sum(before**2)), 1e-300)
+    whole = max(float(np.sum(tables[-1].of(box.before) ** 2)), 1e-300)
     predictions = tables[-1].of(box.predictions)
-    return {each.name: float(predictions[:, at] @ (before + after)) / whole for at, each in enumerate(found.common)}
+    shares = predictions.T @ predictions.sum(axis=1) / whole
+    return {each.name: float(share) for each, share in zip(found.common, shares, strict=True)}
 
 
 def _averages(box: HeldOutSet) -> list[tuple[float, Averages]]:
