@@ -32,6 +32,7 @@ _STATUS_EVERY_S = 5.0
 # C0 but tab and line feed, delete, C1, and Unicode's marks of direction
 _CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 _DISK_REFUSES = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO}
+_EXTRAS = {"asammdf": "mf4"} | dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station")
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _INTERRUPTED = "interrupted; what is recorded is kept, and the same command resumes an import or a run"
 
@@ -153,6 +154,13 @@ def reporting(command: Callable[P, R]) -> Callable[..., R]:
             where = f"{error.filename}: " if error.filename else ""
             text = f"{where}{error.strerror or error}; free or repair the disk, then repeat the command"
             _report_error("DiskError", text, as_json=kwargs.get("as_json", False))
+            sys.exit(1)
+        except ModuleNotFoundError as error:
+            extra = _EXTRAS.get((error.name or "").split(".")[0])
+            if extra is None:
+                raise
+            text = f"this needs {error.name}, which is not installed: pip install 'gyrofleet[{extra}]'"
+            _report_error("MissingExtra", text, as_json=kwargs.get("as_json", False))
             sys.exit(1)
         except KeyboardInterrupt:
             _report_error("Interrupted", _INTERRUPTED, as_json=kwargs.get("as_json", False))

@@ -67,3 +67,32 @@ def test_a_terminal_without_greek_letters_gets_question_marks(tmp_path: Path) ->
     done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.isascii()
+
+
+WITH_CAN = (["import", "drive.blf", "--dbc", "g.dbc", "--unit", "G"], ["can", "scan", "drive.blf", "--dbc", "g.dbc"])
+BLOCKED = """
+import sys
+for name in ("can", "cantools", "serial", "pyvisa", "msgpack"):
+    sys.modules[name] = None
+import gyrofleet
+gyrofleet.main({words}, prog_name="gyrofleet")
+"""
+
+
+@pytest.mark.parametrize("words", WITH_CAN)
+def test_without_the_station_extra_a_command_names_it(words: list[str], tmp_path: Path) -> None:
+    (tmp_path / "drive.blf").write_bytes(b"LOGG")
+    (tmp_path / "g.dbc").write_text("")
+    command = [sys.executable, "-c", BLOCKED.format(words=words)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert "pip install 'gyrofleet[station]'" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_without_the_station_extra_files_are_imported_and_asked(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time[s],rate[deg/h]\n0,1\n1,2\n")
+    for words in (["import", "a.csv", "--unit", "G-1"], ["sql", "select count(*) from samples", "--json"]):
+        command = [sys.executable, "-c", BLOCKED.format(words=words)]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+        assert done.returncode == 0, done.stderr
