@@ -1,4 +1,4 @@
-"""Takes off a live signal what its error model predicts: raw samples and channels in, compensated samples out."""
+"""Compensation of one signal of one power-on: raw samples and channel readings in, compensated samples out."""
 
 from collections import deque
 from uuid import UUID, uuid5
@@ -24,12 +24,12 @@ from stream.quantities import report_unit
 
 SUFFIX = "_compensated"
 PATIENCE_S = 600.0
-"""So far behind the signal a channel may be; one that is further behind is taken to stand still."""
+"""Largest delay of a channel behind the signal; a channel with a larger delay keeps its last value."""
 PATIENCE_BATCHES = 3.0
-"""Nor fewer than so many of the longest batches: an imported file of slow samples comes in pieces of hours."""
+"""Least delay in lengths of the longest batch: an imported file of slow samples has batches of hours."""
 
 _BLOCK_NS = round(LIVE_BLOCK_S * 1e9)
-# each time the whole run is gone through anew, which in long ones must not be done too often
+# each evaluation covers the whole run, so that it must be rare in long runs
 _EVERY_BLOCKS = 6
 _EVERY_PART = 500
 _FINER = 10.0
@@ -37,18 +37,12 @@ _INT32 = np.iinfo(np.int32)
 
 
 def compensated_epoch(raw: UUID, run: str, model: str, first_seq: int) -> UUID:
-    """Epoch of the compensated samples: the same whenever the same samples are compensated by the same model."""
+    """Epoch of the compensated samples; a function of the raw samples and the model."""
     return uuid5(raw, f"{run}/{model}/{first_seq}")
 
 
 class ChannelBlocks:
-    """Means of a channel over blocks, whatever pieces its readings come in.
-
-    Parameters
-    ----------
-    name: Of the channel.
-    t0_ns: Where the first block begins.
-    """
+    """Block means of a channel, independent of how its readings are batched; the first block begins at `t0_ns`."""
 
     def __init__(self, name: str, t0_ns: int) -> None:
         self._name = name
@@ -60,11 +54,11 @@ class ChannelBlocks:
         self.is_read = False
 
     def take(self, batch: SampleBatch) -> None:
-        """Take in readings; those before the first block do not count.
+        """Add readings; those before the first block are ignored.
 
         Raises
         ------
-        BadInput: If they are in another unit of measure than those before.
+        BadInput: If their unit of measure differs from that of earlier readings.
         """
         unit, factor, offset = standard_unit(self._name, batch.unit_of_measure)
         if self.unit_of_measure not in ("", unit):
@@ -79,19 +73,19 @@ class ChannelBlocks:
         if not slots.size:
             return
         self._reserve(int(slots.max()) + 1)
-        np.add.at(self._sums, slots, value[is_in])  # one after the other: the sum is that of the readings alone
+        np.add.at(self._sums, slots, value[is_in])  # in order, so that the sum does not depend on the batches
         np.add.at(self._counts, slots, 1)
         self.is_read = True
 
     def known_blocks(self, horizon_ns: int) -> int:
-        """How many blocks from the first on will not change any more, readings up to a moment having come."""
+        """Number of leading blocks that are final once readings up to a time have arrived."""
         closed = min(int((horizon_ns - self._t0_ns) // _BLOCK_NS), len(self._counts))
         while closed > 0 and self._counts[closed - 1] == 0:
             closed -= 1
         return max(closed, 0)
 
     def channel(self, blocks: int) -> Channel:
-        """The channel in the first blocks; between readings on the line between them, beyond them as the nearest."""
+        """The channel in the first blocks, linearly interpolated between readings and constant beyond them."""
         self._reserve(blocks)
         counts = self._counts[:blocks]
         known = np.flatnonzero(counts)
@@ -108,16 +102,15 @@ class ChannelBlocks:
 class EpochCompensation:
     """Compensates one signal of one power-on in one run.
 
-    What comes out is a function of the samples alone, not of how they were cut or when they came, as long as channels
-    are not further behind than `patience_s`. A batch goes out one to two minutes after it came, since a slope of a
-    channel looks so far ahead; in long runs up to 0.2 % of the run later (three minutes in a day). What moves within
-    blocks of 5 s is not compensated.
+    The output is a function of the samples, not of their batching or arrival, if no channel is delayed by more than
+    `patience_s`. A batch is ready one to two minutes after its arrival, since the slope of a channel needs later
+    readings; in long runs up to 0.2 % of the run later (three minutes in a day). Changes within blocks of 5 s are not
+    compensated.
 
     Parameters
     ----------
-    version: The model.
-    first: The first raw samples of the power-on in the run; they are still to be taken.
-    power_on_ns: When the unit was powered on; by default at its first sample.
+    first: The first raw samples of the power-on in the run; they are not taken yet.
+    power_on_ns: Time of the power-on; by default of the first sample.
     """
 
     def __init__(self, version: ModelVersion, first: SampleBatch, power_on_ns: int | None = None) -> None:
@@ -133,7 +126,7 @@ class EpochCompensation:
         if version.model.unit_of_measure not in (None, self._result_unit):
             raise BadInput(
                 f"run {first.run}, unit {first.unit}: {first.signal} is in {first.unit_of_measure}, its error model in "
-                f"{version.model.unit_of_measure}: trace the unit anew"
+                f"{version.model.unit_of_measure}: diagnose the unit again"
             )
         self.t0_ns = first.t0_ns
         self._power_on_ns = first.t0_ns if power_on_ns is None else power_on_ns
@@ -151,30 +144,30 @@ class EpochCompensation:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Channels whose readings are to be taken in."""
+        """Channels that the model reads."""
         return tuple(self._sources)
 
     @property
     def lacking(self) -> dict[str, str]:
-        """Channels that it cannot do with, and why: nothing has come, or from several instruments."""
+        """Channels that are missing, and why: no readings, or readings of several instruments."""
         found = {}
         for name, sources in self._sources.items():
             if name in self._channels:
                 continue
             best = _best(sources)
             if not best:
-                found[name] = "nothing of it was recorded"
+                found[name] = "no reading was recorded"
             elif len(best) > 1:
-                found[name] = f"several instruments give it: {', '.join(sorted(unit for _, unit in best))}"
+                found[name] = f"several instruments record it: {', '.join(sorted(unit for _, unit in best))}"
         return found
 
     def newly_held(self) -> dict[str, float]:
-        """Channels that are taken to stand still from now on, and since when, seconds from the first sample."""
+        """Channels newly held at their last value, and since when, seconds from the first sample."""
         found, self._held = {name: at for name, at in self._held.items() if at >= 0.0}, dict.fromkeys(self._held, -1.0)
         return found
 
     def take_reading(self, name: str, batch: SampleBatch, rank: int) -> None:
-        """Take in readings of a channel; of its sources those of the highest rank are used."""
+        """Add readings of a channel; only its sources of the highest rank are used."""
         source = (rank, batch.unit)
         if source not in self._sources[name]:
             self._sources[name][source] = ChannelBlocks(name, self.t0_ns)
@@ -183,23 +176,18 @@ class EpochCompensation:
 
     @property
     def patience_s(self) -> float:
-        """How far behind a channel may be, seconds of the signal."""
+        """Largest delay of a channel behind the signal, seconds."""
         return max(PATIENCE_S, PATIENCE_BATCHES * self._longest_ns / 1e9)
 
     def take(self, batch: SampleBatch) -> None:
-        """Take in raw samples, which follow each other."""
+        """Add the next raw samples."""
         self._waiting.append(batch)
         self.next_seq = batch.next_seq
         self._raw_ns = max(self._raw_ns, batch.last_ns)
         self._longest_ns = max(self._longest_ns, batch.last_ns - batch.t0_ns)
 
     def due(self, *, is_last: bool = False) -> list[SampleBatch]:
-        """The compensated samples that can be told now, each batch with the numbers and times of the raw one.
-
-        Parameters
-        ----------
-        is_last: Nothing comes any more.
-        """
+        """The compensated batches that are ready, with the numbers and times of the raw ones; all if `is_last`."""
         if self.lacking:
             return []
         self._correct(is_last=is_last)
@@ -209,11 +197,11 @@ class EpochCompensation:
         return ready
 
     def _block_of(self, t_ns: int) -> int:
-        """The block behind whose middle a moment is not any more; its value is needed to interpolate."""
+        """The first block whose middle is not before a time; its value is needed to interpolate."""
         return int(-((self.t0_ns + _BLOCK_NS // 2 - t_ns) // _BLOCK_NS))
 
     def _correct(self, *, is_last: bool) -> None:
-        """Evaluate the model on the blocks that will not change any more."""
+        """Evaluate the model on the final blocks."""
         used = self._channels or {name: sources[_best(sources)[0]] for name, sources in self._sources.items()}
         if is_last:
             settled = blocks = self._block_of(self._raw_ns) + 1
@@ -231,7 +219,7 @@ class EpochCompensation:
         done = len(self._correction)
         if settled - done < (1 if is_last else max(_EVERY_BLOCKS, settled // _EVERY_PART)):
             return
-        self._channels = used  # by now every source has come, and which is used stays
+        self._channels = used  # the sources are fixed from the first evaluation on
         channels = {name: each.channel(blocks) for name, each in used.items()}
         if self._has_time:
             since_s = middles_s(blocks) + (self.t0_ns - self._power_on_ns) / 1e9
@@ -265,7 +253,7 @@ class EpochCompensation:
 
 
 def _best(sources: dict[tuple[int, str], ChannelBlocks]) -> list[tuple[int, str]]:
-    """The sources of the highest rank of which something has come."""
+    """The sources of the highest rank that have readings."""
     read = [source for source, each in sources.items() if each.is_read]
     highest = max((rank for rank, _ in read), default=0)
     return [source for source in read if source[0] == highest]
@@ -274,7 +262,7 @@ def _best(sources: dict[tuple[int, str], ChannelBlocks]) -> list[tuple[int, str]
 def _counts(
     batch: SampleBatch, values: FloatArray
 ) -> "tuple[np.ndarray[tuple[int], np.dtype[np.int32]] | None, float]":
-    """Values as counts of a tenth of the raw ones; None where the raw ones are no counts, or these would not fit."""
+    """Values as counts of a tenth of the raw scale; None if the raw values are not counts, or if they overflow."""
     if batch.counts is None or batch.scale == 0.0:
         return None, 1.0
     scale = batch.scale / _FINER
