@@ -16,8 +16,8 @@ from analytics.loop.bilingual import Bilingual, chinese
 from analytics.loop.blocks.checks import Note
 from analytics.loop.blocks.reduction import BlockReducer, Reduction
 from analytics.loop.report.remarks_zh import in_chinese
-from analytics.loop.tracing import diagnosis
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis
+from analytics.loop.tracing.verdict.conclusion import conclude
 from analytics.metrics.registry import metrics
 from analytics.step_records.step_table import step_means
 from storage.lake.lake import build_missing, builder_lock
@@ -238,7 +238,7 @@ def every_caveat_note_and_reason_has_chinese(monkeypatch: pytest.MonkeyPatch) ->
             zh = chinese(text) if isinstance(text, Bilingual) else in_chinese(text)
             assert re.search("[\u4e00-\u9fff]", zh), f"no Chinese form of: {text}"
 
-    conclude, original = diagnosis.conclude, Note.__init__
+    original = Note.__init__
 
     def concluded(*arguments: Any, **options: Any) -> Diagnosis:
         found = conclude(*arguments, **options)
@@ -250,5 +250,5 @@ def every_caveat_note_and_reason_has_chinese(monkeypatch: pytest.MonkeyPatch) ->
         if sys._getframe(1).f_globals["__name__"].startswith("analytics."):
             check([self.text])
 
-    monkeypatch.setattr(diagnosis, "conclude", concluded)
+    monkeypatch.setattr("analytics.loop.tracing.diagnosis.conclude", concluded)
     monkeypatch.setattr(Note, "__init__", note)

@@ -1,4 +1,4 @@
-"""The driver that an effect is drawn over: its channel where it is a function of that alone, else its regressor."""
+"""The driver of an effect for its figure: its channel if it is a function of that alone, else its regressor."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,7 +14,7 @@ from analytics.loop.tracing.result.finding import FoundEffect
 from stream.batch import BoolArray, FloatArray
 
 SMOOTH = 1e-3
-"""Neighbours in the order of a channel differ by less than this part of the variance: a function of that channel."""
+"""Largest mean squared step between neighbours in the order of a channel, relative to the variance."""
 FULL_TURN = 360.0
 BINS = 24
 FEWEST_IN_BIN = 3
@@ -22,15 +22,14 @@ FEWEST_IN_BIN = 3
 
 @dataclass(frozen=True)
 class Drawn:
-    """An effect over its driver.
+    """An effect over its driver; arrays of shape (blocks,).
 
     Parameters
     ----------
-    driver: shape (n,); of each block.
     label: Name and unit of the driver.
-    predicted: shape (n,); what the effect adds to each block.
-    partial: shape (n,); what is left without this effect, each run freed of its own constant.
-    held_out: shape (n,); blocks that took no part in the fit.
+    predicted: Contribution of the effect.
+    partial: Residual with the effect left in, less the constant of each run.
+    held_out: Marks the held-out blocks.
     """
 
     driver: FloatArray
@@ -50,7 +49,7 @@ class Drawn:
 
 
 def drawn(residuals: Residuals, found: FoundEffect, words: Wording) -> Drawn | None:
-    """Return an effect over its driver, a jump over the time of its run; None for what follows no channel."""
+    """An effect over its driver, a jump over the time of its run; None if it follows no channel."""
     known = effect(found.name)
     if known.kind is Kind.LINE or known.name == TURN_ON:
         return None
@@ -58,7 +57,7 @@ def drawn(residuals: Residuals, found: FoundEffect, words: Wording) -> Drawn | N
     columns = stack.column(lambda run: known.regressors(run, found.parameters))
     predicted = columns @ np.array([each.value for each in found.coefficients])
     is_event = known.kind is Kind.EVENT
-    left = residuals.after - predicted if is_event else residuals.after  # a jump is no part of the model
+    left = residuals.after - predicted if is_event else residuals.after  # the model excludes jumps
     number = stack.run_number
     constants = np.array([left[number == run].mean() for run in range(len(stack.runs))])
     partial = left - constants[number] + predicted
@@ -91,7 +90,7 @@ def _driver(
 
 
 def is_function_of(driver: FloatArray, predicted: FloatArray) -> bool:
-    """Whether predictions follow a driver alone.
+    """Whether predictions are a function of a driver.
 
     Examples
     --------
