@@ -220,7 +220,7 @@ class FleetStore:
             holdout=None if holdout is None else _each(holdout),
             runs=None if runs is None else _each(runs),
         )
-        return diagnose_units(self._catalog, [unit], question, told=progress).units[unit]
+        return diagnose_units(self._catalog, [unit], question, on_progress=progress).units[unit]
 
     @property
     def _catalog(self) -> "Catalog":

@@ -96,9 +96,9 @@ def diagnose(
     with status_line() as told:
         with opened_catalog(folder, quiet=as_json) as catalog:
             chosen = list(dict.fromkeys(units)) or units_with(catalog, question.signal_name)
-            read = reduce_units(catalog, chosen, question, told=told)
+            read = reduce_units(catalog, chosen, question, on_progress=told)
         # the catalogue is closed to free its memory for the trace
-        found = trace_units(read, question, is_pooled=fleet, told=told)
+        found = trace_units(read, question, is_pooled=fleet, on_progress=told)
     saved, unsaved = _saved(folder, found) if save else ({}, {})
     is_one = len(chosen) == 1 and not fleet
     _write(found, report_path, plot_folder, language)

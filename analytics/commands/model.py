@@ -199,7 +199,7 @@ def promote(
             runs=runs or None,
         )
         with status_line() as told:
-            version, _ = promote_trace(store, unit, question, stage, by=_who(by), note=reason, told=told)
+            version, _ = promote_trace(store, unit, question, stage, by=_who(by), note=reason, on_progress=told)
     warning = confounded_warning(version) if stage is Stage.LIVE else None
     if as_json:
         told_of = {"unit": unit, "version": version.version, "hash": version.hash, "stage": stage}

@@ -74,4 +74,4 @@ def trace_fleet(
     GyrofleetError: If none can be traced.
     """
     with Catalog(Store.open(folder)) as catalog:
-        return diagnose_units(catalog, units, Question(model=DECLARED_MODEL, runs=runs), told=told)
+        return diagnose_units(catalog, units, Question(model=DECLARED_MODEL, runs=runs), on_progress=told)

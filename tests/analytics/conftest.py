@@ -12,10 +12,9 @@ import pyarrow as pa
 import pytest
 
 from analytics.evaluation.evaluation import define_views, evaluate
-from analytics.loop.bilingual import Bilingual, chinese
-from analytics.loop.blocks.checks import Note
-from analytics.loop.blocks.reduction import BlockReducer, Reduction
-from analytics.loop.report.remarks_zh import in_chinese
+from analytics.loop.bilingual import chinese
+from analytics.loop.blocks.block_reducer import BlockReducer, Reduction
+from analytics.loop.blocks.reduction_notes import Note
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis
 from analytics.loop.tracing.verdict.conclusion import conclude
 from analytics.metrics.registry import metrics
@@ -235,8 +234,7 @@ def every_caveat_note_and_reason_has_chinese(monkeypatch: pytest.MonkeyPatch) ->
 
     def check(texts: Iterable[str]) -> None:
         for text in texts:
-            zh = chinese(text) if isinstance(text, Bilingual) else in_chinese(text)
-            assert re.search("[\u4e00-\u9fff]", zh), f"no Chinese form of: {text}"
+            assert re.search("[\u4e00-\u9fff]", chinese(text)), f"no Chinese form of: {text}"
 
     original = Note.__init__
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from analytics.commands.diagnose_options import noise_of
-from analytics.loop.blocks.checks import check_runs
-from analytics.loop.blocks.reduction import BlockReducer
+from analytics.loop.blocks.block_reducer import BlockReducer
+from analytics.loop.blocks.record_checks import check_runs
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
-from analytics.loop.effects.shape_values import number
+from analytics.loop.effects.base import number
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.model_text import parse_model
 from analytics.loop.tracing.diagnosis import diagnose

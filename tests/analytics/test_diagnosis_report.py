@@ -21,7 +21,7 @@ from analytics.loop.tracing.fleet import diagnose_fleet
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from analytics.loop.tracing.whitening.stack import NO_CHANNEL_VALUE
 from analytics.loop.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis, held_out_runs
-from analytics.loop.unit_reduction import ReducedUnit
+from analytics.loop.unit_reduction import GIVEN, ReducedUnit
 from stream.errors import BadInput
 from tests.bench.loop_campaign import DECLARED_MODEL, Campaign, Planted
 from tests.diagnosed_units import NOISE, SHUPE, as_units, diagnosed
@@ -97,10 +97,7 @@ def test_what_units_have_in_common_stands_first_in_the_report() -> None:
         units[campaign.unit] = tuple(campaign.runs(planted, channels=("input_rate", "temperature")))
     fleet = diagnose_fleet(units, ErrorModel.parse(DECLARED_MODEL), declared_noise=dict.fromkeys(units, NOISE))
     found = UnitsDiagnosis(
-        {
-            unit: UnitDiagnosis(ReducedUnit(runs, (), NOISE, "as given"), fleet.units[unit])
-            for unit, runs in units.items()
-        },
+        {unit: UnitDiagnosis(ReducedUnit(runs, (), NOISE, GIVEN), fleet.units[unit]) for unit, runs in units.items()},
         {"FOG-8": "no <signal>"},
         fleet.own_findings,
         fleet,

@@ -174,7 +174,7 @@ def test_a_model_that_cannot_be_read_is_told_and_others_go_on(store: Store) -> N
     out = compensated(compensator, in_time(batches("rate", 100), batches("temperature", 10)), ended())
     (note,) = [what for _, what in out]
     assert isinstance(note, NoteAdded)
-    assert "does not have its hash" in note.text
+    assert "does not match its hash" in note.text
 
 
 def test_terms_that_look_further_ahead_or_need_what_is_not_live_are_refused() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analytics.loop.blocks.reduction import BlockReducer
+from analytics.loop.blocks.block_reducer import BlockReducer
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.tracing.case import FEWEST_BLOCKS_TO_SPLIT

@@ -237,7 +237,7 @@ def test_hit_2012_lacks_something_that_the_table_cannot_name(gyrofleet: Callable
     before, after = (found["error"][part]["rms_60s"] for part in ("before", "after"))
     assert before == pytest.approx(0.82e-3, rel=0.1)  # V, the speed that was held out
     assert after < 0.5 * before
-    assert any("mounted anew" in note["text"] for note in found["reduction"])
+    assert any("remounted" in note["text"] for note in found["reduction"])
 
 
 @pytest.mark.measured

@@ -8,7 +8,7 @@ from uuid import UUID, uuid5
 
 import numpy as np
 
-from analytics.loop.blocks.reduction import BlockReducer
+from analytics.loop.blocks.block_reducer import BlockReducer
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
 from analytics.loop.model.model_use import (

@@ -4,11 +4,10 @@ import math
 from collections.abc import Sequence
 from typing import Literal
 
-from analytics.loop.bilingual import Bilingual
+from analytics.loop.bilingual import chinese
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.coefficient_units import parameter_unit
 from analytics.loop.effects.registry import effect
-from analytics.loop.report.remarks_zh import in_chinese
 from analytics.loop.tracing.result.finding import ConfoundedEffect, EffectCoefficient, FoundEffect
 
 Language = Literal["en", "zh"]
@@ -67,9 +66,7 @@ class Wording:
 
     def text(self, text: str) -> str:
         """A caveat, a note or a reason in this language."""
-        if self.language == "en":
-            return str(text)
-        return text.zh if isinstance(text, Bilingual) else in_chinese(text)
+        return chinese(text) if self.language == "zh" else str(text)
 
     def listed(self, parts: Sequence[str], last: tuple[str, str] = ("and", "和")) -> str:
         """A list in a sentence.

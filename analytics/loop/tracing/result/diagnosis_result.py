@@ -64,7 +64,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     declared_noise: NoiseCoefficients | None = None
     noise_excess: float | None = None
     detection_limits: dict[str, DetectionLimit] = {}
-    not_tested: dict[str, str] = {}
+    not_tested: dict[str, Bilingual] = {}
     limits: tuple[Bilingual, ...] = ()
     replication: Literal["runs", "within_run"] = "runs"
     training_runs: tuple[str, ...] = ()

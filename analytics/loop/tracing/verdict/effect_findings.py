@@ -7,6 +7,7 @@ import numpy as np
 
 from analytics.loop.effects.base import Effect, Kind
 from analytics.loop.effects.coefficient_units import coefficient_unit
+from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
 from analytics.loop.tracing.result.finding import ConfoundedEffect, EffectCoefficient, FoundEffect
@@ -130,6 +131,7 @@ def fitted_model(
 ) -> ErrorModel:
     """The declared model, or the model found, with coefficients of the training; lines and jumps predict nothing."""
     run = record.stack.runs[0]
+    unit = run.unit_of_measure
     joint = found.joint if with_effects else found.null
     model = declared
     for each in found.common if with_effects else ():
@@ -144,7 +146,11 @@ def fitted_model(
     return model.fitted(
         coefficients,
         covariance,
-        unit_of_measure=run.unit_of_measure,
-        units=model.coefficient_units(run),
+        unit_of_measure=unit,
+        units=[
+            unit if term.name == "bias" else coefficient_unit(effect(term.name), unit, run)
+            for term in model.terms
+            for _ in term.labels()
+        ],
         noise=parameters,
     )

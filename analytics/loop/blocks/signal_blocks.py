@@ -1,39 +1,38 @@
-"""Block means of a stored signal, made in SQL from the rollups, or from the samples where rollups do not fit."""
+"""Blocks of a stored signal, computed in SQL from the rollups, or from the samples where rollups do not fit."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from analytics.loop.blocks.run_blocks import SECOND_NS
 from storage.sql.catalog import Catalog
 from stream.batch import BoolArray, FloatArray, IntArray
 
-SECOND_NS = 10**9
 LEAST_PAIRS = 8
 FAR = 100.0
-"""A reading lies far outside where it leaves those of the seconds beside it by so many times their usual range."""
+"""An outlier leaves the readings of the seconds beside it by more than this many times their usual range."""
 CALM = 0.1
-"""A single far reading is no motion where the three on either side differ by less than this part of its distance."""
+"""A single outlier is not motion if the three readings on either side differ by less than this part of its distance."""
 FEW, ALONE = 3.0, 0.6
-"""How many readings of a second may be far, and by which part of its distance one leaves the mean: motion has more."""
+"""Outliers of a second, at most, and the part of its distance by which one leaves the mean: motion has more."""
+_PLAIN = ("mean", "spread", "centre_s", "first_s", "last_s", "far_reading")
 _MEDIAN_OF_SQUARE = 0.4549364231195728  # of a standard normal
 
 
 @dataclass(frozen=True)
-class Blocks:
+class SignalBlocks:
     """A signal of one run in blocks, in its own unit.
 
     Parameters
     ----------
-    slot: Numbers of the blocks, increasing.
-    n: Samples in each.
+    slot, n: Increasing numbers of the blocks, and samples in each.
     mean, spread: Mean and standard deviation of the samples in each.
-    centre_s, first_s, last_s: Mean, first and last moment of the samples, seconds from the beginning of slot 0; from
-        rollups as of samples that are spread evenly from a whole second on.
-    white_variance: Of each mean, by the scatter within the block; NaN where nothing tells.
-    is_far: Whether a reading in it lies far outside: then the mean is that of no measurement.
-    far_reading: That reading; NaN where there is none.
-    farthest: The reading of the run that lies farthest outside; 0 where none does.
+    centre_s, first_s, last_s: Mean, first and last time of the samples, seconds from the start of slot 0; from rollups
+        as of samples that are spread evenly from a whole second on.
+    white_variance: Of each mean, from the scatter within the block; NaN where that is unknown.
+    is_far, far_reading: Whether the block contains an outlier, so that its mean is wrong; the outlier, else NaN.
+    farthest: The farthest outlier of the run; 0 where there is none.
     """
 
     slot: IntArray
@@ -48,15 +47,10 @@ class Blocks:
     far_reading: FloatArray
     farthest: float = 0.0
 
-    def part(self, rows: BoolArray) -> "Blocks":
-        """Some of the blocks."""
-        names = [each.name for each in fields(self) if each.name != "farthest"]
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
-
 
 @dataclass(frozen=True)
 class Grid:
-    """Where the blocks of a run lie: block b from t0_ns + b*block_ns on; samples from first_ns to last_ns count."""
+    """Blocks of a run: block b begins at t0_ns + b*block_ns; samples from first_ns to last_ns count."""
 
     t0_ns: int
     first_ns: int
@@ -131,23 +125,23 @@ from block join typical using (run) left join gone using (run) order by run, slo
 
 def block_means(
     catalog: Catalog, unit: str, signal: str, grids: Mapping[str, Grid], block_s: float, *, rolled_up: bool = True
-) -> dict[str, Blocks]:
-    """Block means of a signal in several runs, by run; a run without any is not in the result.
+) -> dict[str, SignalBlocks]:
+    """Block means of a signal in several runs, by run; runs without any are not in the result.
 
-    From the rollups where blocks are whole seconds, unless `rolled_up` is false: their times are half a second coarse,
-    which only a signal of several samples a second does not feel.
+    From the rollups where blocks are whole seconds, unless `rolled_up` is false: their times have an uncertainty of
+    half a second, which is negligible only for a signal of several samples a second.
 
     Notes
     -----
-    A block is made of pieces: the rollup's seconds, or thirty-two parts of a block that is no whole number of seconds.
+    A block consists of pieces: the rollup's seconds, or thirty-two parts of a block that is not in whole seconds.
     With pieces i of n_i samples and mean m_i, the variance of a sample is the mean over neighbours within the block of
-    (m_i - m_j)**2/(1/n_i + 1/n_j), that of the block's mean this over the samples in it. Noise that is white from one
-    piece on counts in full, whatever the samples within a piece share; slow change hardly counts. A block of fewer than
-    8 such pairs takes the median over its run (over 0.455, the median of the square of a normal deviate).
+    (m_i - m_j)**2/(1/n_i + 1/n_j), that of the block's mean is this divided by the samples in it. Noise that is white
+    between pieces counts in full, slow change hardly at all. A block of fewer than 8 such pairs takes the median over
+    its run (divided by 0.455, the median of the square of a normal deviate).
 
-    A block is marked where a reading of a piece leaves the pieces before and after it by more than a hundred times
-    their usual range, and by itself, not as one of many: a fill value, a bit that was flipped on the way, a knock. What
-    lasts longer, and motion, has more readings on its way; of pieces with one reading, the pieces beside it move, too.
+    A block is marked where a single reading of a piece leaves the pieces before and after it by more than a hundred
+    times their usual range: a fill value, a transmission error, a shock. Longer events and motion have more readings in
+    between; with one reading a piece, the pieces beside it move, too.
     """
     if not grids:
         return {}
@@ -181,22 +175,17 @@ def block_means(
     return found
 
 
-def _blocks(columns: Mapping[str, FloatArray]) -> Blocks:
+def _blocks(columns: Mapping[str, FloatArray]) -> SignalBlocks:
     n = columns["n"].astype(np.int64)
     middle, average = float(columns["middle"][0] or 0.0), float(columns["average"][0] or 0.0)
     typical = middle / _MEDIAN_OF_SQUARE if middle > 0 else average
     pairs, own = columns["pairs"], columns["sample_variance"].astype(np.float64)
     variance = np.where(pairs >= LEAST_PAIRS, own, typical if typical > 0 else np.nan)
-    return Blocks(
+    return SignalBlocks(
         slot=columns["slot"].astype(np.int64),
         n=n,
-        mean=columns["mean"].astype(np.float64),
-        spread=columns["spread"].astype(np.float64),
-        centre_s=columns["centre_s"].astype(np.float64),
-        first_s=columns["first_s"].astype(np.float64),
-        last_s=columns["last_s"].astype(np.float64),
         white_variance=variance / n,
         is_far=columns["is_far"].astype(np.bool_),
-        far_reading=columns["far_reading"].astype(np.float64),
         farthest=float(columns["farthest"][0]),
+        **{name: columns[name].astype(np.float64) for name in _PLAIN},
     )
