@@ -183,13 +183,14 @@ def import_files(
 
 def _warn_of_words(procedure: str | None, position: str | None) -> None:
     """Say where a procedure or position is none that characteristics go by: perhaps a typing error."""
-    from ingest.procedures.file import ready_names
+    from ingest.procedures.file import near_name, ready_names
     from ingest.procedures.procedure import load_procedure
 
     if procedure and procedure not in ready_names():
+        near = near_name(procedure, ready_names()) or ":"
         notes().print(
-            f"warning: --procedure {procedure} is none of gyrofleet's, which `gyrofleet procedure list` has: the step "
-            f"is judged by its position alone",
+            f"warning: --procedure {procedure} is none of gyrofleet's, which `gyrofleet procedure list` has{near} "
+            f"the step is judged by its position alone",
             soft_wrap=True,
         )
     if position:

@@ -1,4 +1,4 @@
-"""How fast a gyro follows and how small a rate it sees: bandwidth, delay, dead zone."""
+"""The rate a gyro senses: misalignment, cross-axis sensitivity, bandwidth, delay, dead zone."""
 
 import math
 from typing import Annotated, Literal
@@ -8,25 +8,52 @@ import numpy as np
 import scipy.linalg
 from numba import njit
 
-from ingest.simulator.physics.scale import NotNegative, Positive
+from ingest.simulator.physics.draws import SECONDS_PER_HOUR, NotNegative, Positive
 from stream.batch import FloatArray
+
+_ARCSEC = math.pi / (180 * 3600)
+_PPM = 1e-6
+_EIGHTH_TURN_ARCSEC = 45 * 3600
+
+_Lean = Annotated[float, msgspec.Meta(ge=-_EIGHTH_TURN_ARCSEC, le=_EIGHTH_TURN_ARCSEC)]
+
+
+class Misalignment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Direction of the true input axis in the housing, and cross-axis sensitivity.
+
+    Parameters
+    ----------
+    y_arcsec, z_arcsec: Angles of the input axis towards y and z, at most 45 deg each.
+    cross_y_ppm, cross_z_ppm: Response to rates about y and z that does not come from the angles.
+
+    Notes
+    -----
+    The normal of the coil is not exactly perpendicular to the housing's reference face; electronics and housing may
+    couple further. Omega = Omega_x sqrt(1 - s_y^2 - s_z^2) + Omega_y (s_y + c_y) + Omega_z (s_z + c_z), with s the
+    sines of the two angles.
+    """
+
+    y_arcsec: _Lean = 0.0
+    z_arcsec: _Lean = 0.0
+    cross_y_ppm: float = 0.0
+    cross_z_ppm: float = 0.0
 
 
 class DeadZone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Rates that are too small to be seen.
+    """Rates below the threshold.
 
     Parameters
     ----------
     threshold_deg_per_h: Half width of the zone.
-    slope: What is left of the scale factor within it, 0 to 1.
-    beyond: ``full``: the whole rate from the threshold on; ``offset``: continuous, short by (1 - slope) threshold for
-        good; ``lock_in``: sign(Omega) sqrt(Omega^2 - (1 - slope^2) threshold^2), continuous and whole at high rates.
+    slope: Remaining fraction of the scale factor within it, 0 to 1.
+    beyond: ``full``: the whole rate from the threshold on; ``offset``: continuous, short by (1 - slope) threshold
+        everywhere; ``lock_in``: sign(Omega) sqrt(Omega^2 - (1 - slope^2) threshold^2), continuous, full at high rates.
 
     Notes
     -----
     Crosstalk in a closed loop holds the feedback at zero, and backscatter locks the beams of a laser gyro together,
-    until the rate is large enough. Omega_out = slope Omega for abs(Omega) < threshold. It acts on the rate that is
-    sensed, Earth's included, and not on the bias: it lies about rate 0 whatever the bias is.
+    until the rate is large enough. Omega_out = slope Omega for abs(Omega) < threshold. It acts on the sensed rate,
+    Earth's included, and not on the bias.
     """
 
     threshold_deg_per_h: Positive
@@ -41,14 +68,13 @@ class Dynamics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ----------
     bandwidth_hz: Frequency at which the gain is 1/sqrt(2).
     damping: Damping ratio of the second-order low-pass.
-    delay_s: Pure delay, of any fraction of a sample.
-    dead_zone: Threshold.
+    delay_s: Pure delay, not necessarily a whole number of samples.
 
     Notes
     -----
-    The loop's integrator and the filter behind it make a low-pass, computation and transfer a delay.
+    The loop's integrator and the filter behind it act as a low-pass, computation and transfer as a delay.
     H(s) = w^2 exp(-s delay)/(s^2 + 2 zeta w s + w^2), w = 2 pi bandwidth/sqrt(1 - 2 zeta^2 +
-    sqrt((1 - 2 zeta^2)^2 + 1)). They act on rates; biases, which are defined at the output, pass by them.
+    sqrt((1 - 2 zeta^2)^2 + 1)). They act on rates, not on biases, which are defined at the output.
     """
 
     bandwidth_hz: Positive | None = None
@@ -85,13 +111,25 @@ def _dead_zone(rate: FloatArray, threshold: float, slope: float, beyond: int, ou
         out[i] = math.copysign(value, rate[i])
 
 
-class LowPass:
-    """Second-order low-pass in steady state at its first input, by exact discretisation.
+def sensed_rate(misalignment: Misalignment | None, rates_deg_per_s: FloatArray) -> FloatArray:
+    """Rate about the true input axis, deg/s, of rates about x, y, z.
 
-    Parameters
-    ----------
-    bandwidth_hz, damping: See `Dynamics`.
-    interval_s: Sample interval.
+    Examples
+    --------
+    >>> float(sensed_rate(Misalignment(cross_z_ppm=-20.0), np.array([[0.0], [5.0], [100.0]]))[0])
+    -0.002
+    """
+    x, across_y, across_z = rates_deg_per_s
+    if misalignment is None:
+        return np.asarray(x, np.float64)
+    y, z = math.sin(misalignment.y_arcsec * _ARCSEC), math.sin(misalignment.z_arcsec * _ARCSEC)
+    along = math.sqrt(1.0 - y * y - z * z)
+    cross_y, cross_z = y + _PPM * misalignment.cross_y_ppm, z + _PPM * misalignment.cross_z_ppm
+    return np.asarray(along * x + cross_y * across_y + cross_z * across_z, np.float64)
+
+
+class LowPass:
+    """Second-order low-pass (see `Dynamics`) in steady state at its first input, by exact discretisation.
 
     Notes
     -----
@@ -128,7 +166,7 @@ class LowPass:
 
 
 def outside_dead_zone(dead_zone: DeadZone, rate_deg_per_s: FloatArray) -> FloatArray:
-    """What a dead zone lets through, deg/s.
+    """Rates behind a dead zone, deg/s.
 
     Examples
     --------
@@ -137,5 +175,5 @@ def outside_dead_zone(dead_zone: DeadZone, rate_deg_per_s: FloatArray) -> FloatA
     """
     out = np.empty(len(rate_deg_per_s))
     code = ("full", "offset", "lock_in").index(dead_zone.beyond)
-    _dead_zone(rate_deg_per_s, dead_zone.threshold_deg_per_h / 3600.0, dead_zone.slope, code, out)
+    _dead_zone(rate_deg_per_s, dead_zone.threshold_deg_per_h / SECONDS_PER_HOUR, dead_zone.slope, code, out)
     return out
