@@ -129,7 +129,7 @@ def test_a_verdict_is_told_though_its_model_cannot_be_saved(
 def fleet(store: Path) -> Result:
     """All units of the store diagnosed together, with every line of progress."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stream.console._TOLD_EVERY_S", 0.0)
+        patch.setattr("stream.console._STATUS_EVERY_S", 0.0)
         done = CliRunner().invoke(main, ["diagnose", "--fleet", "--model", MODEL, "--store", str(store), "--json"])
     assert done.exit_code == 0, done.output
     return done

@@ -163,7 +163,7 @@ def no_power_on(unknown: Sequence[str], of: int) -> list[Note]:
         return []
     where = in_runs(unknown, of)
     if len(unknown) == of > 1:
-        where = Bilingual(f"in any of {of} runs", where.zh)
+        where = Bilingual(f"in any of {of} runs", f"{of}次试验均")
     text = Bilingual(
         f"no power-on is recorded {where}: time_since_power_on counts from the first sample",
         f"{where.zh}无上电记录：time_since_power_on从首个采样起计",
