@@ -172,7 +172,7 @@ def promote(
     gyrofleet model promote --unit FOG-0235 --model 'rate = bias + temperature'
     gyrofleet model promote --unit FOG-0235 --version 2 --shadow
     """  # noqa: D301  click's mark for lines that are not to be joined
-    from analytics.commands.diagnose import block_seconds, holdout_of, noise_of
+    from analytics.commands.diagnose_options import block_seconds, holdout_of, noise_of
     from analytics.loop.model.model_registry import ModelRegistry
     from analytics.loop.model.model_use import Stage, activate
     from analytics.loop.model_promotion import check_usable, confounded_warning, promote_trace

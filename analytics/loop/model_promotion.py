@@ -8,8 +8,8 @@ import msgspec
 from analytics.loop.effects.turn_on import TURN_ON
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion, run_hashes
 from analytics.loop.model.model_use import InUse, Stage, activate, read_uses
-from analytics.loop.tracing.fitted_candidates import JUMP, LINE
-from analytics.loop.tracing.result import Diagnosis, Verdict
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
+from analytics.loop.tracing.search.fitted_candidates import JUMP, LINE
 from analytics.loop.unit_diagnosis import UnitDiagnosis, diagnose_units
 from analytics.loop.unit_reduction import Question
 from storage.sql.catalog import Catalog
@@ -64,7 +64,7 @@ def _confounded(diagnosis: Diagnosis) -> Iterator[str]:
 
 def confounded_warning(version: ModelVersion) -> str | None:
     """Warning that a version has one of several effects that the data do not distinguish; None where it does not."""
-    if not version.confounded and version.verdict != Verdict.CONFOUNDED:
+    if not version.confounded and version.verdict != ModelVerdict.CONFOUNDED:
         return None
     added, others = ", ".join(version.added), ", ".join(version.confounded) or "others"
     return (

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.tracing.diagnosis import diagnose
-from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, standing
-from analytics.loop.tracing.result import Diagnosis
+from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, significant_findings
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis
 from analytics.loop.unit_reduction import Question, ReducedUnit, ReducedUnits, model_on, reduce_units
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput, GyrofleetError, NotFound
@@ -26,8 +26,8 @@ class UnitDiagnosis:
 
     def document(self) -> dict[str, object]:
         """Content of the JSON document."""
-        notes = [{"what": note.what, "text": note.text, "channel": note.channel} for note in self.data.notes]
-        return {**self.diagnosis.document(), "noise_source": self.data.noise_source, "reduction": notes}
+        notes = [{"what": note.what, "text": str(note.text), "channel": note.channel} for note in self.data.notes]
+        return {**self.diagnosis.document(), "noise_source": str(self.data.noise_source), "reduction": notes}
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def trace_units(
         count = len(read.units) + len(read.failed)
         why = "; ".join(f"{unit}: {why}" for unit, why in failed.items())
         raise NotFound(f"none of {count} units can be diagnosed; {why}")
-    return UnitsDiagnosis(done, failed, standing({unit: each.diagnosis for unit, each in done.items()}))
+    return UnitsDiagnosis(done, failed, significant_findings({unit: each.diagnosis for unit, each in done.items()}))
 
 
 def _pooled(
@@ -127,7 +127,7 @@ def _pooled(
         declared_noise={unit: data.noise for unit, data in units.items() if data.noise is not None},
         holdout=held_out,
         left_out={unit: data.left_out for unit, data in units.items()},
-        told=on_progress,
+        on_progress=on_progress,
     )
     done = {unit: UnitDiagnosis(data, fleet.units[unit]) for unit, data in units.items()}
     return UnitsDiagnosis(done, failed, fleet.own_findings, fleet)

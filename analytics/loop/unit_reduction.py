@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.block_reducer import BLOCK_S, BlockReducer
 from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.blocks.reduction_notes import Note, in_runs
@@ -20,6 +21,8 @@ from stream.errors import BadInput, GyrofleetError, NotFound
 from stream.estimators.base import NoEstimate
 
 _LARGEST = 1e50
+GIVEN = Bilingual("as given", "用户给定")
+OWN_FITS = Bilingual("the unit's own Allan fits", "产品自身的Allan拟合")
 
 
 @dataclass(frozen=True)
@@ -152,7 +155,10 @@ def _with_channels_of(question: Question, runs: Sequence[RunBlocks]) -> tuple[tu
     if not kept or not others:
         return tuple(runs), ()
     lacking = sorted(channel for channel in needed if any(channel not in run.channels for run in runs))
-    text = f"{in_runs(others, len(runs))} {', '.join(lacking)} is missing, which the model needs: left out"
+    where, names = in_runs(others, len(runs)), ", ".join(lacking)
+    text = Bilingual(
+        f"{where} {names} is missing, which the model needs: left out", f"{where.zh}缺少模型所需的{names}：已略去"
+    )
     return kept, (Note("without_channel", text, lacking[0], tuple(others)),)
 
 
@@ -167,16 +173,19 @@ def _noise(
 ) -> tuple[NoiseCoefficients | None, str, bool]:
     """Declared noise, where it comes from, and whether its turn-on scatter is declared."""
     if isinstance(question.noise, NoiseCoefficients):
-        return question.noise, "as given", True
+        return question.noise, GIVEN, True
     if question.noise is not None:
         is_given = question.noise.turn_on is not None
-        source = "as given" if is_given else "as given; turn-on scatter estimated from these runs"
+        source = GIVEN if is_given else _with_estimated_turn_on(GIVEN)
         return with_turn_on(question.noise, runs, model), source, is_given
     found = declared_noise(catalog, runs, model)
     if isinstance(found, NoEstimate):
         return None, found.reason, False
-    several = "; turn-on scatter estimated from these runs" if len(runs) > 1 else ""
-    return found, f"the unit's own Allan fits{several}", False
+    return found, OWN_FITS if len(runs) == 1 else _with_estimated_turn_on(OWN_FITS), False
+
+
+def _with_estimated_turn_on(source: Bilingual) -> Bilingual:
+    return Bilingual(f"{source}; turn-on scatter estimated from these runs", f"{source.zh}；逐次启动散布由这些试验估计")
 
 
 def units_with(catalog: Catalog, signal: str) -> list[str]:

@@ -62,7 +62,7 @@ def test_a_fill_value_is_no_motion_though_every_column_has_it(tested: TestedUnit
     assert blocks.document() == {
         "what": "120 blocks",
         "share": 2 / 120,
-        "why": "a reading of the signal lies far outside of those before and after it",
+        "why": "a reading of the signal lies far outside its neighbours",
     }
 
 

@@ -11,8 +11,8 @@ from analytics.loop.effects.coefficient_units import coefficient_unit
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel, ModelTerm
 from analytics.loop.model.noise import NoiseCoefficients
-from analytics.loop.tracing.noise_model import NoiseModel
-from analytics.loop.tracing.whitened_residual import whitened_residual
+from analytics.loop.tracing.whitening.block_noise import NoiseModel
+from analytics.loop.tracing.whitening.whitener import whitened_residual
 from stream.batch import FloatArray
 from stream.errors import BadInput
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.reduction_notes import Note, in_runs
 from analytics.loop.blocks.run_blocks import SECOND_NS, Channel, RunBlocks
 from analytics.loop.blocks.signal_blocks import SignalBlocks
@@ -114,12 +115,14 @@ def assumed_axis(steps: Mapping[str, Sequence[Step]], runs: Sequence[RunBlocks])
     """
     without = [run for run in runs if "input_rate" not in run.channels]
     names = tuple(run.run for run in without)
-    for kind, unknown in (("axes", unknown_axes), ("positions", unknown_positions)):
+    kinds = (Bilingual("axes", "转动轴"), unknown_axes), (Bilingual("positions", "位置"), unknown_positions)
+    for kind, unknown in kinds:
         words = sorted({word for run in without for word in unknown(steps.get(run.run, ()), run.signal)})
         if len(words) > 1:
-            text = (
+            text = Bilingual(
                 f"no input_rate is recorded, and the {kind} {', '.join(words)} do not define the direction of the "
-                "input axis: record or import channel input_rate"
+                "input axis: record or import channel input_rate",
+                f"未记录input_rate，{kind.zh}{'、'.join(words)}也未说明输入轴方向：请记录或导入通道input_rate",
             )
             return None, [Note("no_input_rate", text, "input_rate", names, is_limit=True)]
     return 1.0, []
@@ -130,12 +133,15 @@ def source_of_input_rate(before: Sequence[RunBlocks], after: Sequence[RunBlocks]
     pairs = list(zip(before, after, strict=True))
     taken = [(old, new) for old, new in pairs if "input_rate" not in old.channels and "input_rate" in new.channels]
     notes = []
-    for source, has_table in (("table_rate", True), ("the steps' rate commands", False)):
+    commands = Bilingual("the steps' rate commands", "步骤的角速率指令")
+    for source, has_table in ((Bilingual("table_rate", "table_rate"), True), (commands, False)):
         runs = [new.run for old, new in taken if ("table_rate" in old.channels) is has_table]
         if runs:
-            text = (
-                f"input_rate is taken from {source} {in_runs(runs, len(before))}: the table's axis is assumed to be "
-                "the input axis unless the axis or position of a step says otherwise"
+            where = in_runs(runs, len(before))
+            text = Bilingual(
+                f"input_rate is taken from {source} {where}: the table's axis is assumed to be the input axis unless "
+                "the axis or position of a step says otherwise",
+                f"{where.zh}input_rate取自{source.zh}：除非步骤的转动轴或位置另有说明，假定转台轴沿输入轴",
             )
             notes.append(Note("input_rate", text, "input_rate", tuple(runs), is_limit=True))
     return notes

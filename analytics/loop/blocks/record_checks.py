@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.reduction_notes import Note, in_runs
 from analytics.loop.blocks.run_blocks import RunBlocks, stands_still
 from storage.sql.catalog import Catalog
@@ -18,11 +19,11 @@ _FEWEST_FOR_COPY = 10
 _CLOCK_APART_S = 1.0
 _RATES = ("input_rate", "table_rate")
 _MISTAKES = {
-    3600.0: "as of deg/s under a label of deg/h, or the other way round",
-    60.0: "as of deg/s or deg/h beside deg/min",
-    180.0 / np.pi: "as of radians under a label of degrees, or the other way round",
-    3600.0 * 180.0 / np.pi: "as of rad/s under a label of deg/h, or the other way round",
-    1000.0: "as of thousandths (mdps) under a label of the whole, or the other way round",
+    3600.0: Bilingual("as of deg/s under a label of deg/h, or the other way round", "deg/s与deg/h混淆"),
+    60.0: Bilingual("as of deg/s or deg/h beside deg/min", "deg/s或deg/h与deg/min混淆"),
+    180.0 / np.pi: Bilingual("as of radians under a label of degrees, or the other way round", "弧度与度混淆"),
+    3600.0 * 180.0 / np.pi: Bilingual("as of rad/s under a label of deg/h, or the other way round", "rad/s与deg/h混淆"),
+    1000.0: Bilingual("as of thousandths (mdps) under a label of the whole, or the other way round", "千分单位混淆"),
 }
 """Ratio of two units of measure that may be confused, and how."""
 _NEAR = 0.02
@@ -36,8 +37,9 @@ def check_runs(runs: Sequence[RunBlocks]) -> list[Note]:
     still = [run.run for run in runs if len(run) > 1 and stands_still(run.value)]
     if still:
         where = in_runs(still, len(runs))
-        text = (
-            f"signal {runs[0].signal} never changes {where}: its output is dead or stuck; exclude such runs with --run"
+        text = Bilingual(
+            f"signal {runs[0].signal} never changes {where}: its output is dead or stuck; exclude such runs with --run",
+            f"信号{runs[0].signal}{where.zh}从不变化，输出失效或卡死：用--run略去这些试验",
         )
         notes.append(Note("still", text, runs=tuple(still), is_limit=True))
     first: dict[bytes, str] = {}
@@ -49,7 +51,10 @@ def check_runs(runs: Sequence[RunBlocks]) -> list[Note]:
     ]
     if same:
         listed = ", ".join(f"{one} and {other}" for one, other in same[:3]) + (", ..." if len(same) > 3 else "")
-        text = f"runs have the same samples ({listed}) and do not confirm each other; exclude one of each with --run"
+        text = Bilingual(
+            f"runs have the same samples ({listed}) and do not confirm each other; exclude one of each with --run",
+            f"试验的采样相同（{listed}）：不能互相证实；用--run各略去一次",
+        )
         notes.append(Note("same_samples", text, is_limit=True))
     return notes
 
@@ -65,22 +70,40 @@ def _check_one(runs: Sequence[RunBlocks], name: str) -> list[Note]:
     having = [run for run in runs if name in run.channels]
     notes = []
     if missing := [run.run for run in runs if name not in run.channels]:
-        text = f"channel {name} is missing {in_runs(missing, len(runs))}: effects that need it are not searched for"
+        where = in_runs(missing, len(runs))
+        text = Bilingual(
+            f"channel {name} is missing {where}: effects that need it are not searched for",
+            f"{where.zh}缺少通道{name}：不查找需要它的效应",
+        )
         notes.append(Note("missing_channel", text, name, tuple(missing)))
     gaps = {run.run: int(np.isnan(run.mean(name)).sum()) for run in having}
     if gone := [run for run, blocks in gaps.items() if blocks]:
         blocks, total = sum(gaps.values()), sum(map(len, having))
-        text = f"channel {name} has no reading near {blocks:,} of {total:,} blocks, {in_runs(gone, len(having))}"
+        where = in_runs(gone, len(having))
+        text = Bilingual(
+            f"channel {name} has no reading near {blocks:,} of {total:,} blocks, {where}",
+            f"{where.zh}，通道{name}在{total:,}个数据块中的{blocks:,}个附近没有读数",
+        )
         notes.append(Note("channel_gap", text, name, tuple(gone)))
     if _is_constant(having, name) and name not in _DERIVED:
-        text = f"channel {name} never changes: its effects cannot be distinguished from the bias"
+        text = Bilingual(
+            f"channel {name} never changes: its effects cannot be distinguished from the bias",
+            f"通道{name}从不变化：与它相关的效应无法与零偏区分",
+        )
         notes.append(Note("constant", text, name, tuple(run.run for run in having)))
     units = sorted({run.channels[name].unit_of_measure for run in having})
     if len(units) > 1:
-        text = f"channel {name} is in {' and '.join(units)}, depending on the run: import it in one unit of measure"
+        text = Bilingual(
+            f"channel {name} is in {' and '.join(units)}, depending on the run: import it in one unit of measure",
+            f"通道{name}的单位因试验而异（{'、'.join(units)}）：请以同一单位导入",
+        )
         notes.append(Note("mixed_units", text, name, is_limit=True))
     elif units[0] in {"count", "LSB"}:
-        notes.append(Note("counts", f"channel {name} is in {units[0]}: coefficients are per {units[0]}", name))
+        text = Bilingual(
+            f"channel {name} is in {units[0]}: coefficients are per {units[0]}",
+            f"通道{name}的单位为{units[0]}：系数按每{units[0]}计",
+        )
+        notes.append(Note("counts", text, name))
     return notes
 
 
@@ -96,7 +119,10 @@ def _check_copies(runs: Sequence[RunBlocks], names: Sequence[str]) -> list[Note]
     notes = []
     for one, other in itertools.combinations(everywhere, 2):
         if not _BY_NATURE.issuperset((one, other)) and _is_copy(values[one], values[other]):
-            text = f"channels {one} and {other} are copies of each other: their effects cannot be distinguished"
+            text = Bilingual(
+                f"channels {one} and {other} are copies of each other: their effects cannot be distinguished",
+                f"通道{one}与{other}互为副本：二者的效应无法区分",
+            )
             notes.append(Note("copy", text, other))
     return notes
 
@@ -139,8 +165,11 @@ def check_clocks(
     return [
         Note(
             "clock_offset",
-            f"the clock of {instrument} is {_signed(list(by_run.values()))} s off that of {unit} in run "
-            f"{', '.join(by_run)}: its channels are joined by their own clock",
+            Bilingual(
+                f"the clock of {instrument} is {_signed(by_run)} s off that of {unit} in run {', '.join(by_run)}: its "
+                "channels are joined by their own clock",
+                f"在试验{'、'.join(by_run)}中，{instrument}的时钟与{unit}相差{_signed(by_run)} s：其通道按自身时钟对齐",
+            ),
             runs=tuple(by_run),
             is_limit=True,
         )
@@ -148,8 +177,8 @@ def check_clocks(
     ]
 
 
-def _signed(seconds: Sequence[float]) -> str:
-    lo, hi = min(seconds), max(seconds)
+def _signed(seconds_by_run: Mapping[str, float]) -> str:
+    lo, hi = min(seconds_by_run.values()), max(seconds_by_run.values())
     return f"{lo:+.1f}" if hi - lo < 0.1 else f"{lo:+.1f} to {hi:+.1f}"
 
 
@@ -165,11 +194,15 @@ def check_labels(runs: Sequence[RunBlocks]) -> list[Note]:
                 wrong.setdefault(factor, []).append(run)
         for factor, names in wrong.items():
             ratio = abs(ratios[names[0]])
-            size_text = f"{ratio:,.4g} times" if ratio > 1 else f"1/{1 / ratio:,.4g} of"
-            text = (
-                f"{runs[0].signal} is {size_text} {name} {in_runs(names, len(runs))}, both in the units they are "
-                f"labelled with, {_MISTAKES[factor]}: correct the label and import again, else every coefficient of "
-                f"{name} is wrong by this factor"
+            shown = Bilingual(f"1/{1 / ratio:,.4g} of", f"1/{1 / ratio:,.4g}")
+            if ratio > 1:
+                shown = Bilingual(f"{ratio:,.4g} times", f"{ratio:,.4g}倍")
+            signal, where, mistake = runs[0].signal, in_runs(names, len(runs)), _MISTAKES[factor]
+            text = Bilingual(
+                f"{signal} is {shown} {name} {where}, both in the units they are labelled with, {mistake}: correct the "
+                f"label and import again, else every coefficient of {name} is wrong by this factor",
+                f"{where.zh}，按所标单位，{signal}为{name}的{shown.zh}，疑为单位标注有误（{mistake.zh}）："
+                f"请改正标注后重新导入，否则{name}的系数均差此倍数",
             )
             notes.append(Note("unit_label", text, name, tuple(names), is_limit=True))
     return notes

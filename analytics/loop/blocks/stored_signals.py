@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.channels import standard_unit
 from analytics.loop.blocks.reduction_notes import Note
 from analytics.loop.blocks.run_blocks import SECOND_NS, STANDARD_CHANNELS
@@ -191,9 +192,11 @@ def sources_of(
         found[run].setdefault(name, []).append(source)
     notes = []
     if outputs:
-        text = (
-            f"{', '.join(sorted(outputs))} of {unit} are outputs like {signal} and not channels; import a reference "
-            "under a standard name, such as gravity_i"
+        names = ", ".join(sorted(outputs))
+        text = Bilingual(
+            f"{names} of {unit} are outputs like {signal} and not channels; import a reference under a standard name, "
+            "such as gravity_i",
+            f"{unit}的{names}与{signal}同为产品输出，不作为通道；参考量请以标准名导入，如gravity_i",
         )
         notes.append(Note("output", text))
     chosen: dict[str, list[ChannelSource]] = {}
@@ -206,7 +209,11 @@ def sources_of(
             if len(sources) > 1:
                 several.setdefault((name, own.unit), set()).update(each.unit for each in sources if each is not own)
     for (name, of), others_of in sorted(several.items()):
-        text = f"channel {name} is taken from {of}; {', '.join(sorted(others_of))} have a channel of that name as well"
+        others_text = ", ".join(sorted(others_of))
+        text = Bilingual(
+            f"channel {name} is taken from {of}; {others_text} have a channel of that name as well",
+            f"通道{name}取自{of}；{others_text}也有同名通道",
+        )
         notes.append(Note("several", text, name))
     return chosen, notes
 

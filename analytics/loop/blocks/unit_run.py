@@ -8,7 +8,7 @@ import numpy as np
 from analytics.curves.isolated_outliers import isolated_outliers
 from analytics.loop.blocks import reduction_notes as notes_on
 from analytics.loop.blocks.join import Outliers
-from analytics.loop.blocks.left_out import LeftOut, Loss, left_out
+from analytics.loop.blocks.left_out import FAR_OUTSIDE, FEW_SAMPLES, NOT_RESOLVED, LeftOut, Loss, left_out
 from analytics.loop.blocks.record_checks import check_clocks
 from analytics.loop.blocks.reduction_notes import Note
 from analytics.loop.blocks.run_blocks import RunBlocks
@@ -95,15 +95,9 @@ def notes_on_samples(
 def left_out_of(runs: Sequence[UnitRun]) -> tuple[LeftOut, ...]:
     """What the blocks that are left out mean."""
     losses = (
-        Loss(
-            "a reading of the signal lies far outside of those before and after it",
-            {run.name: run.is_far for run in runs},
-        ),
-        Loss("they hold but a few samples", {run.name: run.is_partial for run in runs}),
-        Loss(
-            "the reference rate changes within them faster than its readings show",
-            {run.name: run.is_unresolved for run in runs},
-        ),
+        Loss(FAR_OUTSIDE, {run.name: run.is_far for run in runs}),
+        Loss(FEW_SAMPLES, {run.name: run.is_partial for run in runs}),
+        Loss(NOT_RESOLVED, {run.name: run.is_unresolved for run in runs}),
     )
     in_steps = {
         (run.name, name): rows for run in runs for name, rows in step_rows(run.steps, run.blocks.middle_ns).items()

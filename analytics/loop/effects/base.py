@@ -9,6 +9,7 @@ from itertools import product
 
 import numpy as np
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from stream.batch import FloatArray
 from stream.errors import BadInput
@@ -157,19 +158,26 @@ class Effect(ABC):
         """Names of the columns at this shape."""
         return self.coefficients
 
-    def unavailable(self, runs: Sequence[RunBlocks]) -> str | None:
+    def unavailable(self, runs: Sequence[RunBlocks]) -> Bilingual | None:
         """Why these runs do not allow a search for this effect; None where they do."""
         for channel in self.needs:
             missing = sum(channel not in run.channels for run in runs)
             if missing:
-                return f"channel {channel} is missing in {missing} of {len(runs)} runs"
+                return Bilingual(
+                    f"channel {channel} is missing in {missing} of {len(runs)} runs",
+                    f"{len(runs)}次试验中有{missing}次缺少通道{channel}",
+                )
             means = np.concatenate([run.mean(channel) for run in runs] or [np.empty(0)])
             finite = means[np.isfinite(means)]
             if not finite.size:
-                return f"channel {channel} has no readings in these runs"
+                return Bilingual(
+                    f"channel {channel} has no readings in these runs", f"通道{channel}在这些试验中没有读数"
+                )
             if np.ptp(finite) == 0 and not any(np.any(run.channels[channel].spread > 0) for run in runs):
-                unit = runs[0].channels[channel].unit_of_measure
-                return f"channel {channel} stays at {finite[0]:g} {unit} in these runs"
+                value = f"{finite[0]:g} {runs[0].channels[channel].unit_of_measure}"
+                return Bilingual(
+                    f"channel {channel} stays at {value} in these runs", f"通道{channel}在这些试验中保持为{value}"
+                )
         return None
 
     def recorded(self, time_s: FloatArray, channels: Inputs) -> Inputs:

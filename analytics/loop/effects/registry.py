@@ -8,6 +8,7 @@ import pkgutil
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import STANDARD_CHANNELS, RunBlocks
 from analytics.loop.effects.base import Effect
 from analytics.loop.effects.named_channels import PREFIX, channel_linear
@@ -78,7 +79,7 @@ def effects_for(runs: Sequence[RunBlocks]) -> Mapping[str, Effect]:
     return MappingProxyType({name: each for name, each in candidates.items() if each.unavailable(runs) is None})
 
 
-def unavailable_effects(runs: Sequence[RunBlocks]) -> Mapping[str, str]:
+def unavailable_effects(runs: Sequence[RunBlocks]) -> Mapping[str, Bilingual]:
     """Why these runs do not allow a search for each of the other effects."""
     reasons = {name: each.unavailable(runs) for name, each in _candidates(runs).items()}
     return MappingProxyType({name: reason for name, reason in reasons.items() if reason is not None})

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.effects.base import Effect, Inputs, Role, Shape
 from stream.batch import FloatArray
@@ -46,10 +47,13 @@ class _StaleChannel(Effect):
     def _truth(self, run: RunBlocks, is_frozen: Mask) -> FloatArray:
         """Estimate of the true values in the frozen blocks."""
 
-    def unavailable(self, runs: Sequence[RunBlocks]) -> str | None:
+    def unavailable(self, runs: Sequence[RunBlocks]) -> Bilingual | None:
         reason = super().unavailable(runs)
         if reason is None and not any(np.any(self.regressors(run, {})) for run in runs):
-            reason = f"channel {self.needs[0]} is nowhere frozen while it should move in these runs"
+            reason = Bilingual(
+                f"channel {self.needs[0]} is nowhere frozen while it should move in these runs",
+                f"通道{self.needs[0]}在应当变化时从未停滞",
+            )
         return reason
 
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import HARMONICS, RunBlocks
 from analytics.loop.effects.base import Effect, Inputs, Kind, Shape
 from analytics.loop.effects.within_block import phasor, radians_per_unit
@@ -20,14 +21,14 @@ _WIDTH_RAD = np.deg2rad(16.0)
 class _OfTableAngle(Effect):
     """Effect that needs the table angle in a unit of angle."""
 
-    def unavailable(self, runs: Sequence[RunBlocks]) -> str | None:
+    def unavailable(self, runs: Sequence[RunBlocks]) -> Bilingual | None:
         if (reason := super().unavailable(runs)) is not None:
             return reason
         for run in runs:
             try:
                 radians_per_unit(run.channels["table_angle"])
             except BadInput as error:
-                return f"channel table_angle: {error}"
+                return Bilingual(f"channel table_angle: {error}", f"通道table_angle：{error}")
         return None
 
 

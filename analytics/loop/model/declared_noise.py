@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from analytics.curves.noise_coefficients import MOST_MISFIT
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
@@ -46,15 +47,18 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
     """
     unit, signal = runs[0].unit, runs[0].signal
     if runs[0].unit_of_measure != ANGULAR_RATE_UNIT:
-        return NoEstimate(
-            f"signal {signal} is in {runs[0].unit_of_measure}: the noise terms are those of an angular rate"
+        unit_of_measure = runs[0].unit_of_measure
+        return _unknown(
+            f"signal {signal} is in {unit_of_measure}: the noise terms are those of an angular rate",
+            f"信号{signal}的单位为{unit_of_measure}：噪声各项是针对角速率的",
         )
     names = {name for run in runs for name in _names(run)}
     turned = {name for run in runs if _is_turned(run) for name in _names(run)}
     if names == turned:
-        return NoEstimate(
+        return _unknown(
             f"unit {unit}, signal {signal}: it was turned in all runs, whose Allan fits are of the motion; noise is "
-            "estimated from these runs alone, or give --noise"
+            "estimated from these runs alone, or give --noise",
+            f"产品{unit}，信号{signal}：各次试验均在转动，其Allan拟合反映的是运动；噪声仅由这些试验估计，或用--noise给出",
         )
     rows = catalog.rows(
         "select run, document->'$.coefficients' as coefficients from events "
@@ -64,9 +68,11 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
     fits = {str(run): msgspec.json.decode(text) for run, text in rows if text and run in names - turned}
     usable = {run: fit for run, fit in fits.items() if fit is not None and fit.get("misfit", 0.0) <= MOST_MISFIT}
     if not usable:
-        return NoEstimate(
-            f"unit {unit}, signal {signal}: none of {len(names - turned)} runs has an Allan fit that describes it; "
-            "noise is estimated from these runs alone, or give --noise"
+        count = len(names - turned)
+        return _unknown(
+            f"unit {unit}, signal {signal}: none of {count} runs has an Allan fit that describes it; noise is "
+            "estimated from these runs alone, or give --noise",
+            f"产品{unit}，信号{signal}：{count}次试验均无可用的Allan拟合；噪声仅由这些试验估计，或用--noise给出",
         )
     lengths_s = _lengths_s(runs)
     longest_s = max(lengths_s[run] for run in usable)
@@ -103,6 +109,10 @@ def _names(run: RunBlocks) -> tuple[str, ...]:
     """Name of the run, and of the whole run if it is a power-on."""
     whole = run.run.rpartition("#")[0]
     return (run.run, whole) if whole else (run.run,)
+
+
+def _unknown(en: str, zh: str) -> NoEstimate:
+    return NoEstimate(Bilingual(en, zh))
 
 
 def _lengths_s(runs: Sequence[RunBlocks]) -> dict[str, float]:
