@@ -185,7 +185,7 @@ def _table(titles: Iterable[str], language: str) -> Table:
 def _name(metric: str, language: str) -> str:
     """A metric's name; an entered check may have a name of its own."""
     from analytics.evaluation.table import name_of
-    from analytics.metrics.registry import metrics
+    from analytics.metric_registry.registry import metrics
 
     if metric in metrics():
         return name_of(metric, language)

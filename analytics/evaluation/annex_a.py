@@ -4,7 +4,7 @@ from collections import defaultdict
 from typing import NamedTuple
 
 from analytics.evaluation.selection import Row, Selection, selected
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from storage.sql.catalog import Catalog
 
 STANDARD = "JJF2014"

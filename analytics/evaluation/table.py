@@ -11,7 +11,7 @@ from typing import Any
 from rich.table import Table
 
 from analytics.evaluation.selection import Row, clauses_of
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from stream.console import csv_text, shown_text, styled
 from stream.errors import BadInput
 

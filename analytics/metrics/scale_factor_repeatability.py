@@ -3,9 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from analytics.metrics.largest_magnitude import json_text
-from analytics.metrics.repeatability import KINDS, deviation_of
-from analytics.metrics.variance_components import Scatter, scatter
+from analytics.methods.repeatability import KINDS, Scatter, deviation_of, scatter
 from storage.sql.catalog import Catalog
 
 HEADER = """\
@@ -70,7 +68,7 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     -----
     The kinds are those of the bias repeatability, of the relative scale factors K_i/mean(K). ``run_to_run`` is the
     deviation within a day, pooled over days; ``day_to_day`` that of the means of days. The uncertainty of the K_i is
-    not taken off: most of it is nonlinearity, which is the same in all.
+    not subtracted: most of it is nonlinearity, which is the same in all.
     """
     for row in catalog.reader(_SQL).read_all().to_pylist():
         scales, days = row["scales"] or [], row["days"] or []
@@ -78,10 +76,10 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
         found = scatter([each / mean * 1e6 for each in scales] if mean else [], days if mean else [])
         parameters = {"scale_factors": len(scales), "mean": mean if scales else None}
         parameters["days"] = len(set(days)) if row["is_dated"] else None
-        told = {name: row[name] for name in ("unit", "signal", "run", "standard", "runs", "steps")}
-        told |= {"n": len(scales), "clause": _CLAUSES[row["standard"]]}
+        common = {name: row[name] for name in ("unit", "signal", "run", "standard", "runs", "steps")}
+        common |= {"n": len(scales), "clause": _CLAUSES[row["standard"]]}
         for kind in KINDS:
-            yield told | {"parameters": json_text({"kind": kind} | parameters)} | _value(row, found, kind)
+            yield common | {"parameters": {"kind": kind} | parameters} | _value(row, found, kind)
 
 
 def _lack_of_repeats(days: Sequence[str], kind: str, least: int, *, is_dated: bool) -> str | None:

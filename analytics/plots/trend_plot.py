@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from analytics.plots.allan_marks import FLEET, INK, SOFT
 from analytics.plots.figure_file import check_suffix, write_figure
 from analytics.plots.plot_fonts import chinese_font, set_fonts

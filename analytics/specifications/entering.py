@@ -4,7 +4,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from analytics.metrics.names import alike
+from analytics.metric_registry.registry import alike
 from analytics.specifications.periods import Period, in_force, ordered_periods, periods_of, specification_of
 from analytics.specifications.specification import Specification, parse_specification
 from storage.specifications.chain import Chain, Link, append_document, read_chain

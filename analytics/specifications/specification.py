@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from analytics.metrics.names import alike, check_metrics
-from analytics.metrics.product import Product
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import alike, check_metrics, metrics
 from analytics.specifications.dates import begin_ns, end_ns
+from analytics.specifications.product import Product
 from stream.errors import BadInput, UnknownUnit
 from stream.quantities import check_result_unit, result_factor
 from stream.toml_text import decode_toml

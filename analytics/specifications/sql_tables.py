@@ -7,9 +7,9 @@ from contextlib import suppress
 import msgspec
 import pyarrow as pa
 
-from analytics.metrics.product import Product
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from analytics.specifications.periods import NEVER, Edition, editions_of
+from analytics.specifications.product import Product
 from analytics.specifications.specification import Parameter, SpecificationLimit, told_parameter
 from storage.specifications.chain import Chain, read_chain
 from storage.sql.catalog import Catalog

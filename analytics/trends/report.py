@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from analytics.trends.between_stations import Comparison, Difference, Pairs
 from analytics.trends.capability import Capability
 from analytics.trends.change_points import ChangePoint, Changes

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from analytics.metrics.names import check_metrics
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import check_metrics, metrics
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 from stream.errors import NotFound

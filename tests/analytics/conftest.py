@@ -16,7 +16,7 @@ from analytics.loop.blocks.checks import Note
 from analytics.loop.blocks.reduction import BlockReducer, Reduction
 from analytics.loop.report.remarks_zh import in_chinese
 from analytics.loop.tracing import diagnosis
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from analytics.step_records.step_table import step_means
 from storage.lake.lake import build_missing, builder_lock
 from storage.log.event_log import EventLog

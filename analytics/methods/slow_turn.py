@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from analytics.metrics.half_error import Direction, smallest_within_half
+from analytics.methods.half_error import Direction, smallest_within_half
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray
 

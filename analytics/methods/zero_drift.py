@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import stdtr, stdtrit
 
-from analytics.metrics.limits_of_value import CONFIDENCE
+from analytics.methods.confidence_bounds import CONFIDENCE
 from stream.batch import FloatArray
 
 # variance of the steps beyond the noise within them, in units of that, and the part of it that is drift
