@@ -141,10 +141,10 @@ def _tell(found: "Trend", language: str) -> None:
 
 
 def _chart_table(found: "Trend", language: str) -> Table:
-    from analytics.evaluation.table import name_of, told_unit
+    from analytics.evaluation.table import format_unit, name_of
     from analytics.trends.words import Refused
 
-    unit = told_unit(found.series.unit_of_measure)
+    unit = format_unit(found.series.unit_of_measure)
     name = name_of(found.series.metric, language) if language == "zh" else found.series.metric
     title = f"{name} / {unit}" if unit else name
     table = Table(title=title, title_justify="left", header_style="bold")
