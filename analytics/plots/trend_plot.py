@@ -15,7 +15,7 @@ from analytics.plots.figure_file import check_suffix, write_figure
 from analytics.plots.plot_fonts import chinese_font, set_fonts
 from analytics.trends.change_points import Changes
 from analytics.trends.control_chart import IndividualsChart
-from analytics.trends.series import Series
+from analytics.trends.series import MetricSeries
 from analytics.trends.trend import NS_PER_DAY, Chart, Trend
 
 _MOST_CHARTS = 8
@@ -57,7 +57,7 @@ def plot_trend(trend: Trend, path: Path) -> None:
     write_figure(figure, path)
 
 
-def _end_with_the_data(figure: Figure, series: Series) -> None:
+def _end_with_the_data(figure: Figure, series: MetricSeries) -> None:
     """Every value of the series lies within the picture, and little besides."""
     t = _times(series)
     margin = 0.02 * float(np.ptp(t)) or 0.5
@@ -83,14 +83,14 @@ def _write_title(figure: Figure, trend: Trend, more: int, *, is_chinese: bool) -
     figure.text(0.87, 0.1 / height, marks, fontsize=7, color=SOFT, ha="right")
 
 
-def _times(series: Series) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _times(series: MetricSeries) -> np.ndarray[Any, np.dtype[np.float64]]:
     if not series.dated:
         return np.arange(1, series.value.size + 1, dtype=np.float64)
     # matplotlib counts days from the same moment
     return np.asarray(series.t_ns / NS_PER_DAY, np.float64)
 
 
-def _name_axis(axes: Axes, series: Series, *, is_chinese: bool) -> None:
+def _name_axis(axes: Axes, series: MetricSeries, *, is_chinese: bool) -> None:
     if series.dated:
         locator = AutoDateLocator()  # type: ignore[no-untyped-call]
         axes.xaxis.set_major_locator(locator)
