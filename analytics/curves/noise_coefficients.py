@@ -12,6 +12,7 @@ from analytics.curves.isolated_outliers import IsolatedOutliers
 from stream.batch import FloatArray
 from stream.estimators.base import NoEstimate
 from stream.estimators.noise.noise_fit import Coefficient, NoiseFit, fit_noise
+from stream.estimators.noise.noise_misfit import SIGNIFICANCE
 from stream.estimators.noise.noise_model import (
     ANGLE_RANDOM_WALK,
     MARKOV_NOISE,
@@ -104,22 +105,25 @@ class NoiseCoefficients:
         return int(np.count_nonzero((np.array(curve.lo) <= model) & (model <= np.array(curve.hi))))
 
     def document(self) -> dict[str, Any]:
-        """Return the coefficients as they stand in JSON, the limits of each beside its value."""
-        document: dict[str, Any] = {term.key: msgspec.to_builtins(getattr(self.fit, term.key)) for term in TERMS}
-        document["markov"] = msgspec.to_builtins(self.fit.markov)
-        document["angle_random_walk_normalised"] = (
-            {
-                "value": None,
-                "lo": None,
-                "hi": None,
-                "unit_of_measure": ANGLE_RANDOM_WALK.unit_of_measure,
-                "observable": False,
-                "reason": self.normalised.reason,
-            }
-            if isinstance(self.normalised, NoEstimate)
-            else msgspec.to_builtins(self.normalised)
-        )
-        return document
+        """The coefficients as JSON, with bounds; one that is not observable has no value, `hi` is its upper bound."""
+        terms = {term.key: _term_document(getattr(self.fit, term.key)) for term in TERMS}
+        markov = self.fit.markov
+        if isinstance(self.normalised, NoEstimate):
+            missing = dict.fromkeys(("value", "lo", "hi"))
+            unit = {"unit_of_measure": ANGLE_RANDOM_WALK.unit_of_measure}
+            normalised = missing | unit | {"observable": False, "reason": self.normalised.reason}
+        else:
+            normalised = _term_document(self.normalised)
+        return {
+            **terms,
+            "markov": markov and msgspec.to_builtins(markov) | {"amplitude": _term_document(markov.amplitude)},
+            "angle_random_walk_normalised": normalised,
+        }
+
+
+def _term_document(coefficient: Coefficient) -> dict[str, Any]:
+    document: dict[str, Any] = msgspec.to_builtins(coefficient)
+    return document if coefficient.observable else document | {"value": None}
 
 
 def noise_coefficients(curve: AllanCurve, normalised: Coefficient | NoEstimate) -> NoiseCoefficients | NoEstimate:
@@ -168,12 +172,14 @@ def noise_coefficients(curve: AllanCurve, normalised: Coefficient | NoEstimate) 
 def curve_document(
     curve: AllanCurve, found: NoiseCoefficients | NoEstimate, outliers: IsolatedOutliers | None = None
 ) -> dict[str, Any]:
-    """Return a curve and its coefficients, or the reason why there are none, as one JSON document."""
+    """A curve and its coefficients, or the reason why there are none, as one JSON document."""
     return {
         **curve.document(),
         "coefficients": None if isinstance(found, NoEstimate) else found.document(),
         "coefficients_reason": found.reason if isinstance(found, NoEstimate) else None,
         "misfit": None if isinstance(found, NoEstimate) else found.fit.misfit,
+        "misfit_probability": None if isinstance(found, NoEstimate) else found.fit.misfit_chance,
+        "misfit_level": SIGNIFICANCE,
         "confidence": CONFIDENCE,
         "outliers": None if outliers is None else dataclasses.asdict(outliers),
     }

@@ -71,6 +71,8 @@ def _figure(spectrum: SignalSpectrum) -> Figure:
     strongest = sorted(spectrum.lines, key=lambda line: line.background_ratio)[-_NAMED_AT_MOST:]
     named = sorted(strongest, key=lambda line: line.frequency_hz)
     _mark(axes, spectrum, named)
+    for hump in spectrum.humps:
+        axes.axvspan(hump.frequency_lo_hz, hump.frequency_hi_hz, color=_LINE, alpha=0.12, linewidth=0, zorder=0.5)
     _write(figure, axes, spectrum)
     if named:
         _list_lines(axes, spectrum, named)
@@ -159,6 +161,8 @@ def _write(figure: Figure, axes: Axes, spectrum: SignalSpectrum) -> None:
     if not spectrum.lines:
         band = f"{spectrum.searched_lo_hz:.3g} to {spectrum.searched_hi_hz:.3g} Hz"
         record += f"; no line stands out from {band}"
+    if spectrum.humps:
+        record += "; shaded: humps"
     figure.text(_LEFT, 0.022, record, fontsize=7.5, color=SOFT)
 
 

@@ -186,7 +186,7 @@ def _differences(
 def _pairs(group: _Group, series: MetricSeries) -> list[Pairs]:
     """Differences of each two levels over the units measured on both, each by its mean there."""
     frame = pl.DataFrame({"level": series.groups[group.name], "unit": series.unit, "value": series.value})
-    means = frame.group_by("level", "unit").agg(pl.col("value").mean())
+    means = frame.group_by("level", "unit", maintain_order=True).agg(pl.col("value").mean())
     found = []
     for one, two in combinations(group.levels, 2):
         of_one, of_two = (means.filter(level=level).select("unit", "value") for level in (one, two))

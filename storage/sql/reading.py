@@ -21,7 +21,7 @@ _ROWS = 122_880  # DuckDB's row group
 
 @dataclass(frozen=True)
 class SignalRecord:
-    """One signal of one run as the store holds it."""
+    """One signal of one run as the store holds it; `runs` is from how many runs it was chosen."""
 
     unit: str
     signal: str
@@ -30,19 +30,17 @@ class SignalRecord:
     samples: int
     irregular: bool
     kept_raw: int | None = None
+    runs: int = 1
 
 
-def find_signal(
-    catalog: Catalog, unit: str, signal: str, run: str | None = None, *, at_least_s: float = 0.0
-) -> SignalRecord:
-    """The record of a signal; of the run measured last where no run is named.
+def find_signal(catalog: Catalog, unit: str, signal: str, run: str | None = None) -> SignalRecord:
+    """The record of a signal; the longest one where no run is named.
 
     Parameters
     ----------
     catalog: The store.
     unit, signal: Which signal.
-    run: Of which run. A run of unknown date counts as measured when it was recorded.
-    at_least_s: Where no run is named, one with so long a record comes before shorter ones.
+    run: Of which run; of equally long ones that measured last, at its recording where its date is unknown.
 
     Raises
     ------
@@ -53,15 +51,15 @@ def find_signal(
     if run is not None:
         _check_held(catalog, "run", run, f" of unit {unit}, signal {signal}", {"unit": unit, "signal": signal})
     row = catalog.rows(
-        "select s.run, s.unit_of_measure, s.samples, s.irregular, s.kept_raw "
+        "select s.run, s.unit_of_measure, s.samples, s.irregular, s.kept_raw, count(*) over () "
         "from signals s left join runs r on r.run = s.run "
         "where s.unit = $unit and s.signal = $signal and (s.run = $run or $run is null) "
-        "order by (s.t_last_ns - s.t_first_ns) / 1e9 + coalesce(s.sample_interval_s, 0) >= $at_least_s desc, "
+        "order by s.t_last_ns - s.t_first_ns desc, "
         "case when coalesce(r.date_known, true) then s.t_last_ns else s.arrival_first_ns end desc, "
         "s.arrival_first_ns desc, s.t_first_ns desc limit 1",
-        {"unit": unit, "signal": signal, "run": run, "at_least_s": at_least_s},
+        {"unit": unit, "signal": signal, "run": run},
     )[0]
-    return SignalRecord(unit, signal, str(row[0]), str(row[1]), int(row[2]), bool(row[3]), int(row[4]))
+    return SignalRecord(unit, signal, str(row[0]), str(row[1]), int(row[2]), bool(row[3]), int(row[4]), int(row[5]))
 
 
 def _check_held(catalog: Catalog, column: str, wanted: str, of: str, given: dict[str, str]) -> None:
