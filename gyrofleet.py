@@ -9,6 +9,7 @@
 import atexit
 import importlib
 import importlib.util
+import io
 import os
 import sys
 from contextlib import suppress
@@ -25,6 +26,8 @@ for _name in ("stream", "storage", "ingest", "analytics"):
             f"gyrofleet needs its own package {_name!r}, but Python finds {_origin or 'none'} first: rename that file "
             "or folder, or start Python in another folder"
         )
+
+from stream.command_group import CommandGroup  # noqa: E402  after the check above
 
 if TYPE_CHECKING:
     from analytics.api.arrays import DeviationCurve, allan_deviation, noise_fit
@@ -70,14 +73,14 @@ def __dir__() -> list[str]:
     return __all__
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(cls=CommandGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="gyrofleet")
 def main() -> None:
     """Screen many gyroscopes for hours or weeks: record, estimate while it flows, ask in SQL."""
 
 
-def _commands() -> tuple[click.Command, ...]:
-    """All commands, in the order of the help."""
+def _add_commands() -> None:
+    """Add the commands of all packages, in the order of use."""
     from analytics.commands.allan import allan
     from analytics.commands.compensate import compensate
     from analytics.commands.demo import demo
@@ -100,47 +103,27 @@ def _commands() -> tuple[click.Command, ...]:
     from storage.commands.record import record, router
     from storage.commands.sql import sql
     from storage.commands.verify import recover, verify
+    from stream.completion import completion
 
-    return (
-        demo,
-        import_files,
-        can,
-        procedure,
-        run,
-        simulate,
-        record,
-        router,
-        estimate,
-        replay,
-        lake,
-        rebuild,
-        retain,
-        verify,
-        recover,
-        sql,
-        allan,
-        spectrum,
-        trend,
-        metrics,
-        check,
-        limits,
-        verdicts,
-        diagnose,
-        model,
-        compensate,
-    )
+    main.add_section("Bring data in", demo, import_files, can, procedure, run, simulate, check)
+    main.add_section("Record and estimate", record, router, estimate, replay)
+    main.add_section("Ask", sql, allan, spectrum, metrics, trend, limits, verdicts)
+    main.add_section("Close the loop", diagnose, model, compensate)
+    main.add_section("Look after the store", lake, rebuild, retain, verify, recover)
+    main.add_section("Shell", completion)
 
 
-for _command in _commands():
-    main.add_command(_command)
+_add_commands()
 
 
 def front_door() -> NoReturn:
     """Run the command line, and end the process with its exit code.
 
-    The code is the command's own: a library's thread that is still at work while its library is taken down aborts the
-    process (seen as -6 behind a message that had been told in order), so that is not waited for.
+    Libraries are not unloaded: a library's thread that still runs then aborts the process (exit code -6).
     """
+    for stream in (sys.stdout, sys.stderr):  # a terminal without a degree sign shows a question mark
+        if isinstance(stream, io.TextIOWrapper) and stream.encoding.lower() != "utf-8":
+            stream.reconfigure(errors="replace")
     code = 0
     try:
         main()

@@ -1,7 +1,8 @@
-"""What the commands of all packages share: options, output and how errors are told."""
+"""Shared parts of all commands: options, output, error reports, signals."""
 
 import errno
 import functools
+import os
 import re
 import signal
 import sys
@@ -27,12 +28,13 @@ _json = msgspec.json.Encoder(decimal_format="number")
 
 DEFAULT_STORE = "gyrofleet-data"
 _PATIENCE_S = 3.0
-_TOLD_EVERY_S = 5.0
+_STATUS_EVERY_S = 5.0
 # C0 but tab and line feed, delete, C1, and Unicode's marks of direction
 _CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 _DISK_REFUSES = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO}
+_EXTRAS = {"asammdf": "mf4"} | dict.fromkeys(("can", "cantools", "msgpack", "pyvisa", "pyvisa_py", "serial"), "station")
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-_INTERRUPTED = "interrupted; what is recorded is kept, and an import or a run goes on with the same command"
+_INTERRUPTED = "interrupted; what is recorded is kept, and the same command resumes an import or a run"
 
 store_option = click.option(
     "--store",
@@ -48,15 +50,15 @@ estimates_option = click.option(
     "estimated",
     metavar="SIGNAL",
     multiple=True,
-    help="Estimate this signal as well while it flows, beside angular rates and signals with limits; 'all' for every "
-    "signal. Any signal can be asked later: `gyrofleet allan` computes it from the samples.",
+    help="Estimate this signal as well while it flows, besides angular rates and signals with limits; 'all' for every "
+    "signal. `gyrofleet allan` computes any signal later, from the samples.",
 )
 
 
 class PlainConsole(Console):
-    """A console on which text stands as it is: no markup (``rate[deg/s]``), and nothing that commands the terminal.
+    """Console that prints text as it is: no markup (``rate[deg/s]``), no control characters.
 
-    What is to be coloured is `styled`.
+    `styled` gives coloured text.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -68,7 +70,7 @@ class PlainConsole(Console):
 
 
 def shown_text(text: str) -> str:
-    r"""Text in which control characters, and marks that turn the direction of writing, are visible.
+    r"""Make control characters and marks of writing direction visible.
 
     Examples
     --------
@@ -84,7 +86,7 @@ def styled(text: str, style: str) -> Text:
 
 
 def csv_text(text: str) -> str:
-    """Text that a spreadsheet takes for text: what it would take for a formula is led by an apostrophe.
+    """Put an apostrophe before text that a spreadsheet would take for a formula.
 
     Examples
     --------
@@ -108,17 +110,18 @@ def notes() -> Console:
 def results() -> Console:
     """Console for results (standard output)."""
     console = PlainConsole()
-    # a table that is piped into a file must not be cut to 80 columns
-    return console if console.is_terminal else PlainConsole(width=200)
+    if console.is_terminal or "COLUMNS" in os.environ:
+        return console
+    return PlainConsole(width=200)  # a file is not 80 columns wide
 
 
 def json_text(value: Any) -> str:
-    """A value as JSON; what JSON has no number for (NaN, infinity) is null."""
+    """Encode a value as JSON; NaN and infinity become null."""
     return _json.encode(value).decode()
 
 
 def counted(number: int, what: str) -> str:
-    """A number of things in words.
+    """Format a number with its noun.
 
     Examples
     --------
@@ -134,7 +137,7 @@ def print_json(value: Any) -> None:
 
 
 def reporting(command: Callable[P, R]) -> Callable[..., R]:
-    """Give a command ``--json`` and tell its errors in one line, with their exit code."""
+    """Give a command ``--json`` and report its errors in one line, with their exit code."""
 
     @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
     @functools.wraps(command)
@@ -143,17 +146,24 @@ def reporting(command: Callable[P, R]) -> Callable[..., R]:
             return command(*args, **kwargs)
         except GyrofleetError as error:
             kind = next(each.__name__ for each in type(error).__mro__ if not each.__name__.startswith("_"))
-            _tell(kind, str(error), as_json=kwargs.get("as_json", False))
+            _report_error(kind, str(error), as_json=kwargs.get("as_json", False))
             sys.exit(error.exit_code)
         except OSError as error:
             if error.errno not in _DISK_REFUSES:
                 raise
             where = f"{error.filename}: " if error.filename else ""
-            text = f"{where}{error.strerror or error}; free the disk or mend it, and give the command again"
-            _tell("DiskError", text, as_json=kwargs.get("as_json", False))
+            text = f"{where}{error.strerror or error}; free or repair the disk, then repeat the command"
+            _report_error("DiskError", text, as_json=kwargs.get("as_json", False))
+            sys.exit(1)
+        except ModuleNotFoundError as error:
+            extra = _EXTRAS.get((error.name or "").split(".")[0])
+            if extra is None:
+                raise
+            text = f"this needs {error.name}, which is not installed: pip install 'gyrofleet[{extra}]'"
+            _report_error("MissingExtra", text, as_json=kwargs.get("as_json", False))
             sys.exit(1)
         except KeyboardInterrupt:
-            _tell("Interrupted", _INTERRUPTED, as_json=kwargs.get("as_json", False))
+            _report_error("Interrupted", _INTERRUPTED, as_json=kwargs.get("as_json", False))
             sys.exit(130)
         except BrokenPipeError:
             # the reader of our output has gone, as `head` does
@@ -163,7 +173,7 @@ def reporting(command: Callable[P, R]) -> Callable[..., R]:
     return run
 
 
-def _tell(kind: str, message: str, *, as_json: bool) -> None:
+def _report_error(kind: str, message: str, *, as_json: bool) -> None:
     if as_json:
         print_json({"error": {"kind": kind, "message": message}})
     else:
@@ -180,39 +190,38 @@ def progress_bar(*, hidden: bool) -> Iterator[Progress]:
 
 
 @contextmanager
-def told_status() -> Iterator[Callable[[str], None]]:
-    """A function that tells on standard error what is being done.
+def status_line() -> Iterator[Callable[[str], None]]:
+    """Give a function that shows the present activity on standard error.
 
-    At a terminal it is one line that changes; elsewhere, as in a log, it is a line every few seconds at most.
+    A terminal shows one line that changes; a log gets a line every few seconds at most.
     """
     console = notes()
     if console.is_terminal:
         with console.status("starting") as status:
             yield lambda text: status.update(Text(shown_text(text)))
         return
-    told_at = time.monotonic()
+    shown_at = time.monotonic()
 
-    def tell(text: str) -> None:
-        nonlocal told_at
-        if time.monotonic() - told_at >= _TOLD_EVERY_S:
-            told_at = time.monotonic()
+    def show(text: str) -> None:
+        nonlocal shown_at
+        if time.monotonic() - shown_at >= _STATUS_EVERY_S:
+            shown_at = time.monotonic()
             console.print(text, markup=False, soft_wrap=True)
 
-    yield tell
+    yield show
 
 
 class Stop:
     """Whether the process was asked to stop.
 
-    Not a `threading.Event`: a signal handler that sets one can come while the main thread holds its lock, and then
-    waits for itself.
+    Not a `threading.Event`: a signal handler that sets one while the main thread holds its lock deadlocks.
     """
 
     def __init__(self) -> None:
         self.asked_at: float | None = None
 
     def wait(self, seconds: float) -> bool:
-        """Wait so long, or until asked; whether it was."""
+        """Wait until asked, at most so long; return whether it was asked."""
         until = time.monotonic() + seconds
         while self.asked_at is None and (left_s := until - time.monotonic()) > 0.0:
             time.sleep(min(left_s, 0.05))
@@ -221,7 +230,7 @@ class Stop:
 
 @contextmanager
 def until_stopped() -> Iterator[Stop]:
-    """Let SIGINT and SIGTERM ask a service to end in order; asked again some seconds later, it ends at once."""
+    """Turn SIGINT and SIGTERM into a request to stop; a second signal some seconds later ends the process."""
     stop = Stop()
 
     def ask(number: int, _frame: FrameType | None) -> None:
@@ -229,7 +238,7 @@ def until_stopped() -> Iterator[Stop]:
         if stop.asked_at is None:
             stop.asked_at = now
         elif now - stop.asked_at > _PATIENCE_S:
-            # what is on disk is found again by the next process
+            # the next process recovers from what is on disk
             signal.signal(number, signal.SIG_DFL)
             signal.raise_signal(number)
 

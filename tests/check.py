@@ -2,7 +2,7 @@
 
 Sets up ``.venv``, runs ruff, mypy, import-linter and pytest on the checkout, then builds the wheel and runs the laws
 of estimators and metrics and the demo once more against it, installed in a clean environment (``.venv-wheel``).
-With ``--all``, the long forms of the tests run as well.
+With ``--all``, the long forms of the tests run as well, and some against the lowest versions of the libraries.
 """
 
 import argparse
@@ -20,6 +20,16 @@ ROOT = Path(__file__).resolve().parents[1]
 DEMO = (
     "tests/e2e/test_demo.py::test_every_simulated_sample_is_in_the_lake_and_judged",
     "tests/e2e/test_demo.py::test_the_effect_that_nobody_declared_is_found_in_its_unit_and_in_no_other",
+)
+# what touches each library, run against the lowest versions that pyproject.toml allows
+LOWEST = (
+    "tests/test_commands.py",
+    "tests/e2e/test_api_store.py",
+    "tests/e2e/test_spectrum.py",
+    "tests/e2e/test_sql.py",
+    "tests/ingest/test_can_bus.py",
+    "tests/ingest/test_can_log.py",
+    "tests/analytics/test_trends_report.py",
 )
 PARALLEL = ("--numprocesses", str((os.cpu_count() or 1) + 1), "--dist", "worksteal")
 
@@ -51,7 +61,8 @@ def development_requirements() -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Every gate of gyrofleet, in virtual environments that it makes.")
     parser.add_argument("--all", action="store_true", help="Run the long forms of the tests as well.")
-    chosen = ("-m", "") if parser.parse_args().all else ()
+    everything = parser.parse_args().all
+    chosen = ("-m", "") if everything else ()
     if sys.version_info < (3, 11):
         sys.exit(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
     bin_ = environment(ROOT / ".venv")
@@ -60,6 +71,8 @@ def main() -> None:
     run(bin_ / "ruff", "format", "--check", ".")
     run(bin_ / "mypy")
     run(bin_ / "lint-imports")
+    # runs the notebook; a warning, as of a link that leads nowhere, fails
+    run(bin_ / "sphinx-build", "-q", "-W", "--keep-going", "docs", "docs/_build/html")
     once = [f"--deselect={test}" for test in DEMO]  # they run against the wheel
     run(bin_ / "python", "-m", "pytest", *PARALLEL, *chosen, *once)
 
@@ -79,6 +92,13 @@ def main() -> None:
         # what reads files that are no Python, and the whole path
         again = ("tests/laws/test_estimator_laws.py", "tests/laws/test_metric_laws.py", *DEMO)
         run(clean / "python", "-m", "pytest", *PARALLEL, *again, cwd=there / "project")
+
+    if everything:
+        lowest = environment(ROOT / ".venv-lowest")
+        run(lowest / "python", "-m", "pip", "install", "--quiet", "uv")
+        to = ("--python", lowest / "python", "--resolution", "lowest-direct")
+        run(lowest / "uv", "pip", "install", "--quiet", *to, "--editable", ".[test]")
+        run(lowest / "python", "-m", "pytest", *PARALLEL, "-p", "no:cacheprovider", *LOWEST)
 
 
 if __name__ == "__main__":

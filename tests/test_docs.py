@@ -8,8 +8,12 @@ import pytest
 from gyrofleet import main
 
 ROOT = Path(__file__).parents[1]
-PAGES = (ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md")))
+DOCS = [
+    page for page in (ROOT / "docs").rglob("*.md") if not {"_build", "_generated"} & set(page.relative_to(ROOT).parts)
+]
+PAGES = (ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted(DOCS))
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
+TOCTREE = re.compile(r"```\{toctree\}\n(.*?)```", re.DOTALL)
 NAMED_FILE = re.compile(r"`((?:tests|stream|storage|ingest|analytics)/[\w/.-]+\.(?:py|toml|sql|proto))`")
 COMMAND = re.compile(r"(?m)^\s*gyrofleet[ ]+([a-z-]+)(?:[ ]+([a-z-]+))?")
 
@@ -41,7 +45,9 @@ def test_every_page_is_reached_from_the_readme() -> None:
     reached, waiting = {ROOT / "README.md"}, [ROOT / "README.md"]
     while waiting:
         page = waiting.pop()
-        for target, _ in LINK.findall(page.read_text(encoding="utf-8")):
+        text = page.read_text(encoding="utf-8")
+        listed = [f"{line}.md" for block in TOCTREE.findall(text) for line in block.split() if not line.startswith(":")]
+        for target in [*(target for target, _ in LINK.findall(text)), *listed]:
             path = (page.parent / target).resolve()
             if path.suffix == ".md" and path.exists() and path not in reached:
                 reached.add(path)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 from rich.table import Table
 
+from storage.commands.stored_names import RUN, SIGNAL, UNIT
 from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput
 
@@ -23,9 +24,9 @@ _DEVIATIONS = ("adev", "oadev", "mdev", "hdev", "ohdev")
 
 
 @click.command("allan")
-@click.option("--unit", required=True, help="Which unit.")
-@click.option("--signal", required=True, help="Which of its signals, as rate or rate_x.")
-@click.option("--run", help="Which run; by default the one with the longest record.")
+@click.option("--unit", type=UNIT, required=True, help="Which unit.")
+@click.option("--signal", type=SIGNAL, required=True, help="Which of its signals, as rate or rate_x.")
+@click.option("--run", type=RUN, help="Which run; by default the one with the longest record.")
 @store_option
 @click.option(
     "--points-per-octave",

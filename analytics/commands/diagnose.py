@@ -10,7 +10,8 @@ import click
 from rich.table import Table
 
 from analytics.commands.metrics import language_option, opened_catalog
-from stream.console import notes, print_json, reporting, results, store_option, styled, told_status
+from storage.commands.stored_names import RUN, SIGNAL, UNIT
+from stream.console import notes, print_json, reporting, results, status_line, store_option, styled
 from stream.errors import BadInput, GyrofleetError
 
 if TYPE_CHECKING:
@@ -27,9 +28,9 @@ _LEAST_NOISE, _MOST_NOISE = 1e-20, 1e20
 
 @click.command("diagnose")
 @store_option
-@click.option("--unit", "units", multiple=True, help="Which unit; may be given several times.")
+@click.option("--unit", "units", type=UNIT, multiple=True, help="Which unit; may be given several times.")
 @click.option("--fleet", is_flag=True, help="Search for what units have in common as well; all units if none is named.")
-@click.option("--signal", help="Which signal, as rate; left out where the model names it.")
+@click.option("--signal", type=SIGNAL, help="Which signal, as rate; left out where the model names it.")
 @click.option(
     "--model", required=True, help="The declared error model: 'rate = bias + scale_factor*input_rate + temperature'."
 )
@@ -51,7 +52,7 @@ _LEAST_NOISE, _MOST_NOISE = 1e-20, 1e20
     metavar="last-third|none|runs=A,B",
     help="Runs that take no part in the fit and confirm what was found.",
 )
-@click.option("--run", "runs", multiple=True, help="Only this run; may be given several times.")
+@click.option("--run", "runs", type=RUN, multiple=True, help="Only this run; may be given several times.")
 @click.option("--since", help="Only samples from then on: 2026-11-21, or with time and zone.")
 @click.option("--report", "report_path", type=click.Path(path_type=Path), help="Write a report: FILE.html.")
 @click.option("--plot", "plot_folder", type=click.Path(path_type=Path), help="Write the pictures to this folder, PNG.")
@@ -82,8 +83,8 @@ def diagnose(
     The exit code is 0 with any of them, and 1 where a unit could not be diagnosed.
 
     \b
-    gyrofleet diagnose --unit FOG-0235 --model 'rate = bias + scale_factor*input_rate + temperature'
-    gyrofleet diagnose --fleet --signal rate --model 'bias + temperature' --report november.html
+    gyrofleet diagnose --unit FOG-1 --model 'rate = bias + temperature'
+    gyrofleet diagnose --fleet --signal rate --model bias --report nov.html
     """  # noqa: D301  click's mark for lines that are not to be joined
     from analytics.evaluation.selection import dated
     from analytics.loop.unit_diagnosis import trace_units
@@ -102,7 +103,7 @@ def diagnose(
         runs=runs or None,
         since_ns=None if since is None else dated(since),
     )
-    with told_status() as told:
+    with status_line() as told:
         with opened_catalog(folder, quiet=as_json) as catalog:
             chosen = list(dict.fromkeys(units)) or units_with(catalog, question.signal_name)
             read = reduce_units(catalog, chosen, question, told=told)

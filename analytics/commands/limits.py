@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 from rich.table import Table
 
+from stream.command_group import CommandGroup
 from stream.console import counted, notes, print_json, reporting, results, store_option
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ _rejudge = click.option(
 )
 
 
-@click.group("limits")
+@click.group("limits", cls=CommandGroup)
 def limits() -> None:
     """Product specifications: limits of metrics, by revision, and since when they hold.
 
@@ -34,12 +35,12 @@ def limits() -> None:
 
     \b
     revision = "B"
-    valid_from = 2026-01-01              # a date counts in UTC; valid_until is optional
+    valid_from = 2026-01-01              # in UTC; valid_until is optional
     [product."FOG-70"]                   # numbers of the product that metrics use
     max_rate_deg_per_s = 300.0
     [[limit]]
     metric = "bias_stability_averaged"
-    parameters = { average_s = 100 }     # which of the metric's values; omitted parameters match all values
+    parameters = { average_s = 100 }     # omitted parameters match all values
     product = "FOG-70"                   # every product if left out
     upper = 0.05                         # and, or lower
     unit_of_measure = "deg/h"

@@ -9,6 +9,8 @@ import click
 from rich.table import Table
 
 from analytics.commands.limits import warn_of_copies
+from storage.commands.stored_names import RUN, UNIT
+from stream.completion import ListedName
 from stream.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
 from stream.errors import BadInput
 
@@ -26,12 +28,23 @@ language_option = click.option(
 )
 
 
+def _metric_names() -> list[str]:
+    from analytics.metric_registry.registry import metrics
+
+    return list(metrics())
+
+
+METRIC = ListedName(_metric_names)
+
+
 @click.command("metrics")
 @store_option
-@click.option("--unit", "units", multiple=True, help="Only this unit; may be given several times, as all of these.")
+@click.option(
+    "--unit", "units", type=UNIT, multiple=True, help="Only this unit; may be given several times, as all of these."
+)
 @click.option("--lot", "lots", multiple=True, help="Only units of this lot, in runs in which they were of it.")
-@click.option("--run", "runs", multiple=True, help="Only what rests on this run.")
-@click.option("--metric", "ids", multiple=True, help="Only this metric, as bias_stability.")
+@click.option("--run", "runs", type=RUN, multiple=True, help="Only what rests on this run.")
+@click.option("--metric", "ids", type=METRIC, multiple=True, help="Only this metric, as bias_stability.")
 @click.option("--standard", "standards", multiple=True, help="Only this standard: GJB2426A, JJF2014, JJF1536.")
 @click.option("--since", help="Only what rests on a run begun then or later: 2026-11-21, or with time and zone.")
 @click.option("--annex-a", "annex_unit", metavar="UNIT", help="The 24 rows of JJF 2014-2022 annex A for this unit.")

@@ -8,18 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stream.console import notes, print_json, reporting, results, store_option, told_status
+from storage.commands.stored_names import RUN, SIGNAL, UNIT
+from stream.command_group import CommandGroup
+from stream.console import notes, print_json, reporting, results, status_line, store_option
 from stream.errors import BadInput
 
 if TYPE_CHECKING:
     from analytics.loop.model.model_registry import ModelVersion
     from analytics.loop.model.model_use import InUse, Uses
 
-_unit = click.option("--unit", required=True, help="Which unit.")
+_unit = click.option("--unit", type=UNIT, required=True, help="Which unit.")
 _by = click.option("--by", default=None, help="Who does it; by default the user of the system.")
 
 
-@click.group("model")
+@click.group("model", cls=CommandGroup)
 def model() -> None:
     """Error models in use: list and show their versions, promote what a trace found, roll back.
 
@@ -29,7 +31,7 @@ def model() -> None:
 
 @model.command("list")
 @store_option
-@click.option("--unit", help="Only this unit.")
+@click.option("--unit", type=UNIT, help="Only this unit.")
 @reporting
 def list_models(folder: Path, unit: str | None, *, as_json: bool) -> None:
     """List the versions of all units, and which are live or only watched (shadow)."""
@@ -132,7 +134,7 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
 @_unit
 @click.option("--version", "number", type=click.IntRange(min=1), help="A version that is there already.")
 @click.option("--model", "text", help="Trace the residual of this declared model, and promote it with what is found.")
-@click.option("--signal", help="Which signal, as rate; left out where the model names it.")
+@click.option("--signal", type=SIGNAL, help="Which signal, as rate; left out where the model names it.")
 @click.option(
     "--block",
     show_default="30s, or the interval of the samples where that is longer",
@@ -140,7 +142,7 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
 )
 @click.option("--noise", metavar="N=..,B=..,K=..,turn_on=..", help="Declared noise, as of `gyrofleet diagnose`.")
 @click.option("--holdout", default="last-third", show_default=True, metavar="last-third|runs=A,B", help="Held-out set.")
-@click.option("--run", "runs", multiple=True, help="Only this run; may be given several times.")
+@click.option("--run", "runs", type=RUN, multiple=True, help="Only this run; may be given several times.")
 @click.option("--shadow", is_flag=True, help="Only watch it; the live stream is compensated as before.")
 @click.option("--reason", default="", help="Why, in free words.")
 @_by
@@ -167,7 +169,7 @@ def promote(
     tell which of several effects it is, a warning says so.
 
     \b
-    gyrofleet model promote --unit FOG-0235 --model 'rate = bias + scale_factor*input_rate + temperature'
+    gyrofleet model promote --unit FOG-0235 --model 'rate = bias + temperature'
     gyrofleet model promote --unit FOG-0235 --version 2 --shadow
     """  # noqa: D301  click's mark for lines that are not to be joined
     from analytics.commands.diagnose import block_seconds, holdout_of, noise_of
@@ -196,7 +198,7 @@ def promote(
             holdout=holdout_of(holdout),
             runs=runs or None,
         )
-        with told_status() as told:
+        with status_line() as told:
             version, _ = promote_trace(store, unit, question, stage, by=_who(by), note=reason, told=told)
     warning = confounded_warning(version) if stage is Stage.LIVE else None
     if as_json:
@@ -212,7 +214,7 @@ def promote(
 @model.command("rollback")
 @store_option
 @_unit
-@click.option("--signal", default="rate", show_default=True, help="Which signal.")
+@click.option("--signal", type=SIGNAL, default="rate", show_default=True, help="Which signal.")
 @click.option("--shadow", is_flag=True, help="Take out the version that is only watched.")
 @click.option("--reason", required=True, help="Why, in free words; it stands in the log.")
 @_by

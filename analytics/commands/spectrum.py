@@ -8,6 +8,7 @@ import click
 import numpy as np
 from rich.table import Table
 
+from storage.commands.stored_names import RUN, SIGNAL, UNIT
 from stream.console import notes, print_json, reporting, results, store_option
 
 if TYPE_CHECKING:
@@ -19,9 +20,9 @@ _FEW_ROWS = 4
 
 
 @click.command("spectrum")
-@click.option("--unit", required=True, help="Which unit.")
-@click.option("--signal", required=True, help="Which of its signals, as rate or rate_x.")
-@click.option("--run", help="Which run; by default the one with the longest record.")
+@click.option("--unit", type=UNIT, required=True, help="Which unit.")
+@click.option("--signal", type=SIGNAL, required=True, help="Which of its signals, as rate or rate_x.")
+@click.option("--run", type=RUN, help="Which run; by default the one with the longest record.")
 @store_option
 @click.option("--plot", "plot_path", type=click.Path(path_type=Path), help="Draw the density: FILE.png or FILE.svg.")
 @reporting

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 import click
 from rich.table import Table
 
-from analytics.commands.metrics import language_option, opened_catalog
+from analytics.commands.metrics import METRIC, language_option, opened_catalog
+from storage.commands.stored_names import SIGNAL, UNIT
 from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput
 
@@ -28,16 +29,16 @@ _STATES = {
 
 
 @click.command("trend")
-@click.argument("metric", required=False)
-@click.option("--metric", "named", help="The metric; the same as the argument METRIC.")
+@click.argument("metric", type=METRIC, required=False)
+@click.option("--metric", "named", type=METRIC, help="The metric; the same as the argument METRIC.")
 @click.option(
     "--by",
     type=click.Choice(["unit", "lot", "station", "fixture"]),
     help="One chart for each; by default one chart with the first value of each unit.",
 )
 @store_option
-@click.option("--unit", "units", multiple=True, help="Only this unit; may be given several times.")
-@click.option("--signal", help="Only this signal, as rate_x.")
+@click.option("--unit", "units", type=UNIT, multiple=True, help="Only this unit; may be given several times.")
+@click.option("--signal", type=SIGNAL, help="Only this signal, as rate_x.")
 @click.option("--lot", help="Only units of this lot.")
 @click.option("--station", help="Only what this station measured.")
 @click.option("--fixture", help="Only what was measured in this fixture.")
@@ -85,7 +86,7 @@ def trend(
     \b
     gyrofleet trend bias --by station --plot bias.png
     gyrofleet trend --metric bias --by lot
-    gyrofleet trend bias_stability_averaged --parameter average_s=100 --since 2026-11-01
+    gyrofleet trend bias_stability_averaged --parameter average_s=100
     gyrofleet trend scale_factor --unit FOG-0231 --lang zh
     """  # noqa: D301  click's mark for lines that are not to be joined
     from analytics.evaluation.selection import dated, standard_named

@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from analytics.commands.metrics import language_option, opened_catalog
+from storage.commands.stored_names import UNIT
 from stream.console import counted, notes, print_json, reporting, results, store_option, styled
 from stream.errors import BadInput
 
@@ -34,7 +35,9 @@ _ZH = {
 
 @click.command("verdicts")
 @store_option
-@click.option("--unit", "units", multiple=True, help="Only this unit, with each of its values; may be repeated.")
+@click.option(
+    "--unit", "units", type=UNIT, multiple=True, help="Only this unit, with each of its values; may be repeated."
+)
 @click.option("--by", type=click.Choice(["lot", "station", "fixture", "day"]), help="Yield of each of these instead.")
 @click.option("--fail-on-fail", is_flag=True, help="End with exit code 3 where a unit fails.")
 @language_option

@@ -210,15 +210,7 @@ def stored_curves(catalog: Catalog, run: str, signal: str) -> list[AllanCurve]:
     )
     if not rows:
         raise NotFound(f"run {run}, signal {signal}: no final Allan deviation is stored; has the run ended?")
-    names = ("unit_of_measure", "sample_interval_s", "samples", "missing")
-    lists = ("tau_s", "adev", "lo", "hi", "edf")
     return [
-        AllanCurve(
-            unit,
-            signal,
-            run,
-            **dict(zip(names, columns[:4], strict=True)),
-            **{name: tuple(column) for name, column in zip(lists, columns[4:], strict=True)},
-        )
-        for unit, *columns in rows
+        AllanCurve(unit, signal, run, *about, *(tuple(column) for column in (taus_s, adev, lo, hi, edf)))
+        for unit, *about, taus_s, adev, lo, hi, edf in rows
     ]

@@ -87,7 +87,8 @@ def _in_lists(
     columns: dict[str, Sequence[str]], since_ns: int | None = None, of: str = ""
 ) -> tuple[str, dict[str, object]]:
     """Condition that columns are among the given names and a run's date is known and not before a moment."""
-    conditions, given = ["true"], {}
+    conditions = ["true"]
+    given: dict[str, object] = {}
     for column, names in columns.items():
         if names:
             key = column.rpartition(".")[2]

@@ -41,8 +41,11 @@ def within_half_both_ways(points: Sequence[Mapping[str, Any]], what: str) -> dic
     directions = {}
     for name, is_forward in (("forwards", True), ("backwards", False)):
         own = [each for each in points if each["is_forward"] == is_forward]
-        columns = [[other if each[key] is None else each[key] for each in own] for key, other in missing.items()]
-        directions[name] = Direction(*(np.array(column, np.float64) for column in columns))
+        size, error, u, freedom = (
+            np.array([other if each[key] is None else each[key] for each in own], np.float64)
+            for key, other in missing.items()
+        )
+        directions[name] = Direction(size, error, u, freedom)
     if empty := " and ".join(name for name, each in directions.items() if not each.size.size):
         return {"reason": f"no {what} {empty} was measured, the clause asks for both directions"}
     return smallest_within_half(directions)

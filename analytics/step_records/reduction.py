@@ -176,8 +176,12 @@ def _reduced(run: str, signal: _EvaluatedSignal, blocks: _Blocks | None, *, is_r
             settled = "no sample in the evaluated part of the step"
             yield row | {"reason": settled if window[0] <= window[1] else "the step ended before its settle time"}
             continue
+        start_ns, n, mean, m2 = blocks
         found = series_statistics(
-            *(column[within] for column in blocks),
+            start_ns[within],
+            n[within],
+            mean[within],
+            m2[within],
             base_ns=base_ns,
             samples_per_block=per_block,
             window_ns=begins,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 from rich.table import Table
 
+from stream.command_group import CommandGroup
 from stream.console import notes, print_json, progress_bar, reporting, results
 from stream.errors import BadInput
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from ingest.can.scan import IdScan, LogScan
 
 
-@click.group("can")
+@click.group("can", cls=CommandGroup)
 def can() -> None:
     """Look at CAN buses and their logs."""
 

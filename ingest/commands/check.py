@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from storage.commands.stored_names import RUN, UNIT
 from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 @click.command("check")
 @store_option
-@click.option("--unit", required=True, help="Which unit.")
+@click.option("--unit", type=UNIT, required=True, help="Which unit.")
 @click.option("--item", required=True, help="What was checked: visual, electrical, or another word.")
 @click.option("--by", required=True, help="Who did.")
 @click.option("--verdict", type=click.Choice(["PASS", "FAIL"], case_sensitive=False), help="How it was judged.")
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 @click.option("--lower", type=float, help="Least value that is good.")
 @click.option("--upper", type=float, help="Greatest value that is good.")
 @click.option("--note", "words", default="", help="Free words.")
-@click.option("--run", default="", help="The run that it belongs to, if any.")
+@click.option("--run", type=RUN, default="", help="The run that it belongs to, if any.")
 @click.option("--at", "moment", help="When, if not now: 2026-11-21T18:00:00+08:00.")
 @reporting
 def check(
@@ -51,8 +52,8 @@ def check(
 
     \b
     gyrofleet check --unit FOG-0231 --item visual --verdict PASS --by "Li Wei"
-    gyrofleet check --unit FOG-0231 --item electrical --value 120 --unit-of-measure megaohm --lower 100 --by "Li Wei" \\
-      --note "insulation, 100 V"
+    gyrofleet check --unit FOG-1 --item electrical --value 120 \\
+      --unit-of-measure megaohm --lower 100 --by "Li Wei" --note "100 V"
     """  # noqa: D301  click's mark for lines that are not to be joined
     from ingest.importing.entered import Entry, check_entered, enter
     from ingest.moment import moment_ns

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.table import Table
 
+from stream.command_group import CommandGroup
+from stream.completion import ListedName
 from stream.console import notes, print_json, reporting, results
 from stream.errors import BadInput
 
@@ -17,7 +19,16 @@ _set_option = click.option(
 )
 
 
-@click.group("procedure")
+def _procedure_names() -> tuple[str, ...]:
+    from ingest.procedures.file import ready_names
+
+    return ready_names()
+
+
+PROCEDURE = ListedName(_procedure_names)
+
+
+@click.group("procedure", cls=CommandGroup)
 def procedure() -> None:
     """Test procedures: those of the standards, and your own as TOML files."""
 
@@ -39,7 +50,7 @@ def list_procedures(*, as_json: bool) -> None:
 
 
 @procedure.command("show")
-@click.argument("name", metavar="NAME|FILE")
+@click.argument("name", type=PROCEDURE, metavar="NAME|FILE")
 @_set_option
 @reporting
 def show(name: str, choices: tuple[str, ...], *, as_json: bool) -> None:
@@ -74,7 +85,7 @@ def show(name: str, choices: tuple[str, ...], *, as_json: bool) -> None:
 
 
 @procedure.command("check")
-@click.argument("name", metavar="NAME|FILE")
+@click.argument("name", type=PROCEDURE, metavar="NAME|FILE")
 @click.option(
     "--settings", help="What the station's instruments can be set to, as rate,temperature; else that is not checked."
 )
@@ -117,7 +128,7 @@ def check(name: str, settings: str | None, station: Path | None, choices: tuple[
 
 
 @procedure.command("estimate-time")
-@click.argument("name", metavar="NAME|FILE")
+@click.argument("name", type=PROCEDURE, metavar="NAME|FILE")
 @click.option(
     "--acceleration",
     type=click.FloatRange(min=0, min_open=True),

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from storage.commands.stored_names import RUN
 from stream.console import notes, print_json, progress_bar, reporting, results, store_option
 from stream.errors import BadInput
 from stream.worker.compile_kernels import compile_kernels
@@ -18,7 +19,7 @@ _TOLD = 10
 
 
 @click.command("replay")
-@click.argument("run")
+@click.argument("run", type=RUN)
 @store_option
 @click.option(
     "--speed",

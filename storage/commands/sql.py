@@ -68,7 +68,7 @@ def sql(
     gyrofleet sql --tables
     gyrofleet sql --tables samples
     gyrofleet sql "select unit, signal, run, samples from signals"
-    gyrofleet sql "select unit, avg(value), stddev(value) from samples group by unit"
+    gyrofleet sql "select unit, run, avg(value) from samples group by all"
     """  # noqa: D301  click's mark for lines that are not to be joined
     from storage.store import Store
     from storage.store_files import check_outside

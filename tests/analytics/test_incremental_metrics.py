@@ -151,11 +151,14 @@ def test_a_growing_store_has_the_metrics_of_one_computed_from_scratch(tested: An
 def test_a_metric_that_is_asked_for_alone_is_the_same_and_the_others_follow_when_they_are_needed(
     tested: Any, work: Work, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[list[str]] = []
+    asked: list[str] = []
     compute = evaluation._values
-    monkeypatch.setattr(
-        evaluation, "_values", lambda c, metric: (asked.append(metric.header.id), compute(c, metric))[1]
-    )
+
+    def computed(catalog: Any, metric: Any) -> pa.Table:
+        asked.append(metric.header.id)
+        return compute(catalog, metric)
+
+    monkeypatch.setattr(evaluation, "_values", computed)
     bench = Bench(tested)
     bench.still("r1", 0, ("U1", "U2"))
     bench.rates("r2", 1, "U1")
@@ -170,7 +173,7 @@ def test_a_metric_that_is_asked_for_alone_is_the_same_and_the_others_follow_when
     assert asked == ["bias"]
     both = select("bias", "scale_factor")
     assert sorted(set(asked)) == ["bias", "scale_factor"]
-    assert [finding for finding in kept_findings(tested.store)] == []
+    assert kept_findings(tested.store) == []
     with tested.catalog() as catalog:
         assert select_within(catalog, "bias") == alone
         whole = selected(catalog, Selection())

@@ -1,6 +1,9 @@
 """`gyrofleet.open_store`: what commands have recorded, as frames and typed results."""
 
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -117,3 +120,22 @@ def test_a_store_that_is_closed_is_told(folder: Path) -> None:
 def test_what_is_no_store_is_told(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="no store"):
         gf.open_store(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        ("metrics --store S --unit G-", ["G-1", "G-2"]),
+        ("replay --store S t", [f"t{run}" for run in range(6)]),
+        ("allan --store S --signal te", ["temperature"]),
+    ],
+)
+def test_the_shell_completes_names_of_the_store(folder: Path, words: str, names: list[str]) -> None:
+    line = f"gyrofleet {words}"
+    variables = {"_GYROFLEET_COMPLETE": "bash_complete", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+    command = [sys.executable, "-c", "import gyrofleet; gyrofleet.main(prog_name='gyrofleet')"]
+    done = subprocess.run(
+        command, env={**os.environ, **variables}, cwd=folder, capture_output=True, text=True, timeout=60
+    )
+    assert done.stderr == ""
+    assert sorted(done.stdout.split()) == [f"plain,{name}" for name in names]

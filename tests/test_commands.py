@@ -1,0 +1,98 @@
+"""Help of every command on a terminal of 80 columns, and completion in a shell."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+import gyrofleet
+
+
+def commands(group: click.Group, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], click.Command]]:
+    yield path, group
+    for name, command in group.commands.items():
+        if isinstance(command, click.Group):
+            yield from commands(command, (*path, name))
+        else:
+            yield (*path, name), command
+
+
+ALL = list(commands(gyrofleet.main))
+
+
+@pytest.mark.parametrize(("path", "command"), ALL, ids=[" ".join(path) or "gyrofleet" for path, _ in ALL])
+def test_help_is_whole_at_80_columns(path: tuple[str, ...], command: click.Command) -> None:
+    shown = CliRunner().invoke(gyrofleet.main, [*path, "--help"], terminal_width=80)
+    assert shown.exit_code == 0
+    assert max(map(len, shown.output.splitlines())) <= 80
+    assert command.help
+    for line in shown.output.splitlines():
+        assert not line.endswith("...") or line.startswith("Usage:"), f"cut off: {line}"
+
+
+def complete(words: str, folder: Path) -> list[str]:
+    environment = {
+        **os.environ,
+        "_GYROFLEET_COMPLETE": "bash_complete",
+        "COMP_WORDS": words,
+        "COMP_CWORD": str(len(words.split(" ")) - 1),
+    }
+    command = [sys.executable, "-c", "import gyrofleet; gyrofleet.main(prog_name='gyrofleet')"]
+    done = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stderr == ""
+    return [line.split(",", 1)[1] for line in done.stdout.splitlines() if "," in line]
+
+
+def test_the_shell_completes_commands(tmp_path: Path) -> None:
+    assert complete("gyrofleet ver", tmp_path) == ["verdicts", "verify"]
+
+
+def test_without_a_store_units_complete_to_nothing(tmp_path: Path) -> None:
+    assert complete("gyrofleet allan --unit FO", tmp_path) == []
+
+
+def test_metrics_and_procedures_complete_without_a_store(tmp_path: Path) -> None:
+    assert "bias_stability" in complete("gyrofleet metrics --metric bias_", tmp_path)
+    assert "static_bias" in complete("gyrofleet procedure show static_", tmp_path)
+
+
+def test_a_terminal_without_greek_letters_gets_question_marks(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "gyrofleet", "procedure", "list"]
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0", "LC_ALL": "C"}
+    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.isascii()
+
+
+WITH_CAN = (["import", "drive.blf", "--dbc", "g.dbc", "--unit", "G"], ["can", "scan", "drive.blf", "--dbc", "g.dbc"])
+BLOCKED = """
+import sys
+for name in ("can", "cantools", "serial", "pyvisa", "msgpack"):
+    sys.modules[name] = None
+import gyrofleet
+gyrofleet.main({words}, prog_name="gyrofleet")
+"""
+
+
+@pytest.mark.parametrize("words", WITH_CAN)
+def test_without_the_station_extra_a_command_names_it(words: list[str], tmp_path: Path) -> None:
+    (tmp_path / "drive.blf").write_bytes(b"LOGG")
+    (tmp_path / "g.dbc").write_text("")
+    command = [sys.executable, "-c", BLOCKED.format(words=words)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert "pip install 'gyrofleet[station]'" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_without_the_station_extra_files_are_imported_and_asked(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time[s],rate[deg/h]\n0,1\n1,2\n")
+    for words in (["import", "a.csv", "--unit", "G-1"], ["sql", "select count(*) from samples", "--json"]):
+        command = [sys.executable, "-c", BLOCKED.format(words=words)]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+        assert done.returncode == 0, done.stderr

@@ -1,0 +1,58 @@
+"""The guides to parts of one's own: the file that is shown, put where the guide says, works."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1]
+GUIDES = ROOT / "docs" / "how-to"
+
+Ask = Callable[..., str]
+
+
+def block(guide: str, language: str) -> str:
+    """The first block of a guide in a language."""
+    found = re.search(rf"```{language}\n(.*?)```", (GUIDES / guide).read_text(encoding="utf-8"), re.DOTALL)
+    assert found is not None
+    return found[1]
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the packages; compiled kernels are copied with them."""
+    house = tmp_path_factory.mktemp("house")
+    for package in ("stream", "storage", "ingest", "analytics"):
+        shutil.copytree(ROOT / package, house / package)
+    shutil.copy2(ROOT / "gyrofleet.py", house)
+    return house
+
+
+@pytest.fixture
+def ask(house: Path, tmp_path: Path) -> Ask:
+    def run(*words: str) -> str:
+        command = [sys.executable, "-m", "gyrofleet", *words]
+        environment = {**os.environ, "PYTHONPATH": str(house)}
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return run
+
+
+def test_a_metric_of_ones_own(house: Path, tmp_path: Path, ask: Ask) -> None:
+    (house / "analytics" / "metrics" / "bias_magnitude.sql").write_text(block("own-metric.md", "sql"), encoding="utf-8")
+    rng = np.random.default_rng(4)
+    rows = "\n".join(f"{i},{x:.6f}" for i, x in enumerate(rng.normal(-3.0, 0.5, 3700)))
+    (tmp_path / "still.csv").write_text(f"time[s],rate[deg/h]\n{rows}")
+    ask("import", "still.csv", "--unit", "G-1", "--procedure", "static_bias", "--store", "S")
+    (found,) = json.loads(ask("metrics", "--metric", "bias_magnitude", "--store", "S", "--json"))
+    assert found["lo"] < 3.0 < found["hi"]
+    assert found["clause"] == "5.12.1 (19)"
