@@ -21,7 +21,6 @@ def normalised_walk(catalog: Catalog, record: SignalRecord, *, confidence: float
 
     Parameters
     ----------
-    catalog: The store.
     record: Which signal of it, see `find_signal`.
     confidence: Level of the limits.
 

@@ -85,16 +85,9 @@ def rolling_allan(
 
     Parameters
     ----------
-    catalog: The store.
-    unit, signal: Which signal.
     run: Of which run; the longest record if omitted.
     window_s, step_s: Length of the window and by how much it moves on, seconds; the window is a whole number of steps.
     points_per_octave: 1, 2, 4 or 8 averaging times an octave.
-
-    Raises
-    ------
-    NotFound: If the store does not hold the signal, or no window of it has an Allan deviation.
-    EstimatorError: If the steps do not fill the window.
     """
     record = find_signal(catalog, unit, signal, run)
     rolling = RollingWindow(lambda: AllanDeviation(points_per_octave), window_s, step_s)

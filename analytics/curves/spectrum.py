@@ -53,10 +53,6 @@ class SignalSpectrum:
     false_alarm_probability: Largest probability that a spectrum without any line shows one; the same for humps.
     searched_lo_hz, searched_hi_hz: Band that was searched for lines: bins with neighbours on both sides.
     lines, humps: Lowest frequency first.
-
-    Raises
-    ------
-    BadInput: If the columns differ in length.
     """
 
     unit: str
@@ -135,14 +131,7 @@ def spectrum_of(catalog: Catalog, unit: str, signal: str, run: str | None = None
 
     Parameters
     ----------
-    catalog: The store.
-    unit, signal: Which signal.
     run: Of which run; the longest record if omitted.
-
-    Raises
-    ------
-    NotFound: If the store does not hold the signal, or it has no spectrum: too little of it without a gap, or irregular
-        samples.
 
     Notes
     -----

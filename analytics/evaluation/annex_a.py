@@ -70,12 +70,7 @@ class AnnexRow(NamedTuple):
 
 
 def annex_a(catalog: Catalog, unit: str) -> list[AnnexRow]:
-    """The annex of a unit: always 24 rows.
-
-    Raises
-    ------
-    NotFound: If the store has no completed step of it.
-    """
+    """The annex of a unit: always 24 rows."""
     rows = selected(catalog, Selection(units=(unit,), standards=(STANDARD,)))
     began = dict(catalog.rows("select run, t_start_ns from unit_runs where unit = $unit", {"unit": unit}))
     of_metric: defaultdict[str, list[Row]] = defaultdict(list)

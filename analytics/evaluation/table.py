@@ -160,12 +160,7 @@ def format_unit(unit_of_measure: str | None) -> str:
 
 
 def write_csv(rows: Iterable[Row], path: Path, language: str) -> None:
-    """Write rows as CSV, in UTF-8 with the byte-order mark that spreadsheets need.
-
-    Raises
-    ------
-    BadInput: If the file cannot be written.
-    """
+    """Write rows as CSV, in UTF-8 with the byte-order mark that spreadsheets need."""
     fresh = path.with_name(path.name + ".part")
     try:
         with fresh.open("w", encoding="utf-8-sig", newline="") as file:
@@ -181,12 +176,7 @@ def write_csv(rows: Iterable[Row], path: Path, language: str) -> None:
 
 
 def write_xlsx(rows: Iterable[Row], path: Path, language: str) -> None:
-    """Write rows as a workbook with one sheet: numbers as numbers, titles in the language, column filters.
-
-    Raises
-    ------
-    BadInput: If the file cannot be written.
-    """
+    """Write rows as a workbook with one sheet: numbers as numbers, titles in the language, column filters."""
     import xlsxwriter
     from xlsxwriter.exceptions import XlsxWriterException
 

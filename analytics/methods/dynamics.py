@@ -35,10 +35,6 @@ class DynamicResult(NamedTuple):
 def first_order_bandwidth(response: Response) -> DynamicResult:
     """Bandwidth in Hz of the first-order lag that fits the gains, GJB 2426A-2004 (36)-(41).
 
-    Raises
-    ------
-    BadInput: If the gains do not fall with the frequency.
-
     Notes
     -----
     G^2 = K_D^2 - T^2 (omega^2 G^2), linear least squares for K_D^2 and T^2, Bw = 1/(2 pi T). Where the gains depart
@@ -66,12 +62,7 @@ def first_order_bandwidth(response: Response) -> DynamicResult:
 
 
 def time_constant(frequency_hz: FloatArray, gain: FloatArray) -> float:
-    """Time constant T in seconds of a first-order lag, GJB 2426A-2004 (37)-(40).
-
-    Raises
-    ------
-    BadInput: If the gains do not fall with the frequency.
-    """
+    """Time constant T in seconds of a first-order lag, GJB 2426A-2004 (37)-(40)."""
     omega = 2 * math.pi * frequency_hz
     power = gain * gain
     column = omega * omega * power
@@ -95,10 +86,6 @@ def crossing(response: Response, *, zero_gain: float | None = None, of_lowest: b
     zero_gain: Gain at zero frequency, of which it is a share, and a further point of the curve; where it is not known
         the curve's own is taken.
     of_lowest: Whether it is a share of the gain at the lowest frequency, as in GJB.
-
-    Raises
-    ------
-    BadInput: If the curve does not come down so far within the frequencies.
 
     Notes
     -----
@@ -167,10 +154,6 @@ def _curve(frequency_hz: FloatArray, gain: FloatArray, zero_gain: float | None) 
 
 def output_delay(response: Response) -> DynamicResult:
     """Delay T_d in seconds of a first-order lag with delay, GJB 2426A-2004 (42)-(46), JJF 2014-2022 (44)-(50).
-
-    Raises
-    ------
-    BadInput: If phases are not known, or the gains do not fall with the frequency.
 
     Notes
     -----

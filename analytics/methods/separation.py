@@ -82,10 +82,6 @@ def gyro_separation(readings: Sequence[GyroReading], scale_factor: float) -> Sep
         each turned both ways; any number of speeds and repeats.
     scale_factor: Output per deg/s, with its sign.
 
-    Raises
-    ------
-    BadInput: If the positions do not separate all five angles.
-
     Notes
     -----
     V = V0 - k y0 w cos(beta) + k x0 w sin(beta) - k y1 w + k z2 w sin(alpha) - k y2 w cos(alpha), k the scale factor, w
@@ -120,10 +116,6 @@ def accelerometer_separation(readings: Sequence[AccelerometerReading], scale_fac
     ----------
     readings: At 0, 90, 180 and 270 degrees, any number of repeats.
     scale_factor: Output per g.
-
-    Raises
-    ------
-    BadInput: If the positions do not separate the two angles.
 
     Notes
     -----

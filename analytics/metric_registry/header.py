@@ -75,10 +75,6 @@ class MetricHeader(NamedTuple):
 def parse_header(text: str, where: str) -> MetricHeader:
     """Read the comment lines ``-- key: value`` at the head of a metric; `parameters` may take several lines.
 
-    Raises
-    ------
-    MetricError: If a line is missing or malformed.
-
     Examples
     --------
     >>> header = parse_header('''-- id: bias

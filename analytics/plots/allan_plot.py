@@ -82,18 +82,12 @@ def plot_allan(
     Parameters
     ----------
     curves: One or several, all in one unit of measure.
-    path: Where to, ``.png`` or ``.svg``.
     title: Title; by default the unit (or how many), signal and run.
     limits: Those on the Allan deviation and on the angle random walk (at 1 s) are marked, for the signal of the curves;
         others, such as on the bias stability, are no points of this plot and are left out.
     chosen: The unit to draw boldly, with the rest as a grey fleet behind it.
     found: Noise fitted to the curve of `chosen`, or to the only one: drawn over it, with its terms and a legend.
     language: Of the labels. Chinese needs a font for it; where none is installed, labels are English.
-
-    Raises
-    ------
-    BadInput: If there is nothing to draw, the curves differ in unit of measure, no curve is of the chosen unit, the
-        suffix is another one, or the file cannot be written.
 
     Notes
     -----

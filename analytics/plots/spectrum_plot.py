@@ -34,10 +34,6 @@ _SECONDS_PER_HOUR = 3600.0
 def plot_spectrum(spectrum: SignalSpectrum, path: Path) -> None:
     """Draw a power spectral density into a file, PNG or SVG.
 
-    Raises
-    ------
-    BadInput: If the suffix is another one, no density is above 0, or the file cannot be written.
-
     Notes
     -----
     Every bin is drawn lightly; boldly the mean over a twentieth of a decade without the bins of lines, with its limits.

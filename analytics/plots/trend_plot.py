@@ -24,12 +24,7 @@ _COLOURS = ("#1f4e79", "#b3541e", "#4b7f52", "#7a4988", "#8a6d1d", "#3f7f93")
 
 
 def plot_trend(trend: Trend, path: Path) -> None:
-    """Draw the charts of a trend into a file, PNG or SVG; of many those that stand out most.
-
-    Raises
-    ------
-    BadInput: If the suffix is another one, or the file cannot be written.
-    """
+    """Draw the charts of a trend into a file, PNG or SVG; of many those that stand out most."""
     check_suffix(path)
     is_chinese = chinese_font() is not None
     order = sorted(trend.charts, key=lambda chart: (chart.in_control is not False, chart.in_control is None))

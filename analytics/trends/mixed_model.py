@@ -53,7 +53,6 @@ class MixedModel:
 
     Parameters
     ----------
-    y: shape (n,).
     fixed: shape (n, p); columns of full rank.
     unit: shape (n,); unit of each value, from 0.
     random: shape (n, q); indicators of the levels of a second random effect.

@@ -155,11 +155,6 @@ def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> Met
 
     Where a metric has several kinds of values (averaging times, axes, with and without the Earth's rate) and the choice
     leaves more than one, the kind with the most values is used; the others are named in the result.
-
-    Raises
-    ------
-    BadInput: If there is no such metric; the message names similar ones.
-    NotFound: If there is no value of it.
     """
     check_metrics([metric])
     with evaluated(catalog, [metric]):
