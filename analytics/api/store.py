@@ -179,9 +179,9 @@ class FleetStore:
 
         asked = Selection(_each(unit), _each(lot), _each(run), _each(metric), _each(standard))
         rows = selected(self._catalog, asked)
-        told = [row | {"parameters": json.dumps(row["parameters"], ensure_ascii=False)} for row in rows]
+        texts = [row | {"parameters": json.dumps(row["parameters"], ensure_ascii=False)} for row in rows]
         names = [name for name in COLUMNS.names if name != "freedom"]
-        return pl.DataFrame(told, schema=None if told else names, infer_schema_length=None, strict=False)
+        return pl.DataFrame(texts, schema=None if texts else names, infer_schema_length=None, strict=False)
 
     def diagnose(
         self,

@@ -19,15 +19,7 @@ MOST_SLOTS = 2**24
 def normalised_walk(catalog: Catalog, record: SignalRecord, *, confidence: float = 0.95) -> Coefficient | NoEstimate:
     """Angle random walk by the normalised method (GJB 2426A-2004 5.12.5.4.1), from the samples of a record.
 
-    Parameters
-    ----------
-    record: Which signal of it, see `find_signal`.
-    confidence: Level of the limits.
-
-    Returns
-    -------
-    Coefficient or NoEstimate
-        In deg/sqrt(h); NoEstimate where the samples are no angular rate, lie on no grid or are too slow or too few.
+    In deg/sqrt(h); NoEstimate where the samples are no angular rate, lie on no grid or are too slow or too few.
 
     Notes
     -----
@@ -37,7 +29,7 @@ def normalised_walk(catalog: Catalog, record: SignalRecord, *, confidence: float
     Examples
     --------
     >>> record = SignalRecord("FOG-1", "temperature", "r1", "degC", 3600, False)
-    >>> normalised_walk(None, record)  # no store is needed to tell
+    >>> normalised_walk(None, record)  # the store is not read
     NoEstimate(reason='the signal is in degC: an angle random walk is of an angular rate, such as deg/s')
     """
     unit_of_measure, factor = report_unit(record.unit_of_measure)

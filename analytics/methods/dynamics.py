@@ -160,7 +160,7 @@ def output_delay(response: Response) -> DynamicResult:
     -P_i - atan(omega_i T) = omega_i T_d, least squares through 0; T from the gains, as of `first_order_bandwidth`.
     P_i is the output's phase less that of the *rate*, which leads the angle by pi/2. Erratum: GJB (33) prints the rate
     with -pi/2, and with it (43) adds pi/2 where it is to be subtracted. An output of the other sign, and phases of more
-    than half a turn at the lowest frequency, are told by where the phases point to at zero frequency.
+    than half a turn at the lowest frequency, are recognised by the extrapolation of the phases to zero frequency.
     """
     if np.isnan(response.phase_rad).any():
         raise BadInput("the phase of the vibration is not known: record the table's angle or rate with the units")

@@ -27,15 +27,15 @@ _NOT_KNOWN: Mapping[str, float | None] = {"scatter": None, "uncertainty_of_means
 
 # A run is a test if its procedure is one or it has several power-ons; all runs of a unit together are another test.
 _SQL = """
-with told as (
+with counted as (
   select *,
     count(*) over (partition by unit, signal, position, earth_rate, run) as in_run,
     bool_or(is_repeated) over (partition by unit, signal, position, earth_rate, run) as is_test
   from bias_power_ons
 ), scoped as (
-  select *, run as scope from told where is_test or in_run > 1
+  select *, run as scope from counted where is_test or in_run > 1
   union all
-  select *, null as scope from told
+  select *, null as scope from counted
 )
 select unit, signal, position, earth_rate, scope as run, min(lack) as lack,
   list(bias order by t_from_ns, run, power_on) as biases,

@@ -36,16 +36,16 @@ with conditioned as (
   where standard <> 'JJF1536' and phase is null and axis is null
     and not regexp_matches(coalesce("procedure", ''), '^(scale_factor_(temp|acc|shock|vib)|threshold|resolution)')
   window test as (partition by run, unit, signal, "procedure", standard)
-), told as (
+), counted as (
   select *,
     count(*) over own as in_run,
     bool_or(starts_with("procedure", 'scale_factor_repeatability')) over own as is_test
   from conditioned where temperatures = 1 and positions = 1
   window own as (partition by unit, signal, output_unit, standard, run)
 ), scoped as (
-  select *, run as scope from told where is_test or in_run > 1
+  select *, run as scope from counted where is_test or in_run > 1
   union all
-  select *, null as scope from told
+  select *, null as scope from counted
 )
 select unit, signal, scope as run, standard,
   list(k order by t_from_ns, run, steps) filter (lack is null) as scales,

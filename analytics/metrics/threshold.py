@@ -95,5 +95,5 @@ def _value(row: Mapping[str, Any]) -> dict[str, Any]:
         return {"reason": "no latitude, so the Earth's rate on the axis is unknown: give the station's latitude_deg"}
     if row["zero"] is None:
         missing = "opposite directions" if row["method"] == "indexing_head" else "the table at rest"
-        return {"reason": f"no record of {missing}: what is compared with the line is the output less its zero"}
+        return {"reason": f"no record of {missing}: the output less its zero is compared with the line"}
     return within_half_both_ways(row["compared"] or [], "rate")

@@ -1,4 +1,4 @@
-"""What is written on a plot of Allan deviations: limits, slopes, names beside the curves' ends."""
+"""Marks on a plot of Allan deviations: limits, slopes, names beside the curves' ends."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple

@@ -77,7 +77,7 @@ def _figure(spectrum: SignalSpectrum) -> Figure:
 
 
 def _scales(axes: Axes, spectrum: SignalSpectrum, levels: list[Level]) -> None:
-    """Logarithmic axes around all there is to see, one line of the grid a decade."""
+    """Logarithmic axes around all densities, one grid line a decade."""
     # a band of one bin of few segments has limits far apart, which would press the rest flat
     highs = [min(level.hi, _MOST_OVER * level.psd) for level in levels]
     high = max(*highs, *spectrum.psd)
@@ -90,7 +90,7 @@ def _scales(axes: Axes, spectrum: SignalSpectrum, levels: list[Level]) -> None:
 
 
 def _mark(axes: Axes, spectrum: SignalSpectrum, named: list[Line]) -> None:
-    """A caret on every line, with its number where it has one, above whatever else is there."""
+    """A caret on every line, with its number, if any, above other marks."""
     peaks = [spectrum.psd[round(line.frequency_hz / spectrum.bin_width_hz) - FIRST_BIN] for line in spectrum.lines]
     points = [(line.frequency_hz, peak) for line, peak in zip(spectrum.lines, peaks, strict=True)]
     taken = (axes.transData.transform(points) * _POINTS_PER_INCH / axes.figure.dpi).tolist()
@@ -136,7 +136,7 @@ def _list_lines(axes: Axes, spectrum: SignalSpectrum, named: list[Line]) -> None
 
 
 def _write(figure: Figure, axes: Axes, spectrum: SignalSpectrum) -> None:
-    """Axis labels, title, what is drawn, and what it was made of."""
+    """Axis labels, title, legend line and record."""
     is_chinese = chinese_font() is not None
     unit = spectrum.psd_unit.replace("^2", "\N{SUPERSCRIPT TWO}")
     axes.set_xlabel("Frequency (Hz)" + ("  频率" if is_chinese else ""), color=INK, fontsize=10)
