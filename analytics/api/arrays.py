@@ -18,7 +18,7 @@ from stream.errors import BadInput, EstimatorError, NotEnoughData
 from stream.estimators.base import NoEstimate
 from stream.estimators.full_overlap.deviation_forms import Deviation
 from stream.estimators.full_overlap.full_overlap import FullOverlap
-from stream.estimators.noise.noise_fit import Coefficient, NoiseFit, fit_noise
+from stream.estimators.noise.noise_fit import NoiseCoefficient, NoiseFit, fit_noise
 from stream.events import EstimatePoint
 
 if TYPE_CHECKING:
@@ -169,7 +169,7 @@ def noise_fit(curve: DeviationCurve) -> NoiseFit:
     bounds = {
         name: msgspec.structs.replace(each, value=math.nan)
         for name, each in terms.items()
-        if isinstance(each, Coefficient) and not each.observable
+        if isinstance(each, NoiseCoefficient) and not each.observable
     }
     return msgspec.structs.replace(found, **bounds)
 

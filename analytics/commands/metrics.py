@@ -120,7 +120,7 @@ def opened_catalog(folder: Path, *, quiet: bool) -> "Iterator[Catalog]":
         def update(done: int, total: int) -> None:
             progress.update(task, completed=done, total=total, visible=done < total)
 
-        with Catalog(Store.open(folder), told=update) as catalog:
+        with Catalog(Store.open(folder), progress=update) as catalog:
             warn_of_copies(catalog.store, read_chain(catalog.store, catalog))
             yield catalog
 

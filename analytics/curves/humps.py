@@ -9,7 +9,7 @@ import scipy.optimize
 import scipy.special
 
 from stream.batch import FloatArray
-from stream.estimators.confidence import deviation_limits
+from stream.estimators.confidence import deviation_bounds
 
 LEAST_BINS = 16
 """Bins of a cell: a line takes 9."""
@@ -147,7 +147,7 @@ def _hump(
 ) -> Hump:
     degrees = float(freedom.sum())
     ratio = float(freedom @ (means / model)) / degrees
-    ratio_lo, ratio_hi = (ratio * bound**2 for bound in deviation_limits(1.0, degrees, confidence))
+    ratio_lo, ratio_hi = (ratio * bound**2 for bound in deviation_bounds(1.0, degrees, confidence))
     step_hz = float(np.median(np.diff(frequency_hz)))
     power = float(freedom @ model) / degrees * (frequency_hz[-1] - frequency_hz[0] + step_hz)
     rms, rms_lo, rms_hi = (math.sqrt(max(0.0, power * (each - 1.0))) for each in (ratio, ratio_lo, ratio_hi))

@@ -11,7 +11,7 @@ from analytics.curves.allan_curve import AllanCurve
 from analytics.curves.isolated_outliers import IsolatedOutliers
 from stream.batch import FloatArray
 from stream.estimators.base import NoEstimate
-from stream.estimators.noise.noise_fit import Coefficient, NoiseFit, fit_noise
+from stream.estimators.noise.noise_fit import NoiseCoefficient, NoiseFit, fit_noise
 from stream.estimators.noise.noise_misfit import SIGNIFICANCE
 from stream.estimators.noise.noise_model import (
     ANGLE_RANDOM_WALK,
@@ -33,7 +33,7 @@ class FittedTerm:
     """One term of a fitted model; `correlation_s` is the correlation time of Markov noise, None for the others."""
 
     term: Term
-    coefficient: Coefficient
+    coefficient: NoiseCoefficient
     correlation_s: float | None = None
 
     def variance(self, taus_s: FloatArray) -> FloatArray:
@@ -56,7 +56,7 @@ class NoiseCoefficients:
     """
 
     fit: NoiseFit
-    normalised: Coefficient | NoEstimate
+    normalised: NoiseCoefficient | NoEstimate
 
     @property
     def terms(self) -> tuple[FittedTerm, ...]:
@@ -110,12 +110,12 @@ class NoiseCoefficients:
         }
 
 
-def _term_document(coefficient: Coefficient) -> dict[str, Any]:
+def _term_document(coefficient: NoiseCoefficient) -> dict[str, Any]:
     document: dict[str, Any] = msgspec.to_builtins(coefficient)
     return document if coefficient.observable else document | {"value": None}
 
 
-def noise_coefficients(curve: AllanCurve, normalised: Coefficient | NoEstimate) -> NoiseCoefficients | NoEstimate:
+def noise_coefficients(curve: AllanCurve, normalised: NoiseCoefficient | NoEstimate) -> NoiseCoefficients | NoEstimate:
     """Fit the noise model of IEEE 952 to an overlapping Allan deviation.
 
     NoEstimate where the signal is no angular rate, or the curve too short or zero throughout; `normalised` is that of

@@ -16,9 +16,9 @@ from storage.sql.reading import SignalRecord, find_signal, read_signal
 from stream.batch import FloatArray
 from stream.errors import BadInput, NotFound
 from stream.estimators.base import NoEstimate
-from stream.estimators.confidence import deviation_limits
+from stream.estimators.confidence import deviation_bounds
 from stream.estimators.spectral_density import FEWEST_SAMPLES, FIRST_BIN, SpectralDensity
-from stream.estimators.spectrum.spectral_lines import GUARD_BINS, Line, background_edf, hann_response
+from stream.estimators.spectrum.spectral_lines import GUARD_BINS, SpectralLine, background_edf, hann_response
 
 CONFIDENCE = 0.95
 FALSE_ALARM_PROBABILITY = 0.01
@@ -76,7 +76,7 @@ class SignalSpectrum:
     false_alarm_probability: float
     searched_lo_hz: float
     searched_hi_hz: float
-    lines: tuple[Line, ...]
+    lines: tuple[SpectralLine, ...]
     humps: tuple[Hump, ...] = ()
 
     def __post_init__(self) -> None:
@@ -107,7 +107,7 @@ class SignalSpectrum:
             if len(kept) == 0:
                 continue
             value = float(psd[kept].mean())
-            lo, hi = deviation_limits(1.0, self.edf * independent_bins(len(kept)), self.confidence)
+            lo, hi = deviation_bounds(1.0, self.edf * independent_bins(len(kept)), self.confidence)
             middle_hz = float(np.exp(np.log(frequency_hz[kept]).mean()))
             found.append(Level(middle_hz, value, value * lo**2, value * hi**2))
         return found
@@ -220,7 +220,9 @@ def _result(record: SignalRecord, spectral: SpectralDensity) -> SignalSpectrum:
     )
 
 
-def _clear_of(lines: Iterable[Line], bins: int, bin_width_hz: float) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _clear_of(
+    lines: Iterable[SpectralLine], bins: int, bin_width_hz: float
+) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Bins that are not within 4 of a line."""
     clear = np.ones(bins, np.bool_)
     for line in lines:

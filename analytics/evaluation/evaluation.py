@@ -46,7 +46,7 @@ COLUMNS = pa.schema(
         *((name, pa.string()) for name in ("standard", "clause", "reason")),
     ]
 )
-_STILL = "create or replace table still_steps as from standing_steps"
+_STILL = "create or replace table internal.still_steps as from internal.standing_steps"
 # A total order, so that kept and recomputed rows make the same table.
 _SORTED = """
 select * from unit_metrics
@@ -231,7 +231,7 @@ def _rate_units(steps: pa.Table) -> pa.Table:
 def _entered(catalog: Catalog) -> dict[str, str]:
     """Hash of each unit's checks that were entered by hand; they may belong to no run."""
     found = catalog.rows(
-        "select unit, bit_xor(hash(uid))::varchar || '/' || count(*) from lake_documents "
+        "select unit, bit_xor(hash(uid))::varchar || '/' || count(*) from internal.lake_documents "
         "where kind = 'CheckEntered' group by unit"
     )
     return {str(unit): str(mark) for unit, mark in found}
@@ -240,7 +240,7 @@ def _entered(catalog: Catalog) -> dict[str, str]:
 def _products(catalog: Catalog) -> dict[str, str]:
     """Hash of the numbers of each unit's product in its runs."""
     found = catalog.rows(
-        "select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from run_products p group by unit"
+        "select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from internal.run_products p group by unit"
     )
     return {str(unit): str(mark) for unit, mark in found}
 

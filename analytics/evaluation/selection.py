@@ -46,9 +46,11 @@ def evaluated(catalog: Catalog, names: Collection[str]) -> Iterator[None]:
         return
     with catalog.suspended_layers() as waiting:
         if any("unit_metrics" in layer.tables for layer in waiting):
-            has = {name for (name,) in catalog.rows(f"from {_PARTIAL}")} if catalog.rows(_HAS_PARTIAL) else set()
+            has = (
+                {name for (name,) in catalog.rows(f"from internal.{_PARTIAL}")} if catalog.rows(_HAS_PARTIAL) else set()
+            )
             if not has.issuperset(names):
-                unit_metrics(catalog, catalog.told, has | set(names))
+                unit_metrics(catalog, catalog.progress, has | set(names))
                 define_scripts(catalog, "tables", ["05_unit_runs.sql"])
                 catalog.put(_PARTIAL, pa.table({"metric": sorted(has | set(names))}))
         yield
@@ -190,7 +192,7 @@ def _check(catalog: Catalog, kind: str, names: Iterable[str]) -> None:
         return
     known = {name for (name,) in catalog.rows(f"select distinct {kind} from unit_runs where {kind} is not null")}  # noqa: S608
     if kind == "unit":
-        checked = "select distinct unit from lake_documents where kind = 'CheckEntered'"
+        checked = "select distinct unit from internal.lake_documents where kind = 'CheckEntered'"
         known |= {name for (name,) in catalog.rows(checked)}
     for name in names:
         if name not in known:

@@ -19,7 +19,7 @@ _CHANGES = """
 with changes as (
   select *, list_filter(['X', 'Y', 'Z'], lambda each: not list_contains(axes, each)) as absent,
     unnest([axis, 'largest']) as shown
-  from bias_changes where cause = $cause
+  from internal.bias_changes where cause = $cause
 )
 select unit, signal, run, "procedure", repeat, shown, axis, change as difference, u, freedom,
   case when shown = 'largest' then (sum(n) over test)::bigint else n end as n,

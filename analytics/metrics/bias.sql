@@ -14,7 +14,7 @@
 -- freedom, t is larger than 1.96 and the interval wider than n_effective alone suggests.
 with corrected as (
   select *, unnest(case when is_attitude_known then ['none', 'removed'] else ['none'] end) as earth_rate
-  from bias_steps
+  from internal.bias_steps
 ), judged as (
   select *, coalesce(lack, case when earth_rate = 'removed' and earth_deg_per_h is null then no_latitude() end) as missing
   from corrected

@@ -19,5 +19,5 @@ select unit, signal, run, coalesce(number, passed) as value,
   runs, steps,
   case when number is null and passed is null then
     'neither a value nor a verdict of PASS or FAIL was entered for ' || item end as reason
-from entered_checks
+from internal.entered_checks
 where not is_visual

@@ -15,5 +15,5 @@ select unit, signal, run, passed as value,
   {item: item, verdict: verdict, entered: entered, "by": by_whom, note: note, "at": entered_at} as parameters,
   runs, steps,
   case when passed is null then 'no verdict of PASS or FAIL was entered for ' || item end as reason
-from entered_checks
+from internal.entered_checks
 where is_visual

@@ -17,7 +17,7 @@ import msgspec
 
 from ingest.instruments.base import Instrument
 from ingest.procedures.procedure import PlannedStep, Procedure, load_procedure
-from ingest.procedures.run_steps import goes_on_at
+from ingest.procedures.run_steps import resume_index
 from ingest.run.run_path import RunPath, TroubleWatch, opened_spool, path_to, recorder_at
 from ingest.station.abilities import check_limits, check_station
 from ingest.station.log import RunLog
@@ -123,7 +123,7 @@ def run_procedure(
             | _about(station, procedure, asked.parameters),
             operator=asked.operator or _common(entries, "operator"),
             lot=asked.lot or _common(entries, "lot"),
-            at=goes_on_at(steps, log.state.step),
+            at=resume_index(steps, log.state.step),
             warnings=found.warnings,
         )
         for warning in _others(spool_folder, log, procedure):

@@ -9,8 +9,9 @@ from uuid import NAMESPACE_URL, uuid5
 import msgspec
 from msgspec.structs import replace
 
-from ingest.run.live_source import PowerCycle, SimulatedStation, station_units
 from ingest.run.run_state import Outcome, RunParameters, RunState, begin_run, read_run, write_run
+from ingest.simulator.demo_fleet import station_fleet
+from ingest.simulator.station import PowerCycle, SimulatedStation
 from stream.batch import SampleBatch
 from stream.delivery.publisher import Sender
 from stream.delivery.spool import Spool
@@ -60,10 +61,10 @@ class LiveRun:
         self.state = found or write_run(self.folder, begin_run(run, parameters, clock_ns()))
         self.gap_ns = 0
         self.place = Place(parameters.site, parameters.station)
-        units = station_units(parameters.simulate, parameters.rate_hz)
+        fleet = station_fleet(parameters.simulate, parameters.rate_hz, parameters.seed)
         name = _name(self.state)
-        self._station = SimulatedStation(units, name, seed=parameters.seed, batch=parameters.batch)
-        self._units = [parameters.unit for parameters in units]
+        self._station = SimulatedStation(fleet, name, batch=parameters.batch)
+        self._units = list(fleet.units)
         self._end_ns = self.state.t0_ns + round(parameters.hours * 3600e9)
         self._uid = partial(_uid, name)
 

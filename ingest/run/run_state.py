@@ -6,7 +6,7 @@ from typing import Literal
 import msgspec
 
 from ingest.moment import moment_ns
-from ingest.run.live_source import PowerCycle
+from ingest.simulator.station import PowerCycle
 from ingest.state_file import read_state, write_state
 from stream.errors import BadInput
 

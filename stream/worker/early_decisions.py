@@ -1,4 +1,4 @@
-"""The early decisions on one signal: one for each limit of its run, looked at whenever its estimates are published."""
+"""The early decisions on one signal: one for each limit of its run, updated whenever its estimates are published."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -23,13 +23,13 @@ _EVEN = 6.0
 
 
 class DecisionLook(NamedTuple):
-    """What a look at one limit found."""
+    """Result of a look at one limit."""
 
     limit: Limit
     decision: Decision
 
     def document(self, head: dict[str, Any]) -> EarlyDecision:
-        """Return it as a run document with that head."""
+        """The run document with that head."""
         decision = self.decision
         return EarlyDecision(
             **head,
@@ -45,8 +45,8 @@ class DecisionLook(NamedTuple):
         )
 
 
-class _Exactly:
-    """The Allan deviation at one averaging time, of means over a sixteenth of it: what the octaves do not hold."""
+class _ExactTau:
+    """The Allan deviation at one averaging time that is no octave, from means over a sixteenth of it."""
 
     def __init__(self, tau_s: float) -> None:
         self._means = BlockMeans(tau_s / _STEPS)
@@ -71,13 +71,10 @@ class EarlyDecisions:
     """Early decisions on the limits that a run sets one signal.
 
     Limits on the Allan deviation and on the angle random walk (at 1 s) are decided at any averaging time of at least 96
-    sample intervals, and at any multiple of 16, of means over a sixteenth of it; where such a mean is no whole number
-    of samples, some hold one more than others, which raises the deviation by less than 0.3 %. Shorter ones are
-    decided where they are an octave of the interval, limits on the bias stability where it is estimated.
-
-    Parameters
-    ----------
-    signal: Which signal.
+    sample intervals, and at any multiple of 16, from means over a sixteenth of it; where such a mean is no whole number
+    of samples, some have one sample more than others, which raises the deviation by less than 0.3 %. At shorter times
+    they are decided if these are an octave of the interval. Limits on the bias stability are decided where it is
+    estimated.
     """
 
     def __init__(self, signal: str) -> None:
@@ -85,11 +82,11 @@ class EarlyDecisions:
         self._planned_s: float | None = None
         self._limits: tuple[Limit, ...] = ()
         self._tests: dict[int, AllanDecision | BiasStabilityDecision] = {}
-        self._exactly: dict[int, _Exactly] = {}
+        self._exact: dict[int, _ExactTau] = {}
         self._plans: dict[int, DecisionPlan] = {}
 
     def apply(self, limits: LimitsApplied) -> None:
-        """Take the limits of the run; they do nothing without its planned duration. The first ones stand."""
+        """Set the limits of the run, which has a planned duration; only the first ones count."""
         if limits.planned_s is None or self._planned_s is not None:
             return
         self._planned_s = limits.planned_s
@@ -97,25 +94,25 @@ class EarlyDecisions:
 
     def _set(self, limits: tuple[Limit, ...]) -> None:
         self._limits = limits
-        self._exactly = {i: _Exactly(_tau_s(limit)) for i, limit in enumerate(limits) if _is_allan(limit)}
+        self._exact = {i: _ExactTau(_tau_s(limit)) for i, limit in enumerate(limits) if _is_allan(limit)}
 
     def update(self, batch: SampleBatch) -> None:
         """Take in the next batch of the signal."""
-        for number, exactly in list(self._exactly.items()):
+        for number, exact in list(self._exact.items()):
             samples = _tau_s(self._limits[number]) * 1e9 / _STEPS / batch.dt_ns
             # means of few samples, now one more and now one less, would have another deviation
             is_uneven = samples < 1.0 - _SAME or abs(samples - round(samples)) > _SAME * samples
             if (samples < _EVEN and is_uneven) or self._decided(number) is not None:
-                del self._exactly[number]  # it is one of the octaves, or none; or nothing is left to be known
+                del self._exact[number]  # an octave, not possible, or already decided
             else:
-                exactly.update(batch)
+                exact.update(batch)
 
     def _decided(self, number: int) -> Decision | None:
         test = self._tests.get(number)
         return None if test is None else test.decision
 
     def look(self, elapsed_s: float, estimates: Mapping[str, EstimatePublished]) -> list[DecisionLook]:
-        """Hold the estimates after `elapsed_s` against each limit; estimates by the key of their estimator."""
+        """Compare the estimates after `elapsed_s`, by the key of their estimator, with each limit."""
         return [
             DecisionLook(limit, self._look(number, limit, elapsed_s, estimates))
             for number, limit in enumerate(self._limits)
@@ -133,9 +130,9 @@ class EarlyDecisions:
         if estimate is None:
             return _cannot(f"{key} is not estimated while the signal flows", f"运行中不估计 {key}")
         points = estimate.points
-        exactly = self._exactly.get(number)
-        if exactly is not None:
-            found = exactly.allan.estimate()
+        exact = self._exact.get(number)
+        if exact is not None:
+            found = exact.allan.estimate()
             points = () if isinstance(found, NoEstimate) else found
         point = next((each for each in points if abs(each.tau_s - tau_s) <= _SAME * tau_s), None)
         try:
@@ -164,7 +161,7 @@ class EarlyDecisions:
             factor, offset = conversion(limit.unit_of_measure, "deg/sqrt(h)")[0] * 60.0, 0.0
         else:
             factor, offset = conversion(limit.unit_of_measure, estimate.unit_of_measure)
-        lag = _STEPS if number in self._exactly else round(_tau_s(limit) / estimate.sample_interval_s)
+        lag = _STEPS if number in self._exact else round(_tau_s(limit) / estimate.sample_interval_s)
         return DecisionPlan(
             tau_s=_tau_s(limit),
             limit=limit.upper * factor + offset,
@@ -173,7 +170,7 @@ class EarlyDecisions:
         )
 
     def export_state(self) -> dict[str, Any]:
-        """Everything that is kept, in plain values."""
+        """The state, in plain values."""
         tests = {
             str(number): {"plan": asdict(self._plans[number]), "state": test.export_state()}
             for number, test in self._tests.items()
@@ -182,21 +179,21 @@ class EarlyDecisions:
             "planned_s": self._planned_s,
             "limits": [msgspec.to_builtins(limit) for limit in self._limits],
             "tests": tests,
-            "exactly": {str(number): exactly.export_state() for number, exactly in self._exactly.items()},
+            "exactly": {str(number): exact.export_state() for number, exact in self._exact.items()},
         }
 
     @classmethod
     def from_state(cls, signal: str, state: dict[str, Any]) -> Self:
-        """Go on from what another one has exported."""
+        """Resume from the state of another one."""
         decisions = cls(signal)
         decisions._planned_s = state["planned_s"]
         decisions._set(tuple(msgspec.convert(limit, Limit) for limit in state["limits"]))
         for number, saved in state["tests"].items():
             decisions._begin(int(number), msgspec.convert(saved["plan"], DecisionPlan))
             decisions._tests[int(number)].import_state(saved["state"])
-        decisions._exactly = {int(n): decisions._exactly[int(n)] for n in state["exactly"]}
+        decisions._exact = {int(n): decisions._exact[int(n)] for n in state["exactly"]}
         for number, saved in state["exactly"].items():
-            decisions._exactly[int(number)].import_state(saved)
+            decisions._exact[int(number)].import_state(saved)
         return decisions
 
 

@@ -17,7 +17,9 @@ from analytics.curves.limits import (
     read_limits,
     unit_verdict,
 )
-from ingest.simulator.gyro import GyroParameters, demo_fleet, unit_batches
+from ingest.simulator.demo_fleet import demo_fleet
+from ingest.simulator.physics.plan import Plan
+from ingest.simulator.station import PowerCycle, SimulatedStation
 from stream.errors import BadInput
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.bias_stability import BiasStability
@@ -115,7 +117,7 @@ def test_no_estimate_is_no_data_with_the_reason() -> None:
         "no bias_stability_10s of signal rate was published": [],
         "2 averages of 10 s needed, 1 seen": [published(reason="2 averages of 10 s needed, 1 seen")],
         "the estimate has no points": [published()],
-        "'degC' cannot be turned into 'deg/h': they measure different quantities": [
+        "'degC' cannot be converted to 'deg/h': they measure different quantities": [
             published(point(10.0, 1.0), unit_of_measure="degC")
         ],
         "the curve reaches from 1 s to 5 s, not to 10 s: a longer record is needed": [
@@ -213,10 +215,11 @@ def test_limits_are_read_from_a_file(tmp_path: Path) -> None:
         read_limits(path)
 
 
-def simulated_estimates(gyro: GyroParameters) -> list[EstimatePublished]:
+def simulated_estimates(unit: str) -> list[EstimatePublished]:
     estimators = [AllanDeviation(), BiasStability(10.0), BiasStability(100.0)]
-    batches = unit_batches(gyro, run="r1", duration_s=HOURS * 3600, seed=1, rate_batch=100_000)
-    for batch in batches:
+    alone = Plan(1, {unit: demo_fleet(1).parameters[unit]})
+    station = SimulatedStation(alone, "r1", batch=100_000, temperature_batch=60)
+    for batch in station.batches("r1", PowerCycle(0, 0), round(HOURS * 3600e9)):
         for estimator in estimators:
             if batch.signal == "rate":
                 estimator.update(batch)
@@ -224,7 +227,7 @@ def simulated_estimates(gyro: GyroParameters) -> list[EstimatePublished]:
     for estimator in estimators:
         points = estimator.estimate()
         assert isinstance(points, tuple)
-        estimates.append(published(*points, estimator=estimator.key, unit=gyro.unit))
+        estimates.append(published(*points, estimator=estimator.key, unit=unit))
     return estimates
 
 
@@ -237,8 +240,7 @@ def test_the_demo_fleet_is_judged_as_planted() -> None:
         "bias_stability_100s",
     ]
     verdicts = {
-        gyro.unit: judge_unit(table, simulated_estimates(gyro), run="r1", unit=gyro.unit, t_ns=0)
-        for gyro in demo_fleet()
+        unit: judge_unit(table, simulated_estimates(unit), run="r1", unit=unit, t_ns=0) for unit in demo_fleet(1).units
     }
     marginal, worse, drifting = (verdicts.pop(unit) for unit in ("FOG-0238", "FOG-0234", "FOG-0236"))
     assert {unit: given.verdict for unit, given in verdicts.items()} == dict.fromkeys(verdicts, Verdict.PASS)
