@@ -1,4 +1,4 @@
-"""The command `gyrofleet spectrum`: power spectral density of a recorded signal and the lines in it."""
+"""The command `gyrofleet spectrum`: power spectral density of a recorded signal, its lines and humps."""
 
 import math
 from pathlib import Path
@@ -22,18 +22,22 @@ _FEW_ROWS = 4
 @click.command("spectrum")
 @click.option("--unit", type=UNIT, required=True, help="Which unit.")
 @click.option("--signal", type=SIGNAL, required=True, help="Which of its signals, as rate or rate_x.")
-@click.option("--run", type=RUN, help="Which run; the one measured last if left out.")
+@click.option("--run", type=RUN, help="Which run; by default the one with the longest record.")
 @store_option
 @click.option("--plot", "plot_path", type=click.Path(path_type=Path), help="Draw the density: FILE.png or FILE.svg.")
 @reporting
 def spectrum(unit: str, signal: str, run: str | None, folder: Path, plot_path: Path | None, *, as_json: bool) -> None:
-    """Power spectral density of a recorded signal and the sinusoidal lines in it, with 95 % confidence limits."""
+    """Power spectral density of a recorded signal, its sinusoidal lines and its humps, with 95 % confidence limits.
+
+    A hump is a band wider than a line with more noise than a sum of power laws explains, as of a resonance.
+    """
+    from analytics.commands.allan import chosen_run
     from analytics.curves.spectrum import spectrum_of
     from storage.sql.catalog import Catalog
     from storage.store import Store
 
     with Catalog(Store.open(folder)) as catalog:
-        found = spectrum_of(catalog, unit, signal, run)
+        found = spectrum_of(catalog, unit, signal, chosen_run(catalog, unit, signal, run))
     if plot_path is not None:
         from analytics.plots.spectrum_plot import plot_spectrum
 
@@ -45,6 +49,8 @@ def spectrum(unit: str, signal: str, run: str | None, folder: Path, plot_path: P
         results().print(_line_table(found))
     else:
         results().print(_no_line(found), soft_wrap=True, markup=False)
+    if found.humps:
+        results().print(_hump_table(found))
     results().print(_level_table(found))
     if plot_path is not None:
         notes().print(f"plot: {plot_path}")
@@ -66,6 +72,24 @@ def _line_table(found: "SignalSpectrum") -> Table:
         amplitudes = (line.amplitude, line.amplitude_lo, line.amplitude_hi)
         frequency = with_error(line.frequency_hz, line.frequency_hi_hz - line.frequency_hz)
         table.add_row(frequency, *(f"{value:.4g}" for value in amplitudes), f"{line.background_ratio:,.3g}")
+    return table
+
+
+def _hump_table(found: "SignalSpectrum") -> Table:
+    table = Table(
+        title=f"Humps (宽带凸起) of {found.unit} {found.signal}, run {found.run}",
+        title_justify="left",
+        caption=f"bands above the fitted power-law noise model; {found.confidence * 100:g} % confidence; of spectra of "
+        f"such noise, at most {found.false_alarm_probability * 100:g} % show one",
+        caption_justify="left",
+        header_style="bold",
+    )
+    rms = f"excess RMS {found.unit_of_measure} 超出均方根"
+    for title in ("from Hz", "to Hz", "times model 与模型之比", "from", "to", rms, "probability by chance"):
+        table.add_column(title, justify="right")
+    for hump in found.humps:
+        numbers = (hump.frequency_lo_hz, hump.frequency_hi_hz, hump.ratio, hump.ratio_lo, hump.ratio_hi, hump.rms)
+        table.add_row(*(f"{each:.3g}" for each in numbers), f"{hump.false_alarm_probability:.1g}")
     return table
 
 

@@ -126,7 +126,7 @@ def _told_reasons(row: dict[str, Any], language: str) -> str:
 
 
 def _value_table(rows: Iterable[dict[str, Any]], language: str) -> Table:
-    from analytics.evaluation.table import told_limits, told_number, told_parameters, told_unit
+    from analytics.evaluation.table import format_limits, format_number, format_parameters, format_unit
 
     table = _table(
         (
@@ -137,15 +137,15 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> Table:
     )  # fmt: skip
     for row in rows:
         half = None if row["lo"] is None else (row["hi"] - row["lo"]) / 4
-        unit = told_unit(row["unit_of_measure"])
-        value = "" if row["value"] is None else f"{told_number(row['value'], half)} {unit}".strip()
-        interval = "" if row["lo"] is None else f"{told_number(row['lo'], half)} .. {told_number(row['hi'], half)}"
-        parameters = told_parameters(json.loads(row["parameters"] or "{}"))
+        unit = format_unit(row["unit_of_measure"])
+        value = "" if row["value"] is None else f"{format_number(row['value'], half)} {unit}".strip()
+        interval = "" if row["lo"] is None else f"{format_number(row['lo'], half)} .. {format_number(row['hi'], half)}"
+        parameters = format_parameters(json.loads(row["parameters"] or "{}"))
         label = f"{row['specification']}-{row['revision'] or '?'}" if row["specification"] else ""
         table.add_row(
             _name(row["metric"], language) + (f" ({parameters})" if parameters else ""),
             row["signal"], row["run"] or _several(row["runs"], language), value, interval,
-            f"{told_limits(row)} {unit}".strip(), _coloured(row["verdict"], language), row["standard"], label,
+            f"{format_limits(row)} {unit}".strip(), _coloured(row["verdict"], language), row["standard"], label,
             row["reason"] or "",
         )  # fmt: skip
     return table
@@ -188,7 +188,7 @@ def _table(titles: Iterable[str], language: str) -> Table:
 def _name(metric: str, language: str) -> str:
     """A metric's name; an entered check may have a name of its own."""
     from analytics.evaluation.table import name_of
-    from analytics.metrics.registry import metrics
+    from analytics.metric_registry.registry import metrics
 
     if metric in metrics():
         return name_of(metric, language)

@@ -1,4 +1,4 @@
-"""The Allan deviation of a recorded signal over a window that rolls along: how the noise changes with time."""
+"""The Allan deviation of a recorded signal over a rolling window."""
 
 import math
 from dataclasses import dataclass
@@ -25,12 +25,11 @@ class RollingAllan:
     ----------
     unit, signal, run: Whose it is.
     unit_of_measure: Of `adev`, `lo` and `hi`.
-    window_s, step_s: Length of the window and by how much it moves on, seconds.
-    start_h: Where each window begins, hours since the first sample.
+    window_s, step_s: Length and step of the window.
+    start_h: Beginning of each window, hours since the first sample.
     samples, missing: Samples in each window, and missing from it.
-    tau_s: Averaging times, seconds, rising.
-    adev, lo, hi: shape (windows, taus); deviation and its 95 % limits; None where a window is too short or has too many
-        gaps.
+    tau_s: Averaging times, increasing.
+    adev, lo, hi: shape (windows, taus); deviation and its 95 % bounds; None where a window is too short or has gaps.
     """
 
     unit: str
@@ -85,18 +84,11 @@ def rolling_allan(
 
     Parameters
     ----------
-    catalog: The store.
-    unit, signal: Which signal.
-    run: Of which run; where none is named the one measured last of those that fill a window.
-    window_s, step_s: Length of the window and by how much it moves on, seconds; the window is a whole number of steps.
+    run: Of which run; the longest record if omitted.
+    window_s, step_s: Length and step of the window, a whole number of steps.
     points_per_octave: 1, 2, 4 or 8 averaging times an octave.
-
-    Raises
-    ------
-    NotFound: If the store does not hold the signal, or no window of it has an Allan deviation.
-    EstimatorError: If the steps do not fill the window.
     """
-    record = find_signal(catalog, unit, signal, run, at_least_s=window_s)
+    record = find_signal(catalog, unit, signal, run)
     rolling = RollingWindow(lambda: AllanDeviation(points_per_octave), window_s, step_s)
     windows: list[WindowEstimate] = []
     first_ns = last_ns = None

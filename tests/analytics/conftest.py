@@ -17,7 +17,7 @@ from analytics.loop.blocks.block_reducer import BlockReducer, Reduction
 from analytics.loop.blocks.reduction_notes import Note
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis
 from analytics.loop.tracing.verdict.conclusion import conclude
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from analytics.step_records.step_table import step_means
 from storage.lake.lake import build_missing, builder_lock
 from storage.log.event_log import EventLog

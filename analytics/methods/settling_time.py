@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from analytics.metrics.largest_magnitude import json_text
-from analytics.step_records.series_statistics import series_statistics
+from analytics.methods.confidence_bounds import TWO_SIDED
+from analytics.step_records.series_statistics import samples_statistics
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 
@@ -16,11 +16,10 @@ from stream.batch import FloatArray, IntArray
 LEAST_STAY = 0.1
 # Where no zero was measured before, the last part of the record stands for it.
 _TAIL = 0.25
-_SIGMAS = 1.959963984540054
 
-# Tests of the procedure, with what is known of the unit before: its last bias without the Earth's rate, and its scale
-# factor. In a rate test a unit's own error of scale is no matter of starting: without its measured scale factor the end
-# of the record is what the output settles to.
+# Tests of the procedure, with what was measured of the unit before: its last bias without the Earth's rate, and its
+# scale factor. In a rate test a unit's scale-factor error is not part of the start-up: without a measured scale factor
+# the end of the record is the reference.
 _TESTS = """
 with zero as (
   select unit, signal, run, t_to_ns, mean_deg_per_h - earth_deg_per_h as bias, u_deg_per_h
@@ -57,7 +56,7 @@ group by w.which
 
 
 class Settled(NamedTuple):
-    """When an output has settled, s after power-on, with its limits and standard uncertainty (NaN where unknown)."""
+    """When an output has settled, s after power-on, with its bounds and standard uncertainty (NaN where unknown)."""
 
     value: float
     lo: float
@@ -66,19 +65,14 @@ class Settled(NamedTuple):
 
 
 def settling_times(catalog: Catalog, procedure: str) -> Iterator[dict[str, Any]]:
-    """Rows of a metric for the tests of a procedure: each test, and the largest of a unit's tests in a run.
-
-    Parameters
-    ----------
-    catalog: Of the store.
-    procedure: Regular expression that the procedure's name meets.
+    """Rows of a metric: each test of the procedures that match a regular expression, and the largest of a unit's tests.
 
     Notes
     -----
     The error is the output less the table's rate, the Earth's rate and the unit's last bias measured before; where that
     is unknown, less the mean over the last quarter of the record (`reference` in the parameters). The time is that of
-    the first sample after the last one outside the band: it is known to a sample interval. The limits say also what the
-    reference's uncertainty does: they are the times for a band that is wider and narrower by 1.96 times that.
+    the first sample after the last one outside the band: it is known to a sample interval. The bounds include the
+    reference's uncertainty: they are the times for a band that is wider and narrower by 1.96 times that.
     """
     tests = catalog.reader(_TESTS.format(procedure=procedure)).read_all().to_pylist()
     known = catalog.rows("select unit, run, startup_band_deg_per_h from internal.run_products")
@@ -96,10 +90,8 @@ def settling_times(catalog: Catalog, procedure: str) -> Iterator[dict[str, Any]]
 
 def _series(catalog: Catalog, run: str, tests: list[dict[str, Any]]) -> dict[int, tuple[IntArray, FloatArray]]:
     """Times and values of the samples of each test, from power-on to its end."""
-    rows = [
-        {"which": which, **{name: test[name] for name in ("run", "unit", "signal", "on_ns", "t_to_ns")}}
-        for which, test in enumerate(tests)
-    ]
+    names = ("run", "unit", "signal", "on_ns", "t_to_ns")
+    rows = [{"which": which, **{name: test[name] for name in names}} for which, test in enumerate(tests)]
     catalog.put("power_on_windows", pa.Table.from_pylist(rows))
     return {
         row["which"]: (np.array(row["t_ns"], np.int64), np.array(row["values"], np.float64))
@@ -110,16 +102,14 @@ def _series(catalog: Catalog, run: str, tests: list[dict[str, Any]]) -> dict[int
 def _row(test: Mapping[str, Any], band: float | None, series: tuple[IntArray, FloatArray] | None) -> dict[str, Any]:
     what = f"rate {test['rate_command']:g} deg/s" if test["is_rate"] else f"position {test['position'] or 'unknown'}"
     known = test["expected"] is not None
-    parameters = {
-        "test": what,
-        "band_deg_per_h": band,
-        "reference": f"bias of run {test['zero_run']}" if known else "end of the record",
-        "counted_from": "power-on" if test["is_powered"] else "step start",
-    }
     row = {name: test[name] for name in ("unit", "signal", "run", "n")} | {
-        "runs": [test["run"]],
         "steps": [test["index"]],
-        "parameters": json_text(parameters),
+        "parameters": {
+            "test": what,
+            "band_deg_per_h": band,
+            "reference": f"bias of run {test['zero_run']}" if known else "end of the record",
+            "counted_from": "power-on" if test["is_powered"] else "step start",
+        },
     }
     reason = _lack(test, band, series)
     if reason is not None or series is None or band is None:
@@ -133,11 +123,11 @@ def _row(test: Mapping[str, Any], band: float | None, series: tuple[IntArray, Fl
 
 def _lack(test: Mapping[str, Any], band: float | None, series: object) -> str | None:
     if test["product"] is None:
-        return "the product of the unit is unknown, and with it the error band: say it where the unit is mounted"
+        return "the product of the unit is unknown, and with it the error band: name it where the unit is mounted"
     if band is None:
         return f"product {test['product']}: no specification in the store has its startup_band_deg_per_h"
     if test["is_dropped"]:
-        return "raw samples of the run were dropped to make room, and the time is told by them"
+        return "raw samples of the run were dropped to make room, and the time is computed from them"
     if series is None:
         return "no sample between power-on and the end of the step"
     if test["deg_per_h"] is None:
@@ -149,21 +139,12 @@ def _lack(test: Mapping[str, Any], band: float | None, series: object) -> str | 
 
 
 def _end_of(t_ns: IntArray, output: FloatArray) -> tuple[float, float, float]:
-    """Mean over the end of a record, its standard uncertainty, and the farthest sample from it."""
+    """Mean over the end of a record, its standard uncertainty, and the largest departure of a sample from it."""
     start = int(len(t_ns) * (1 - _TAIL))
     t_ns, output = t_ns[start:], output[start:]
     if len(t_ns) < 2:
         return float(output.mean()), 0.0, 0.0
-    dt_ns = int(np.median(np.diff(t_ns)))
-    found = series_statistics(
-        t_ns,
-        np.ones(len(t_ns), np.int64),
-        output,
-        np.zeros(len(t_ns)),
-        base_ns=max(dt_ns, 1),
-        samples_per_block=1.0,
-        window_ns=(int(t_ns[0]), int(t_ns[-1])),
-    )
+    found = samples_statistics(t_ns, output, (int(t_ns[0]), int(t_ns[-1])))
     return found.mean, found.standard_uncertainty, float(np.max(np.abs(output - found.mean)))
 
 
@@ -173,10 +154,10 @@ def settling(error: FloatArray, time_s: FloatArray, band: float, u: float, noise
     Parameters
     ----------
     error: Magnitudes.
-    time_s: When, seconds after power-on.
+    time_s: Seconds after power-on.
     band: In the error's unit.
-    u: Standard uncertainty of what the error is counted from.
-    noise: How far noise takes a sample at most.
+    u: Standard uncertainty of the reference of the error.
+    noise: Largest departure of a sample by noise.
 
     Examples
     --------
@@ -192,30 +173,29 @@ def settling(error: FloatArray, time_s: FloatArray, band: float, u: float, noise
         stay = "to the end of the record" if kept == 0 else f"until {LEAST_STAY:.0%} of the record were left"
         return f"the output is outside +-{band:g} deg/h {stay}, at {time_s[last]:g} s by {error[last]:.3g} deg/h"
     gap_s = float(time_s[after] - (time_s[after - 1] if after else 0.0))
-    wide, narrow = _after(error, band + _SIGMAS * u + noise), _after(error, band - _SIGMAS * u)
+    wide, narrow = _after(error, band + TWO_SIDED * u + noise), _after(error, band - TWO_SIDED * u)
     lo = float(time_s[wide - 1]) if wide else 0.0
     hi = float(time_s[narrow]) if narrow < len(error) else np.nan
-    spread = (hi - float(time_s[wide])) / (2 * _SIGMAS)
-    value = float(time_s[after])
-    return Settled(value, lo, hi, float(np.hypot(gap_s / np.sqrt(12), spread)))
+    spread = (hi - float(time_s[wide])) / (2 * TWO_SIDED)
+    return Settled(float(time_s[after]), lo, hi, float(np.hypot(gap_s / np.sqrt(12), spread)))
 
 
 def _after(error: FloatArray, band: float) -> int:
-    """Which sample is the first of those at the end that are all within the band."""
+    """First of the samples at the end that are all within the band."""
     outside = np.flatnonzero(error > band)
     return int(outside[-1]) + 1 if outside.size else 0
 
 
 def _largest(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """The largest over the tests of a unit in a run."""
-    told = {name: rows[0][name] for name in ("unit", "signal", "run", "runs")} | {
+    row = {name: rows[0][name] for name in ("unit", "signal", "run")} | {
         "n": sum(row["n"] for row in rows),
         "steps": [step for row in rows for step in row["steps"]],
-        "parameters": json_text({"test": "largest", "tests": len(rows)}),
+        "parameters": {"test": "largest", "tests": len(rows)},
     }
     reason = next((row["reason"] for row in rows if row.get("reason") is not None), None)
     if reason is not None:
-        return told | {"reason": reason}
+        return row | {"reason": reason}
     largest = max(rows, key=lambda row: row["value"])
-    limits = {name: float(np.max([row[name] for row in rows])) for name in ("lo", "hi")}
-    return told | limits | {name: largest[name] for name in ("value", "standard_uncertainty")}
+    bounds = {name: float(np.max([row[name] for row in rows])) for name in ("lo", "hi")}
+    return row | bounds | {name: largest[name] for name in ("value", "standard_uncertainty")}

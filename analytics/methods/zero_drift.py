@@ -1,4 +1,4 @@
-"""How far a zero is known from a sequence of steps while it drifts."""
+"""Uncertainty of a zero from a sequence of steps while it drifts."""
 
 import math
 from functools import lru_cache
@@ -8,15 +8,15 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import stdtr, stdtrit
 
-from analytics.metrics.limits_of_value import CONFIDENCE
+from analytics.methods.confidence_bounds import CONFIDENCE
 from stream.batch import FloatArray
 
 # variance of the steps beyond the noise within them, in units of that, and the part of it that is drift
 _BEYOND = 10.0 ** np.arange(-1, 6.5, 0.5)
 _DRIFTING = (0.0, 0.1, 0.3, 0.6, 0.9, 1.0)
-# no scatter and no drift at all is so much likelier than each of these beforehand: chosen for coverage by simulation
+# prior weight of no scatter and no drift over each of these: chosen for coverage by simulation
 _STILL = 20.0
-# the drift reaches down to so many times the period of the sequence
+# longest period of the drift, in lengths of the sequence
 _PERIODS = 32
 _MOST_STEPS = 400
 
@@ -47,22 +47,22 @@ class Uncertainty(NamedTuple):
 
 
 def zero_uncertainty(steps: Sequence) -> Uncertainty | None:
-    """How far the zero lies from that of a sequence many times as long; None where no step has an uncertainty.
+    """Uncertainty of the zero against that of a much longer sequence; None where no step has an uncertainty.
 
     Notes
     -----
     output = zero + k*rate + noise within the step + scatter from step to step + drift. The drift has a power spectral
-    density of 1/f from a 32nd of the sequence's own lowest frequency on: bias instability, and much like what a
-    temperature that creeps does. Steps are taken as equally far apart. For each share of scatter and drift the variance
+    density of 1/f from a 32nd of the sequence's own lowest frequency on: bias instability, and much like the effect of
+    a creeping temperature. Steps are taken as equally spaced. For each share of scatter and drift the variance
     of the zero follows from the weights; these are mixed by the restricted likelihoods of the shares. The noise within
-    the steps tells how little drift there may be; rests and rates, in the order in which they were measured, how much.
+    the steps bounds the drift from below; rests and rates, in the order in which they were measured, from above.
     Where only few steps lie far from the line, as of a nonlinearity, that is scatter.
     """
     known = np.isfinite(steps.u) & (steps.freedom > 0)
     n = steps.output.size
     if not known.any() or not 3 < n <= _MOST_STEPS:
         return None
-    # squares of very large and very small numbers have no room
+    # scaled: squares of very large or small numbers would overflow
     size = max(float(np.abs(steps.output - steps.output[0]).max()), float(steps.u[known].max()))
     if not 0 < size < math.inf:
         return Uncertainty(0.0, float(n - 2)) if size == 0 else None
@@ -74,7 +74,7 @@ def zero_uncertainty(steps: Sequence) -> Uncertainty | None:
     level -= level.mean()
     line = level - fixed @ np.linalg.lstsq(fixed, level, rcond=None)[0]
     spare = n - fixed.shape[1]
-    # noise that rounding hides is that of the least scatter the grid can tell from it
+    # noise below rounding is set to the least scatter that the grid resolves
     within = max(within, float(line @ line) / spare * 2 / float(_BEYOND[-1]))
     if not within > 0:
         return Uncertainty(0.0, float(spare))

@@ -48,10 +48,6 @@ def fit_sine(t_s: FloatArray, values: FloatArray, frequency_hz: float, *, refine
     refine: Whether the frequency is fitted as well, from there; it stays as given where the record holds less than two
         periods, and where the fit would leave it by more than half a period in the record.
 
-    Raises
-    ------
-    BadInput: If the record cannot hold such a sine.
-
     Notes
     -----
     JJF 2014-2022 (40) fits amplitude and phase only, about zero; here the offset is fitted too, since a bias would

@@ -33,3 +33,12 @@ select unit, signal, run, "index", coefficient, n, duration_s,
     when not (found->>'$.observable')::boolean then found->>'$.reason'
   end as reason
 from parsed;
+
+-- Rows of the metric of one coefficient.
+create or replace macro fitted_coefficient(name) as table
+select unit, signal, run, value, lo, hi, standard_uncertainty, null::double as freedom, n,
+  {method: 'allan', duration_s: round(duration_s), misfit: misfit, markov_correlation_s: markov_correlation_s}
+    as parameters,
+  [run] as runs, ["index"] as steps, reason
+from internal.noise_coefficients
+where coefficient = name;

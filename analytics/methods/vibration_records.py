@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from analytics.calibration.frequency_response import Record, Response, response_of
-from analytics.calibration.sine_fit import LEAST_PER_PERIOD, SineFit, fit_sine
+from analytics.methods.dynamics import DynamicResult
+from analytics.methods.frequency_response import Response, SineRatio, response_of
+from analytics.methods.sine_fit import LEAST_PER_PERIOD, SineFit, fit_sine
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput, UnknownUnit
@@ -18,7 +19,7 @@ from stream.quantities import conversion, is_angular_rate
 LEAST_FREQUENCIES = 10
 LEAST_RECORDS = 10
 LOWEST_HZ = 10.0
-# The plan is laid by the bandwidth that is expected: so much may the one that is found lie above it.
+# Tests are planned by the expected bandwidth: the measured one may be larger by this factor.
 _ALLOWANCE = 0.8
 _COMMANDED = "commanded amplitude"
 # a signal that sees less of the vibration than this share of another of its unit stands across it
@@ -52,10 +53,8 @@ class Vibration(NamedTuple):
     words: ``run``, ``unit``, ``signal``, ``procedure``, ``position``, ``axis``.
     steps: Steps that were evaluated, or all where none could be.
     response: Gain per deg/s; of an output that is a rate, in deg/s.
-    reference: Which signal told what the gyro was given.
-    sample_rate_hz: Of the gyro.
-    scale_factor: The scale factor last measured before, output per deg/s.
-    scale_run: Where it was.
+    reference: Signal that measured the vibration.
+    scale_factor, scale_run: The scale factor last measured before, output per deg/s, and its run.
     reason: Why records, some or all, could not be evaluated.
     """
 
@@ -81,14 +80,14 @@ class _Series(NamedTuple):
 
 
 class _Reference:
-    """What the table did: a rate in deg/s, or an angle in deg; or, without a series, what it was told to."""
+    """The vibration of the table: a rate in deg/s, or an angle in deg; without a series, the commanded one."""
 
     def __init__(self, name: str, series: _Series | None = None, *, is_angle: bool = False) -> None:
         self.name, self.series, self.is_angle = name, series, is_angle
         self._sines: dict[tuple[int, int, float], SineFit] = {}
 
     def sine(self, step: Mapping[str, Any]) -> SineFit:
-        """Its sine in a step, which all units on the table have in common."""
+        """Its sine in a step; all units on the table share it."""
         assert self.series is not None
         of = (step["t_from_ns"], step["t_to_ns"], step["frequency"])
         if of not in self._sines:
@@ -118,7 +117,7 @@ def vibrations(catalog: Catalog) -> Iterator[Vibration]:
 
 
 def unmet(vibration: Vibration, *, least_records: int = 1) -> str | None:
-    """What the clauses ask of the frequencies and the test lacks; None if nothing."""
+    """What the clauses ask of the frequencies and records and the test lacks; None if nothing."""
     response, reason = vibration.response, vibration.reason
     count = 0 if response is None else len(response.frequency_hz)
     if response is None or count < LEAST_FREQUENCIES:
@@ -137,7 +136,7 @@ def unmet(vibration: Vibration, *, least_records: int = 1) -> str | None:
 
 
 def too_little_for(bandwidth_hz: float, vibration: Vibration) -> str | None:
-    """What the clauses ask of a test for a bandwidth that it found; None if it has it."""
+    """What the clauses ask of a test for the measured bandwidth and it lacks; None if nothing."""
     assert vibration.response is not None
     highest_hz = float(vibration.response.frequency_hz[-1])
     if highest_hz < _ALLOWANCE * 2 * bandwidth_hz:
@@ -153,27 +152,42 @@ def too_little_for(bandwidth_hz: float, vibration: Vibration) -> str | None:
     return None
 
 
-def told(vibration: Vibration) -> dict[str, Any]:
-    """Parameters that all metrics of such a test have in common."""
-    response = vibration.response
-    return {
-        "position": vibration.words["position"],
-        "axis": vibration.words["axis"],
+def vibration_row(
+    vibration: Vibration,
+    source: tuple[str, str],
+    parameters: Mapping[str, Any],
+    found: DynamicResult | None,
+    reason: str | None,
+    scale: float = 1.0,
+) -> dict[str, Any]:
+    """Row of a metric of such a test.
+
+    Parameters
+    ----------
+    source: Standard and clause.
+    parameters: Besides those that all metrics of such a test share.
+    scale: From the unit of `found` to that of the metric.
+    """
+    response, words = vibration.response, vibration.words
+    shared = {
+        "position": words["position"],
+        "axis": words["axis"],
         "reference": vibration.reference,
         "frequencies": 0 if response is None else len(response.frequency_hz),
         "records": 0 if response is None else int(response.records.min()),
         "sample_rate_hz": round(vibration.sample_rate_hz, 3),
     }
-
-
-def row_of(vibration: Vibration) -> dict[str, Any]:
-    """Columns that all metrics of such a test have in common."""
-    response = vibration.response
     return {
-        **{name: vibration.words[name] for name in ("unit", "signal", "run")},
+        **{name: words[name] for name in ("unit", "signal", "run")},
         "n": 0 if response is None else int(response.records.sum()),
-        "runs": [vibration.words["run"]],
         "steps": vibration.steps,
+        "value": None if found is None or reason else found.value * scale,
+        "standard_uncertainty": None if found is None else found.standard_uncertainty * scale,
+        "freedom": None if found is None else found.freedom,
+        "parameters": dict(parameters) | shared,
+        "standard": source[0],
+        "clause": source[1],
+        "reason": reason,
     }
 
 
@@ -238,7 +252,7 @@ def _vibration(catalog: Catalog, steps: list[dict[str, Any]], reference: _Refere
     )
 
 
-def _record(step: Mapping[str, Any], series: _Series, reference: _Reference) -> Record:
+def _record(step: Mapping[str, Any], series: _Series, reference: _Reference) -> SineRatio:
     if reference.series is None:
         if not step["amplitude"]:
             raise BadInput(
@@ -247,7 +261,7 @@ def _record(step: Mapping[str, Any], series: _Series, reference: _Reference) -> 
             )
         own = fit_sine(*series.within(step), step["frequency"], refine=True)
         size = abs(float(step["amplitude"]))
-        return Record(step["frequency"], own.amplitude / size, own.amplitude_uncertainty / size, math.nan, math.nan)
+        return SineRatio(step["frequency"], own.amplitude / size, own.amplitude_uncertainty / size, math.nan, math.nan)
     given = reference.sine(step)
     own = fit_sine(*series.within(step), given.frequency_hz)
     if not (given.amplitude > 0 and own.amplitude > 0):
@@ -256,7 +270,7 @@ def _record(step: Mapping[str, Any], series: _Series, reference: _Reference) -> 
     omega = 2 * math.pi * given.frequency_hz if reference.is_angle else 1.0
     gain = own.amplitude / (given.amplitude * omega)
     relative = math.hypot(own.amplitude_uncertainty / own.amplitude, given.amplitude_uncertainty / given.amplitude)
-    return Record(
+    return SineRatio(
         frequency_hz=step["frequency"],
         gain=gain,
         gain_uncertainty=gain * relative,

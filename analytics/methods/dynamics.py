@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from analytics.calibration.frequency_response import Response
+from analytics.methods.frequency_response import Response
 from stream.batch import FloatArray
 from stream.errors import BadInput
 
@@ -18,8 +18,8 @@ from stream.errors import BadInput
 _MISFIT = 1e-3
 
 
-class Found(NamedTuple):
-    """A value, its standard uncertainty and the degrees of freedom of that.
+class DynamicResult(NamedTuple):
+    """A value, its standard uncertainty and the degrees of freedom of the uncertainty.
 
     Parameters
     ----------
@@ -32,12 +32,8 @@ class Found(NamedTuple):
     misfit: float
 
 
-def first_order_bandwidth(response: Response) -> Found:
+def first_order_bandwidth(response: Response) -> DynamicResult:
     """Bandwidth in Hz of the first-order lag that fits the gains, GJB 2426A-2004 (36)-(41).
-
-    Raises
-    ------
-    BadInput: If the gains do not fall with the frequency.
 
     Notes
     -----
@@ -66,12 +62,7 @@ def first_order_bandwidth(response: Response) -> Found:
 
 
 def time_constant(frequency_hz: FloatArray, gain: FloatArray) -> float:
-    """Time constant T in seconds of a first-order lag, GJB 2426A-2004 (37)-(40).
-
-    Raises
-    ------
-    BadInput: If the gains do not fall with the frequency.
-    """
+    """Time constant T in seconds of a first-order lag, GJB 2426A-2004 (37)-(40)."""
     omega = 2 * math.pi * frequency_hz
     power = gain * gain
     column = omega * omega * power
@@ -86,7 +77,7 @@ def time_constant(frequency_hz: FloatArray, gain: FloatArray) -> float:
     return math.sqrt(square)
 
 
-def crossing(response: Response, *, zero_gain: float | None = None, of_lowest: bool = False) -> Found:
+def crossing(response: Response, *, zero_gain: float | None = None, of_lowest: bool = False) -> DynamicResult:
     """Frequency in Hz at which the gain has come down to 1/sqrt(2), JJF 2014-2022 (42)(43), GJB 2426A-2004 (35).
 
     Parameters
@@ -94,11 +85,7 @@ def crossing(response: Response, *, zero_gain: float | None = None, of_lowest: b
     response: At three frequencies or more.
     zero_gain: Gain at zero frequency, of which it is a share, and a further point of the curve; where it is not known
         the curve's own is taken.
-    of_lowest: Whether it is a share of the gain at the lowest frequency, as GJB has it.
-
-    Raises
-    ------
-    BadInput: If the curve does not come down so far within the frequencies.
+    of_lowest: Whether it is a share of the gain at the lowest frequency, as in GJB.
 
     Notes
     -----
@@ -165,19 +152,15 @@ def _curve(frequency_hz: FloatArray, gain: FloatArray, zero_gain: float | None) 
     return _Curve(np.asarray(solved, dtype=np.float64), float(frequency_hz[-1]))
 
 
-def output_delay(response: Response) -> Found:
+def output_delay(response: Response) -> DynamicResult:
     """Delay T_d in seconds of a first-order lag with delay, GJB 2426A-2004 (42)-(46), JJF 2014-2022 (44)-(50).
-
-    Raises
-    ------
-    BadInput: If phases are not known, or the gains do not fall with the frequency.
 
     Notes
     -----
     -P_i - atan(omega_i T) = omega_i T_d, least squares through 0; T from the gains, as of `first_order_bandwidth`.
     P_i is the output's phase less that of the *rate*, which leads the angle by pi/2. Erratum: GJB (33) prints the rate
     with -pi/2, and with it (43) adds pi/2 where it is to be subtracted. An output of the other sign, and phases of more
-    than half a turn at the lowest frequency, are told by where the phases point to at zero frequency.
+    than half a turn at the lowest frequency, are recognised by the extrapolation of the phases to zero frequency.
     """
     if np.isnan(response.phase_rad).any():
         raise BadInput("the phase of the vibration is not known: record the table's angle or rate with the units")
@@ -224,7 +207,7 @@ def _widened(
     response: Response,
     *,
     unknowns: int,
-) -> Found:
+) -> DynamicResult:
     """The value; its uncertainty grown by the Birge ratio where the model leaves more than the scatter explains."""
     misfit = math.sqrt(float((residual**2).mean()))
     own, freedom = found
@@ -233,4 +216,4 @@ def _widened(
         ratio = float(((residual / uncertainty) ** 2).sum()) / degrees
         if stats.f.sf(ratio, degrees, min(float(response.freedom.min()), 1e9)) < _MISFIT:
             own, freedom = own * math.sqrt(ratio), min(freedom, float(degrees))
-    return Found(value, own, freedom, misfit)
+    return DynamicResult(value, own, freedom, misfit)

@@ -1,4 +1,4 @@
-"""The frequency response of a gyro: means over the records of each frequency, and phases without leaps."""
+"""The frequency response of a gyro: means over the records of each frequency, and unwrapped phases."""
 
 import math
 from collections.abc import Sequence
@@ -9,16 +9,14 @@ import numpy as np
 from stream.batch import FloatArray
 
 
-class Record(NamedTuple):
-    """A gyro's sine over the sine of the rate it was given, in one record.
+class SineRatio(NamedTuple):
+    """A gyro's sine over the sine of the input rate, in one record; uncertainties are standard uncertainties.
 
     Parameters
     ----------
     frequency_hz: Of the vibration.
     gain: Amplitude of the output over amplitude of the rate.
-    gain_uncertainty: Standard uncertainty of the gain.
     phase_rad: Of the output less that of the rate, at any multiple of 2 pi; NaN where the rate's phase is unknown.
-    phase_uncertainty_rad: Standard uncertainty of the phase.
     """
 
     frequency_hz: float
@@ -48,7 +46,7 @@ class Response(NamedTuple):
     records: FloatArray
 
 
-def response_of(records: Sequence[Record]) -> Response:
+def response_of(records: Sequence[SineRatio]) -> Response:
     """Means over the records of each frequency, JJF 2014-2022 (41) and (44).
 
     Notes
@@ -58,7 +56,7 @@ def response_of(records: Sequence[Record]) -> Response:
 
     Examples
     --------
-    >>> two = response_of([Record(10.0, 1.0, 0.01, 3.1, 0.01), Record(10.0, 1.2, 0.01, -3.1, 0.01)])
+    >>> two = response_of([SineRatio(10.0, 1.0, 0.01, 3.1, 0.01), SineRatio(10.0, 1.2, 0.01, -3.1, 0.01)])
     >>> two.gain.round(6).tolist(), (two.phase_rad % (2 * np.pi)).round(6).tolist()
     ([1.1], [3.141593])
     """
@@ -72,7 +70,7 @@ def response_of(records: Sequence[Record]) -> Response:
 
 
 def unwrapped(frequency_hz: FloatArray, phase_rad: FloatArray) -> FloatArray:
-    """Phases without leaps of whole turns: each lies nearest to the line through the first and the last before it.
+    """Unwrapped phases: each lies nearest to the line through the first and the last before it.
 
     So a delay may turn the phase by more than half a turn from one frequency to the next, as long as it does not do so
     from the first to the second.
@@ -92,7 +90,7 @@ def unwrapped(frequency_hz: FloatArray, phase_rad: FloatArray) -> FloatArray:
     return phases
 
 
-def _mean(records: Sequence[Record]) -> tuple[float, float, float, float, float, int]:
+def _mean(records: Sequence[SineRatio]) -> tuple[float, float, float, float, float, int]:
     _, gain, gain_u, phase, phase_u = (np.array(column) for column in zip(*records, strict=True))
     count = len(records)
     centre = math.atan2(float(np.sin(phase).sum()), float(np.cos(phase).sum()))

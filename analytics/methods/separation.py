@@ -5,17 +5,20 @@ test.
 """
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import groupby
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
 
+from analytics.methods.confidence_bounds import CONFIDENCE
+from storage.sql.catalog import Catalog
 from stream.batch import FloatArray
 from stream.errors import BadInput
 
 ARCSEC_PER_RAD = 180 * 3600 / math.pi
-CONFIDENCE = 0.95
+_GROUP = ("run", "unit", "signal", "procedure")
 
 
 class GyroReading(NamedTuple):
@@ -42,7 +45,7 @@ class AccelerometerReading(NamedTuple):
 
 
 class Angle(NamedTuple):
-    """An angle in arcsec, its standard error and its 95 % limits."""
+    """An angle in arcsec, its standard error and its 95 % bounds."""
 
     value: float
     standard_error: float
@@ -51,13 +54,13 @@ class Angle(NamedTuple):
 
 
 class Separation(NamedTuple):
-    """What was separated.
+    """The separated angles.
 
     Parameters
     ----------
     angles: By name: of a gyro ``y0``, ``x0`` (table), ``y1`` (fixture), ``y2``, ``z2`` (the gyro's own); of an
         accelerometer ``y2``, ``z2``.
-    gamma: hypot(y2, z2): the misalignment of the input axis. Its limits are not below 0.
+    gamma: hypot(y2, z2): the misalignment of the input axis. Its bounds are not below 0.
     offset: Output at rest, V0; where each position has its own, their mean.
     rms: Root of the mean square of the residuals, in the output's unit.
     freedom: Readings less unknowns; 0 leaves no standard errors (NaN).
@@ -78,10 +81,6 @@ def gyro_separation(readings: Sequence[GyroReading], scale_factor: float) -> Sep
     readings: At least the fixture positions (alpha, beta) = (0, 0), (0, 180), (180, 180), (90, 180), (0, 90) degrees,
         each turned both ways; any number of speeds and repeats.
     scale_factor: Output per deg/s, with its sign.
-
-    Raises
-    ------
-    BadInput: If the positions do not tell all five angles apart.
 
     Notes
     -----
@@ -117,10 +116,6 @@ def accelerometer_separation(readings: Sequence[AccelerometerReading], scale_fac
     ----------
     readings: At 0, 90, 180 and 270 degrees, any number of repeats.
     scale_factor: Output per g.
-
-    Raises
-    ------
-    BadInput: If the positions do not tell the two angles apart.
 
     Notes
     -----
@@ -178,3 +173,48 @@ def _separated(
 def _angle(value_rad: float, error_rad: float, t: float) -> Angle:
     value, error = value_rad * ARCSEC_PER_RAD, error_rad * ARCSEC_PER_RAD
     return Angle(float(value), float(error), float(value - t * error), float(value + t * error))
+
+
+def separation_rows(
+    catalog: Catalog,
+    statement: str,
+    positions: Mapping[str, Any],
+    lack: Callable[[Sequence[Mapping[str, Any]]], str | None],
+    separate: Callable[[Sequence[Mapping[str, Any]]], Separation],
+) -> Iterator[dict[str, Any]]:
+    """Rows of a separation metric: one for each angle, or one with the reason why there is none.
+
+    Parameters
+    ----------
+    statement: Gives `run, unit, signal, procedure, index, position, scale_source` of each step, and what `lack` and
+        `separate` take; in the order of the first four.
+    positions: The positions that the method names, by their words.
+    lack: What a group's steps lack besides positions, None if nothing.
+    separate: Solves a group; the message of its `BadInput` is the reason.
+    """
+    steps: list[dict[str, Any]] = catalog.reader(statement).read_all().to_pylist()
+    for key, group in groupby(steps, lambda row: tuple(row[name] for name in _GROUP)):
+        rows = list(group)
+        common = dict(zip(_GROUP, key, strict=True)) | {"n": len(rows), "steps": [row["index"] for row in rows]}
+        words = {"scale_factor": rows[0]["scale_source"], "steps_at_each": len(rows) // len(positions)}
+        missing = [name for name in positions if name not in {row["position"] for row in rows}]
+        reason = f"position {', '.join(missing)} was not measured" if missing else lack(rows)
+        if reason is None:
+            try:
+                yield from (common | row for row in _rows_of(separate(rows), words))
+            except BadInput as error:
+                reason = str(error)
+        if reason is not None:
+            yield common | {"parameters": {"angle": "gamma"} | words, "reason": reason}
+
+
+def _rows_of(found: Separation, words: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    for name, angle in (found.angles | {"gamma": found.gamma}).items():
+        yield {
+            "value": angle.value,
+            "lo": angle.lo,
+            "hi": angle.hi,
+            "standard_uncertainty": angle.standard_error,
+            "freedom": float(found.freedom),
+            "parameters": {"angle": name, **words, "rms": float(f"{found.rms:.4g}")},
+        }

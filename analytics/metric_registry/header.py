@@ -1,4 +1,4 @@
-"""The header of a metric: what it is called, in which unit, by which clause, and how its limits are had."""
+"""The header of a metric: its names, unit, clauses, and where its confidence bounds come from."""
 
 import re
 from enum import StrEnum
@@ -11,11 +11,11 @@ _SOURCE = re.compile(r"\s*(?P<standard>[A-Za-z]+ ?[0-9]+[A-Z]?|[A-Z]+)(?:-[0-9]{
 
 
 class MetricError(GyrofleetError):
-    """A metric is not written as one must be."""
+    """The file of a metric is malformed."""
 
 
-class Limits(StrEnum):
-    """Where the limits of a metric's values come from."""
+class BoundsSource(StrEnum):
+    """Where the confidence bounds of a metric's values come from (header line `limits`)."""
 
     T = "t"
     """value +- t(freedom) * standard_uncertainty."""
@@ -33,20 +33,20 @@ class Source(NamedTuple):
 
 
 class MetricHeader(NamedTuple):
-    """What is known of a metric before it is computed.
+    """The header of a metric.
 
     Parameters
     ----------
     id: The field's standard term.
-    en, zh: Its name.
-    unit: Unit of measure of its values.
+    en, zh: Names.
+    unit: Unit of measure of the values.
     better: ``lower``, ``higher`` or ``neither``.
-    grain: What one value is of, such as ``unit, signal, run``.
-    parameters: Names in the values' parameters, by which limits tell values apart; may be written in several lines.
+    grain: What one value belongs to, such as ``unit, signal, run``.
+    parameters: Names of the values' parameters, which specification limits can select by.
     sources: Clauses.
     needs: What must have been measured.
-    limits: Where its limits come from.
-    equation: In words of the clause.
+    limits: Where the confidence bounds come from.
+    equation: As in the clause.
     """
 
     id: str
@@ -58,7 +58,7 @@ class MetricHeader(NamedTuple):
     parameters: tuple[str, ...]
     sources: tuple[Source, ...]
     needs: str
-    limits: Limits
+    limits: BoundsSource
     equation: str
 
     @property
@@ -73,11 +73,7 @@ class MetricHeader(NamedTuple):
 
 
 def parse_header(text: str, where: str) -> MetricHeader:
-    """Read the comment lines ``-- key: value`` at the head of a metric.
-
-    Raises
-    ------
-    MetricError: If a line is missing or says what cannot be.
+    """Read the comment lines ``-- key: value`` at the head of a metric; `parameters` may take several lines.
 
     Examples
     --------
@@ -96,7 +92,7 @@ def parse_header(text: str, where: str) -> MetricHeader:
     >>> header.standard, header.sources[1], header.parameters
     ('GJB2426A, JJF2014', Source(standard='JJF2014', clause='7.2.13 (27)(28)'), ('earth_rate', 'position'))
     """
-    said: dict[str, str] = {}
+    lines: dict[str, str] = {}
     parameters: list[str] = []
     for line in text.splitlines():
         if not line.startswith("--"):
@@ -105,16 +101,16 @@ def parse_header(text: str, where: str) -> MetricHeader:
         if match is not None and match[1] == "parameters":
             parameters += [name.strip() for name in match[2].split(",")]
         elif match is not None:
-            said.setdefault(match[1], match[2])
-    missing = [name for name in MetricHeader._fields if name not in said and name not in {"sources", "parameters"}]
-    if missing or "source" not in said:
-        raise MetricError(f"metric {where}: its header lacks {', '.join(missing or ['source'])}")
-    if said["better"] not in {"lower", "higher", "neither"} or said["limits"] not in set(Limits):
-        raise MetricError(f"metric {where}: better is lower, higher or neither; limits are {', '.join(Limits)}")
+            lines.setdefault(match[1], match[2])
+    texts = ("id", "en", "zh", "unit", "better", "grain", "needs", "equation")
+    if missing := [name for name in (*texts, "limits", "source") if name not in lines]:
+        raise MetricError(f"metric {where}: its header lacks {', '.join(missing)}")
+    if lines["better"] not in {"lower", "higher", "neither"} or lines["limits"] not in set(BoundsSource):
+        raise MetricError(f"metric {where}: better is lower, higher or neither; limits are {', '.join(BoundsSource)}")
     return MetricHeader(
-        **{name: said[name] for name in ("id", "en", "zh", "unit", "better", "grain", "needs", "equation")},
-        sources=tuple(_source(each, where) for each in said["source"].split(";")),
-        limits=Limits(said["limits"]),
+        **{name: lines[name] for name in texts},
+        sources=tuple(_source(each, where) for each in lines["source"].split(";")),
+        limits=BoundsSource(lines["limits"]),
         parameters=tuple(parameters),
     )
 

@@ -1,21 +1,20 @@
-"""Components of variance: how far values scatter within groups, and how far the groups scatter beyond that.
-
-The groups are days in a repeatability, stations or fixtures where these are compared.
-"""
+"""Repeatability over days: standard deviations and components of variance, less the noise of what was measured."""
 
 import math
+from collections import Counter
 from collections.abc import Hashable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from scipy import special
 
-from analytics.metrics.limits_of_value import CONFIDENCE
+from analytics.methods.confidence_bounds import CONFIDENCE
 
+KINDS = ("all", "run_to_run", "day_to_day", "within_day_component", "between_day_component")
 _TAIL = (1 - CONFIDENCE) / 2
 
 
-class Deviation(NamedTuple):
-    """A standard deviation with its limits, standard uncertainty and degrees of freedom."""
+class DeviationEstimate(NamedTuple):
+    """A standard deviation with its bounds, standard uncertainty and degrees of freedom."""
 
     value: float
     lo: float
@@ -31,7 +30,7 @@ class Variance(NamedTuple):
     freedom: float
 
 
-_NOTHING = Variance(0.0, 1e9)
+_NOTHING, _UNKNOWN = Variance(0.0, 1e9), Variance(math.nan, math.nan)
 
 
 class MeansNoise(NamedTuple):
@@ -39,12 +38,22 @@ class MeansNoise(NamedTuple):
 
     Parameters
     ----------
-    square, within, of_means: To the variance of all values, to that inside the groups, to that of the groups' means.
+    square, within, of_means: To the variance of all values, within the groups, and of the groups' means.
     """
 
-    square: Variance
-    within: Variance
-    of_means: Variance
+    square: Variance = _UNKNOWN
+    within: Variance = _UNKNOWN
+    of_means: Variance = _UNKNOWN
+
+
+class ValuesNoise(NamedTuple):
+    """What the noise of values adds to their scatter: as estimated, and the least that it can be."""
+
+    likely: MeansNoise = MeansNoise()
+    least: MeansNoise = MeansNoise()
+
+
+_NO_NOISE = ValuesNoise()
 
 
 class Scatter(NamedTuple):
@@ -54,7 +63,7 @@ class Scatter(NamedTuple):
     ----------
     values: How many values.
     square: Variance of all of them, NaN for one.
-    within, within_freedom: Variance inside the groups, pooled, and its degrees of freedom; NaN and 0 where no group has
+    within, within_freedom: Variance within the groups, pooled, and its degrees of freedom; NaN and 0 where no group has
         two.
     groups: How many groups.
     of_means: Variance of the groups' means, NaN for one.
@@ -78,10 +87,10 @@ def scatter(values: Sequence[float], groups: Sequence[Hashable]) -> Scatter:
     >>> scatter([1.0, 3.0, 5.0, 7.0], ["a", "a", "b", "b"])
     Scatter(values=4, square=6.666666666666667, within=2.0, within_freedom=2, groups=2, of_means=8.0, size=2.0)
     """
-    told: dict[Hashable, list[float]] = {}
+    by_group: dict[Hashable, list[float]] = {}
     for value, group in zip(values, groups, strict=True):
-        told.setdefault(group, []).append(value)
-    parts = list(told.values())
+        by_group.setdefault(group, []).append(value)
+    parts = list(by_group.values())
     means = [math.fsum(part) / len(part) for part in parts]
     freedom = len(values) - len(parts)
     inside = math.fsum((value - mean) ** 2 for part, mean in zip(parts, means, strict=True) for value in part)
@@ -104,7 +113,7 @@ def _variance(values: Sequence[float]) -> float:
 
 
 def pooled(uncertainties: Sequence[float | None], freedoms: Sequence[float | None]) -> list[float | None]:
-    """Uncertainties of like records replaced by what they say together, each with its weight; None where one is None.
+    """Uncertainties of equivalent records replaced by their pooled one, each weighted; unchanged where one is None.
 
     Examples
     --------
@@ -129,9 +138,7 @@ def means_noise(
     >>> found.square, found.of_means
     (Variance(value=1.0, freedom=36.0), Variance(value=0.5, freedom=36.0))
     """
-    sizes: dict[Hashable, int] = {}
-    for group in groups:
-        sizes[group] = sizes.get(group, 0) + 1
+    sizes = Counter(groups)
     own = [sizes[group] for group in groups]
     n, free = len(own), len(own) - len(sizes)
 
@@ -141,32 +148,32 @@ def means_noise(
             for weight, u, freedom in zip(weights, uncertainties, freedoms, strict=True)
             if u is not None
         ]
-        total = math.fsum(part for part, _ in parts)
         if len(parts) < n or not n:
-            return Variance(math.nan, math.nan)
+            return _UNKNOWN
+        total = math.fsum(part for part, _ in parts)
         fourth = math.fsum(part * part / max(freedom, 1.0) for part, freedom in parts)
         return Variance(total, total * total / fourth if fourth else 1e9)
 
     return MeansNoise(
-        square=mean_square([1 / n] * n) if n else Variance(math.nan, math.nan),
-        within=mean_square([(1 - 1 / size) / free for size in own]) if free else Variance(math.nan, math.nan),
+        square=mean_square([1 / n] * n) if n else _UNKNOWN,
+        within=mean_square([(1 - 1 / size) / free for size in own]) if free else _UNKNOWN,
         of_means=mean_square([1 / (size * size * len(sizes)) for size in own]),
     )
 
 
-def beyond(observed: Variance, known: Variance, least: Variance | None = None) -> Deviation:
+def beyond(observed: Variance, known: Variance, least: Variance | None = None) -> DeviationEstimate:
     """Root of what a variance holds beyond a part that was estimated elsewhere, 0 where that is all of it.
 
     Parameters
     ----------
     observed: Sum of both parts; its estimate follows chi-square.
-    known: The part that is taken off; NaN takes off nothing.
-    least: The least that this part can be, for the upper limit; the same if left out.
+    known: The part that is subtracted; NaN subtracts nothing.
+    least: The least that this part can be, for the upper bound; the same if omitted.
 
     Notes
     -----
-    sigma**2 = observed - known. The limits are those of Tukey and Williams; they hold at least at their level also
-    where what is left is nearly 0, and are those of chi-square where nothing is taken off. Degrees of freedom by
+    sigma**2 = observed - known. The bounds are those of Tukey and Williams; they hold at least at their level also
+    where what is left is nearly 0, and are those of chi-square where nothing is subtracted. Degrees of freedom by
     Satterthwaite.
 
     Examples
@@ -186,24 +193,21 @@ def beyond(observed: Variance, known: Variance, least: Variance | None = None) -
         bounds.append(math.sqrt(max(freedom * left / special.chdtri(freedom, tail), 0.0)))
     spread = 2 * (observed.value**2 / freedom + part**2 / part_freedom)
     value = math.sqrt(variance)
-    # where it is nearly 0 its root has no slope: a quarter of the interval says as much
+    # near 0 the root has no slope: a quarter of the interval stands for its uncertainty
     quarter = (bounds[1] - bounds[0]) / 4
     u = min(math.sqrt(spread) / (2 * value), quarter) if value else quarter
-    return Deviation(value, bounds[0], bounds[1], u, max(2 * variance**2 / spread, 1.0) if spread else float(freedom))
+    left_freedom = max(2 * variance**2 / spread, 1.0) if spread else float(freedom)
+    return DeviationEstimate(value, bounds[0], bounds[1], u, left_freedom)
 
 
-def between(found: Scatter) -> Deviation:
-    """Root of the variance between groups, beyond what the scatter within them makes of their means.
-
-    Parameters
-    ----------
-    found: Of at least 2 groups, one of them of at least 2 values.
+def between(found: Scatter) -> DeviationEstimate:
+    """Root of the variance between at least 2 groups, beyond what the scatter within them adds to their means.
 
     Notes
     -----
     With h the harmonic mean of the sizes, the variance of the groups' means is sigma_b**2 + sigma_w**2/h on average, so
-    sigma_b**2 = var(means) - within/h, 0 where that is negative; with equal sizes it is what the analysis of variance
-    gives (`beyond`; Thomas and Hultquist 1978).
+    sigma_b**2 = var(means) - within/h, 0 where that is negative; with equal sizes it is the estimate of the analysis of
+    variance (`beyond`; Thomas and Hultquist 1978).
 
     Examples
     --------
@@ -213,3 +217,45 @@ def between(found: Scatter) -> Deviation:
     """
     of_means = Variance(found.of_means, found.groups - 1)
     return beyond(of_means, Variance(found.within / found.size, found.within_freedom))
+
+
+def deviation_of(
+    found: Scatter, kind: str, what: str, noise: ValuesNoise = _NO_NOISE, *, is_dated: bool
+) -> dict[str, Any]:
+    """One of the `KINDS` of deviations: the columns of a `DeviationEstimate`, or a `reason`.
+
+    Parameters
+    ----------
+    found: At least 2 values in groups of days; in groups of runs where the days are not known.
+    what: What was measured, in the plural, as ``power-ons``.
+    noise: What the values' own noise adds; it is subtracted.
+    """
+    days = "days" if is_dated else "runs"
+    likely, least = noise
+    of_days = kind in {"day_to_day", "between_day_component"} or (kind != "all" and not found.within_freedom)
+    if of_days and not is_dated:
+        return {"reason": "the date is unknown, so the day is: import with the moment of the start"}
+    if kind == "all":
+        if found.groups > 1 and found.within_freedom:
+            return {
+                "reason": f"{found.values} {what} of {found.groups} {days}, several of one, which share its effect: "
+                "one deviation of all says neither; see run_to_run, day_to_day and their components"
+            }
+        return beyond(Variance(found.square, found.values - 1), likely.square, least.square)._asdict()
+    if kind != "day_to_day" and not found.within_freedom:
+        return {"reason": f"each of the {found.values} {what} is of another day, 2 of one day are needed"}
+    if kind in {"run_to_run", "within_day_component"}:
+        return beyond(Variance(found.within, found.within_freedom), likely.within, least.within)._asdict()
+    if found.groups < 2:
+        return {"reason": f"all {found.values} {what} are of one day, 2 days are needed"}
+    if kind == "day_to_day":
+        return beyond(Variance(found.of_means, found.groups - 1), likely.of_means, least.of_means)._asdict()
+    # the scatter within the days contains the noise of the values
+    return between(found)._asdict()
+
+
+def scatters(found: Scatter, noise: ValuesNoise, kind: str) -> dict[str, float | None]:
+    """The parts of a deviation: the scatter by the equation of the clauses, and the noise of the values in it."""
+    part = {"all": "square", "run_to_run": "within", "within_day_component": "within"}.get(kind, "of_means")
+    parts = {"scatter": getattr(found, part), "uncertainty_of_means": getattr(noise.likely, part).value}
+    return {name: math.sqrt(each) if each >= 0 else None for name, each in parts.items()}

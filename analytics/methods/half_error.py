@@ -1,25 +1,25 @@
-"""The smallest input whose output is within 50 % of what it should be: what threshold and resolution have in common."""
+"""The smallest input whose output is within 50 % of the true one: the criterion of threshold and resolution."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from analytics.metrics.largest_magnitude import joint_half_widths
+from analytics.methods.confidence_bounds import joint_half_widths
 from stream.batch import FloatArray
 
 _SHARE = 0.5
 
 
 class Direction(NamedTuple):
-    """Inputs of one direction and how far the outputs are from them, all in one unit.
+    """Inputs of one direction and the output errors, all in one unit.
 
     Parameters
     ----------
     size: Magnitudes of the inputs, not 0.
     error: Magnitudes of the differences between output (over the scale factor) and input.
     u, freedom: Standard uncertainties of the differences and their degrees of freedom.
-    independent: How many of the differences are independent, where they are of a curve; else all are.
+    independent: How many of the differences are independent where they lie on a curve; else all are.
     """
 
     size: FloatArray
@@ -29,33 +29,37 @@ class Direction(NamedTuple):
     independent: int | None = None
 
 
-def direction_of(points: Sequence[Mapping[str, float | None]]) -> Direction:
-    """Points with ``size, error, u, freedom`` as arrays; an unknown uncertainty is none at all."""
-    size, error, u, freedom = (
-        np.array([each[name] if each[name] is not None else missing for each in points], np.float64)
-        for name, missing in (("size", np.nan), ("error", np.nan), ("u", 0.0), ("freedom", 1.0))
-    )
-    return Direction(size, error, u, freedom)
-
-
-def smallest_within_half(directions: Mapping[str, Direction]) -> dict[str, Any]:
-    """The larger of the smallest inputs of each direction, with limits; or the reason why there is none.
+def within_half_both_ways(points: Sequence[Mapping[str, Any]], what: str) -> dict[str, Any]:
+    """`smallest_within_half` of points with ``is_forward, size, error, u, freedom``; a direction may be missing.
 
     Parameters
     ----------
-    directions: By what they are called in a reason.
+    points: An unknown uncertainty counts as 0.
+    what: What is measured in a direction, for the reason.
+    """
+    missing = {"size": np.nan, "error": np.nan, "u": 0.0, "freedom": 1.0}
+    directions = {}
+    for name, is_forward in (("forwards", True), ("backwards", False)):
+        own = [each for each in points if each["is_forward"] == is_forward]
+        size, error, u, freedom = (
+            np.array([other if each[key] is None else each[key] for each in own], np.float64)
+            for key, other in missing.items()
+        )
+        directions[name] = Direction(size, error, u, freedom)
+    if empty := " and ".join(name for name, each in directions.items() if not each.size.size):
+        return {"reason": f"no {what} {empty} was measured, the clause asks for both directions"}
+    return smallest_within_half(directions)
 
-    Returns
-    -------
-    dict
-        ``value, lo, hi, standard_uncertainty`` or ``reason``.
+
+def smallest_within_half(directions: Mapping[str, Direction]) -> dict[str, Any]:
+    """The larger of the smallest inputs of each named direction: ``value, lo, hi, standard_uncertainty`` or ``reason``.
 
     Notes
     -----
-    An input counts if ``error/size <= 50 %`` holds at it and at all larger ones of its direction. The limits are tested
+    An input counts if ``error/size <= 50 %`` holds at it and at all larger ones of its direction. The bounds are tested
     inputs too: at the upper one and at all larger ones the condition holds also with the uncertainty of the outputs
-    (for all points together, Bonferroni), at the lower one it surely fails; 0 where it fails surely at none, and no
-    upper one where it holds surely at none.
+    (for all points together, Bonferroni), at the lower one it certainly fails; 0 where it certainly fails at none, and
+    no upper bound where it certainly holds at none.
 
     Examples
     --------
@@ -65,8 +69,7 @@ def smallest_within_half(directions: Mapping[str, Direction]) -> dict[str, Any]:
     {'value': 1.0, 'lo': 0.5, 'hi': 1.0, 'standard_uncertainty': 0.14433756729740646}
     """
     found = {name: _of_direction(each) for name, each in directions.items()}
-    failed = [name for name, (value, _, _) in found.items() if value is None]
-    if failed:
+    if failed := [name for name, (value, _, _) in found.items() if value is None]:
         return {"reason": f"at no input {' and '.join(failed)} is the output within 50 % of what it should be"}
     value = max(value for value, _, _ in found.values() if value is not None)
     lo = max(lo for _, lo, _ in found.values())
@@ -77,12 +80,12 @@ def smallest_within_half(directions: Mapping[str, Direction]) -> dict[str, Any]:
 
 
 def _of_direction(points: Direction) -> tuple[float | None, float, float | None]:
-    """Smallest input within 50 %, and its limits."""
+    """Smallest input within 50 %, and its bounds."""
     order = np.argsort(-points.size, kind="stable")
     size, error = points.size[order], points.error[order]
     half = joint_half_widths(points.u[order], points.freedom[order], points.independent)
-    surely_fails = error - half > _SHARE * size
-    lo = float(size[np.argmax(surely_fails)]) if surely_fails.any() else 0.0
+    fails = error - half > _SHARE * size
+    lo = float(size[np.argmax(fails)]) if fails.any() else 0.0
     return _last_of_run(error <= _SHARE * size, size), lo, _last_of_run(error + half <= _SHARE * size, size)
 
 

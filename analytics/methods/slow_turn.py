@@ -1,16 +1,16 @@
-"""One slow turn about the vertical: Earth's rate on a level axis goes through a cosine (GJB 2426A-2004 5.10.3.3)."""
+"""Threshold from one slow turn about the vertical: the Earth's rate on a level axis is a cosine (GJB 5.10.3.3)."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from analytics.metrics.half_error import Direction, smallest_within_half
+from analytics.methods.half_error import Direction, smallest_within_half
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray
 
 _LEAST_DEG = 350.0
-# how well the fit is known at its least input, over that: half is what is judged
+# relative uncertainty of the fit at its least input: the criterion is one half
 _SHARE = 1 / 6
 _FINER = 1.1
 _EVALUATED = 200
@@ -31,7 +31,7 @@ order by t_ns
 
 
 def turns(catalog: Catalog) -> Iterator[dict[str, Any]]:
-    """Each slow turn with what was `found` in it."""
+    """Each slow turn with its result, `found`."""
     for row in catalog.reader(_TURNS).read_all().to_pylist():
         yield row | {"steps": [row["index"]], "found": _found(catalog, row)}
 
@@ -44,9 +44,9 @@ def _found(catalog: Catalog, row: Mapping[str, Any]) -> dict[str, Any]:
         return {"reason": "no latitude, so the Earth's rate on the axis is unknown: give the station's latitude_deg"}
     if turned_deg < _LEAST_DEG:
         return {"reason": f"the table turned by {turned_deg:.0f} deg, the clause asks for one turn (5.10.3.3)"}
-    told = {"run": row["run"], "unit": row["unit"], "signal": row["signal"]}
-    told |= {"start": row["t_from_ns"], "end": row["t_to_ns"]}
-    means = catalog.reader(_MEANS, told).read_all()
+    asked = {"run": row["run"], "unit": row["unit"], "signal": row["signal"]}
+    asked |= {"start": row["t_from_ns"], "end": row["t_to_ns"]}
+    means = catalog.reader(_MEANS, asked).read_all()
     t_s, output = (np.asarray(means[name].to_numpy(), np.float64) for name in ("t_s", "mean"))
     if t_s.size < 8 * len(_QUARTERS):
         return {"reason": f"{t_s.size} means of 1 s in the turn, too few to see four crossings"}
@@ -66,8 +66,8 @@ def threshold_in_turn(t_s: FloatArray, output: FloatArray, turn_deg_per_s: float
     Notes
     -----
     The zero and the phase are those of the sine fitted to the turn. Each quarter of the turn ends or begins at one of
-    the four candidates about the two crossings, the largest of which is the threshold. What departs from the sine is
-    judged by a fit over the quarter, not sample by sample: straight pieces over the input, an octave long, down to the
+    the four candidates about the two crossings, the largest of which is the threshold. The departure from the sine is
+    fitted over the quarter, not judged sample by sample: straight pieces over the input, an octave long, down to the
     input at which the fit is known to a sixth of it; smaller ones are not judged. The uncertainty of a sample is its
     noise from second to second.
     """
@@ -90,7 +90,7 @@ def threshold_in_turn(t_s: FloatArray, output: FloatArray, turn_deg_per_s: float
 
 
 def _fitted(size: FloatArray, error: FloatArray, u: float, freedom: float) -> Direction:
-    """Error over the input in a quarter: straight pieces between knots an octave apart, down to what noise allows."""
+    """Error over the input in a quarter: linear pieces between knots an octave apart, down to the limit by noise."""
     least, found = float(size.max()), None
     while (narrower := _pieces(size, error, u, least / _FINER)) is not None:
         least, found = least / _FINER, narrower
