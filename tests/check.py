@@ -51,6 +51,18 @@ def environment(folder: Path) -> Path:
     return folder / "bin"
 
 
+def share_libraries(source: Path, target: Path) -> None:
+    """Let one environment import the libraries of another, not what is installed editable there."""
+    paths = [
+        subprocess.check_output(
+            [bin_ / "python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], text=True
+        ).strip()
+        for bin_ in (source, target)
+    ]
+    # a .pth file adds a folder to the path; the .pth files in that folder are not read
+    (Path(paths[1]) / "libraries.pth").write_text(f"{paths[0]}\n")
+
+
 def development_requirements() -> list[str]:
     """The `dev` group; the pip that comes with Python 3.11 does not know groups."""
     with (ROOT / "pyproject.toml").open("rb") as file:
@@ -82,7 +94,8 @@ def main() -> None:
         (wheel,) = (there / "dist").glob("*.whl")
         shutil.rmtree(ROOT / ".venv-wheel", ignore_errors=True)
         clean = environment(ROOT / ".venv-wheel")
-        run(clean / "python", "-m", "pip", "install", "--quiet", f"{wheel}[test]")
+        run(clean / "python", "-m", "pip", "install", "--quiet", "--no-deps", wheel)
+        share_libraries(bin_, clean)
         # beside nothing of the checkout but its tests, so that only the wheel can be imported
         shutil.copytree(ROOT / "tests", there / "project" / "tests", ignore=shutil.ignore_patterns("__pycache__"))
         shutil.copy(ROOT / "pyproject.toml", there / "project")

@@ -22,6 +22,7 @@ def test_each_package_has_exactly_one_owner(package: str) -> None:
         ("storage.sql", "schema/10_tables.sql"),
         ("storage.sql", "schema/20_views.sql"),
         ("analytics.demo", "demo_limits.toml"),
+        ("ingest.simulator", "station_template/station.toml"),
     ],
 )
 def test_what_is_not_python_is_shipped_too(package: str, name: str) -> None:

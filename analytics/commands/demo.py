@@ -112,7 +112,7 @@ def _tell_found(state: "DemoState") -> None:
 
 def _tell_next(state: "DemoState", folder: Path, plot: Path) -> None:
     from analytics.demo.demo_loop import DECLARED_MODEL
-    from ingest.simulator.cycle_runs import ODD_UNIT
+    from ingest.simulator.demo_fleet import ODD_UNIT
 
     option = "" if str(folder) == "gyrofleet-data" else f" --store {folder}"
     size_mb = {

@@ -1,8 +1,7 @@
 """The demonstration: eight simulated gyros through the whole path, faster than real time."""
 
-import heapq
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.resources import files
@@ -11,8 +10,9 @@ from pathlib import Path
 from analytics.demo.demo_loop import cycle_names, send_cycle, trace_fleet
 from analytics.loop.unit_diagnosis import UnitsDiagnosis
 from ingest.run.pipeline import EmbeddedPipeline
-from ingest.simulator.cycle_runs import cycle_runs, cycles_last_s
-from ingest.simulator.gyro import GyroParameters, demo_fleet, unit_batches
+from ingest.simulator.demo_fleet import cycle_runs, cycles_last_s, demo_fleet
+from ingest.simulator.physics.plan import Plan
+from ingest.simulator.station import PowerCycle, SimulatedStation
 from storage.specifications.live_limits import UnitLimits, unit_limits
 from storage.specifications.specification import parse_specification
 from stream.batch import SampleBatch
@@ -37,6 +37,7 @@ from stream.quantities import report_unit
 PLACE = Place("simulated", "demo-station")
 ESTIMATE_EVERY_S = 600.0
 _BEFORE_S = 3600.0
+_RATE_BATCH, _TEMPERATURE_BATCH = 1000, 60
 # the simulated gyros at rest feel no Earth's rate
 _AT_REST = StepWords(procedure="static_bias", position="IRA_east_west")
 
@@ -101,12 +102,12 @@ def run_demo(
     ------
     GyrofleetError: If any part of the path failed.
     """
-    fleet = demo_fleet()
+    fleet = demo_fleet(seed)
     duration_s = hours * 3600.0
     began = datetime.now(UTC)
     t0_ns = (int(began.timestamp()) - round(duration_s)) * 10**9
     run = f"demo-{began:%Y%m%dT%H%M%SZ}"
-    state = DemoState(run, duration_s, demo_limits(), {gyro.unit: UnitView(gyro.unit) for gyro in fleet})
+    state = DemoState(run, duration_s, demo_limits(), {unit: UnitView(unit) for unit in fleet.units})
 
     def on_document(document: AnyDocument) -> None:
         if isinstance(document, EarlyDecision):
@@ -125,7 +126,7 @@ def run_demo(
             t_ns=t0_ns,
             simulated=True,
             source=f"simulated station, seed {seed}",
-            units=tuple(gyro.unit for gyro in fleet),
+            units=fleet.units,
             procedure="static_bias",
             lot="DEMO-LOT-1",
         )
@@ -136,7 +137,10 @@ def run_demo(
         )
         totals: dict[tuple[str, str], StreamTotal] = {}
         shown_at = 0.0
-        for batch in _station(fleet, run, duration_s, seed, t0_ns):
+        end_ns = t0_ns + round(duration_s * 1e9)
+        station = SimulatedStation(fleet, run, batch=_RATE_BATCH, temperature_batch=_TEMPERATURE_BATCH)
+        # the short runs come before in time
+        for batch in station.batches(run, PowerCycle(len(cycle_runs(0)), t0_ns), end_ns):
             if (batch.unit, batch.signal) not in totals and batch.signal == "rate":
                 power_on = PowerOn(run=run, t_ns=batch.t0_ns, unit=batch.unit, epoch=str(batch.epoch))
                 pipeline.send_event(events, power_on)
@@ -148,39 +152,30 @@ def run_demo(
             if on_progress is not None and time.monotonic() - shown_at >= 0.1:
                 shown_at = time.monotonic()
                 on_progress(state)
-        end_ns = t0_ns + round(duration_s * 1e9)
-        _send_steps(pipeline, fleet, run, t0_ns, end_ns)
+        _send_steps(pipeline, fleet.units, run, t0_ns, end_ns - station.dt_ns)
         pipeline.send_event(events, RunEnded(run=run, t_ns=end_ns, totals=tuple(totals.values())))
         state.phase = "completing the record"
         if on_progress is not None:
             on_progress(state)
         pipeline.finish()
     state.seconds = time.monotonic() - state.began
-    _close_the_loop(folder, fleet, state, seed, t0_ns, on_progress)
+    _close_the_loop(folder, fleet, state, t0_ns, on_progress)
     state.phase = "done"
     if on_progress is not None:
         on_progress(state)
     return state
 
 
-def _send_steps(
-    pipeline: EmbeddedPipeline, fleet: tuple[GyroParameters, ...], run: str, t0_ns: int, end_ns: int
-) -> None:
-    """Send the step of each unit: at rest throughout the run."""
-    for gyro in fleet:
-        step = StepStarted(run=run, t_ns=t0_ns, unit=gyro.unit, words=_AT_REST)
-        last_ns = end_ns - gyro.sample_interval_ns
+def _send_steps(pipeline: EmbeddedPipeline, units: tuple[str, ...], run: str, t0_ns: int, last_ns: int) -> None:
+    """Say that each unit was at rest throughout the run."""
+    for unit in units:
+        step = StepStarted(run=run, t_ns=t0_ns, unit=unit, words=_AT_REST)
         pipeline.send_event(event_key(PLACE), step)
-        pipeline.send_event(event_key(PLACE), StepEnded(run=run, t_ns=last_ns, unit=gyro.unit, step_uid=step.uid))
+        pipeline.send_event(event_key(PLACE), StepEnded(run=run, t_ns=last_ns, unit=unit, step_uid=step.uid))
 
 
 def _close_the_loop(
-    folder: Path,
-    fleet: tuple[GyroParameters, ...],
-    state: DemoState,
-    seed: int,
-    t0_ns: int,
-    on_progress: Callable[[DemoState], None] | None,
+    folder: Path, fleet: Plan, state: DemoState, t0_ns: int, on_progress: Callable[[DemoState], None] | None
 ) -> None:
     """Nine earlier short runs with temperature cycles and rates, and the diagnosis of each unit."""
 
@@ -194,17 +189,9 @@ def _close_the_loop(
     with EmbeddedPipeline(folder, "gyrofleet demo", estimate_every_s=ESTIMATE_EVERY_S) as pipeline:
         for run, name in zip(runs, state.cycles, strict=True):
             report(f"short runs: {name}")
-            state.cycle_samples += send_cycle(pipeline, PLACE, fleet, run, name, seed)
+            state.cycle_samples += send_cycle(pipeline, PLACE, fleet, run, name)
         pipeline.finish()
-    state.found = trace_fleet(folder, tuple(each.unit for each in fleet), state.cycles, report)
-
-
-def _station(
-    fleet: tuple[GyroParameters, ...], run: str, duration_s: float, seed: int, t0_ns: int
-) -> Iterator[SampleBatch]:
-    """Batches of all units in the order of time, as a station would send them."""
-    sources = [unit_batches(gyro, run=run, duration_s=duration_s, seed=seed, t0_ns=t0_ns) for gyro in fleet]
-    return heapq.merge(*sources, key=lambda batch: batch.last_ns)
+    state.found = trace_fleet(folder, fleet.units, state.cycles, report)
 
 
 def _follow(state: DemoState, batch: SampleBatch, t0_ns: int) -> None:

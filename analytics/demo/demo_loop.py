@@ -6,8 +6,8 @@ from pathlib import Path
 from analytics.loop.unit_diagnosis import UnitsDiagnosis, diagnose_units
 from analytics.loop.unit_reduction import Question
 from ingest.run.pipeline import EmbeddedPipeline
-from ingest.simulator.cycle_runs import RUN_S, CycleRun, cycle_batches
-from ingest.simulator.gyro import GyroParameters
+from ingest.simulator.demo_fleet import RUN_S, CycleRun, cycle_batches
+from ingest.simulator.physics.plan import Plan
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.events import PowerOn, RunEnded, RunStarted, StreamTotal
@@ -21,16 +21,14 @@ def cycle_names(run: str, runs: tuple[CycleRun, ...]) -> tuple[str, ...]:
 
     Examples
     --------
-    >>> from ingest.simulator.cycle_runs import cycle_runs
+    >>> from ingest.simulator.demo_fleet import cycle_runs
     >>> cycle_names("demo-1", cycle_runs(0))[0]
     'demo-1-temperature_cycle-1'
     """
     return tuple(f"{run}-{each.kind}-{each.number}" for each in runs)
 
 
-def send_cycle(
-    pipeline: EmbeddedPipeline, place: Place, fleet: tuple[GyroParameters, ...], run: CycleRun, name: str, seed: int
-) -> int:
+def send_cycle(pipeline: EmbeddedPipeline, place: Place, fleet: Plan, run: CycleRun, name: str) -> int:
     """Send one of the short runs; the number of its samples.
 
     Raises
@@ -38,21 +36,20 @@ def send_cycle(
     GyrofleetError: If any part of the path failed.
     """
     events = event_key(place)
-    units = tuple(each.unit for each in fleet)
     pipeline.send_event(
         events,
         RunStarted(
             run=name,
             t_ns=run.t0_ns,
             simulated=True,
-            source=f"simulated station, seed {seed}",
-            units=units,
+            source=f"simulated station, seed {fleet.seed}",
+            units=fleet.units,
             procedure=run.kind,
             lot="DEMO-LOT-1",
         ),
     )
     totals: dict[tuple[str, str], StreamTotal] = {}
-    for batch in cycle_batches(fleet, run, name, seed):
+    for batch in cycle_batches(fleet, run, name):
         if (batch.unit, "rate") not in totals and batch.signal == "rate":
             pipeline.send_event(events, PowerOn(run=name, t_ns=batch.t0_ns, unit=batch.unit, epoch=str(batch.epoch)))
         pipeline.send_batch(sample_key(place, batch.unit, batch.signal), batch)

@@ -54,7 +54,7 @@ COLUMNS = pa.schema(
         ("reason", pa.string()),
     ]
 )
-_STILL = "create or replace table still_steps as from standing_steps"
+_STILL = "create or replace table internal.still_steps as from internal.standing_steps"
 # One order of all rows, so that what was kept and what is computed anew make the same table.
 _SORTED = """
 select * from unit_metrics
@@ -223,7 +223,7 @@ def _rate_units(steps: pa.Table) -> pa.Table:
 def _entered(catalog: Catalog) -> dict[str, str]:
     """What was entered by hand of each unit, as a hash; it may belong to no run."""
     found = catalog.rows(
-        "select unit, bit_xor(hash(uid))::varchar || '/' || count(*) from lake_documents "
+        "select unit, bit_xor(hash(uid))::varchar || '/' || count(*) from internal.lake_documents "
         "where kind = 'CheckEntered' group by unit"
     )
     return {str(unit): str(mark) for unit, mark in found}
@@ -232,7 +232,7 @@ def _entered(catalog: Catalog) -> dict[str, str]:
 def _products(catalog: Catalog) -> dict[str, str]:
     """The numbers of each unit's product in its runs, as a hash."""
     found = catalog.rows(
-        "select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from run_products p group by unit"
+        "select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from internal.run_products p group by unit"
     )
     return {str(unit): str(mark) for unit, mark in found}
 

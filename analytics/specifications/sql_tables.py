@@ -184,7 +184,7 @@ def _factors(catalog: Catalog) -> pa.Table:
     """Factors from the units that values are in to those that limits are in; none where they do not fit."""
     pairs = catalog.rows(
         "select distinct m.unit_of_measure as source, l.unit_of_measure as target from unit_metrics m "
-        "join limit_editions l using (metric) where m.unit_of_measure is not null order by all"
+        "join internal.limit_editions l using (metric) where m.unit_of_measure is not null order by all"
     )
     rows = []
     for source, target in pairs:

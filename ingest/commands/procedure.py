@@ -87,13 +87,14 @@ def show(name: str, choices: tuple[str, ...], *, as_json: bool) -> None:
 @procedure.command("check")
 @click.argument("name", type=PROCEDURE, metavar="NAME|FILE")
 @click.option(
-    "--settings", help="What the station's instruments can be set to, as rate,temperature; else that is not checked."
+    "--settings", help="Settings of the station's instruments, as rate,temperature; without them it is not checked."
 )
 @click.option("--station", type=click.Path(path_type=Path), help="The station's file, instead of --settings.")
 @_set_option
 @reporting
 def check(name: str, settings: str | None, station: Path | None, choices: tuple[str, ...], *, as_json: bool) -> None:
     """Check a procedure, and whether a station can do it."""
+    from ingest.procedures.file import near_name
     from ingest.procedures.procedure import SETTINGS, load_procedure
     from ingest.station.station import load_station
 
@@ -104,7 +105,8 @@ def check(name: str, settings: str | None, station: Path | None, choices: tuple[
     if settings is not None:
         able = [each.strip() for each in settings.split(",") if each.strip()]
         if unknown := [each for each in able if each not in SETTINGS]:
-            raise BadInput(f"--settings: {unknown[0]!r} is no setting; there is {', '.join(SETTINGS)}")
+            near = near_name(unknown[0], SETTINGS)
+            raise BadInput(f"--settings: {unknown[0]!r} is no setting{near}; there is {', '.join(SETTINGS)}")
         unmet = found.unmet(able, given)
     if station is not None:
         unmet = found.unmet(load_station(station).settings, given)
@@ -197,7 +199,7 @@ def estimate_time(
 
 
 def duration(seconds: float) -> str:
-    """Seconds as people say them.
+    """Seconds as a readable duration.
 
     Examples
     --------

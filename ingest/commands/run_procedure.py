@@ -15,7 +15,7 @@ import msgspec
 
 from ingest.instruments.base import Instrument
 from ingest.procedures.procedure import PlannedStep, Procedure, load_procedure
-from ingest.procedures.run_steps import goes_on_at
+from ingest.procedures.run_steps import resume_index
 from ingest.run.run_path import (
     INTERRUPTED,
     Destination,
@@ -139,7 +139,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
             {f"instrument.{name}": each for name, each in found.instruments.items()} | _about(job, asked.parameters),
             operator=asked.operator or _common(job.entries, "operator"),
             lot=asked.lot or _common(job.entries, "lot"),
-            at=goes_on_at(job.steps, log.state.step),
+            at=resume_index(job.steps, log.state.step),
             warnings=found.warnings,
             limits=limits,
         )

@@ -18,7 +18,7 @@ from stream.errors import BadInput, InstrumentError
 _READY_S = 60.0
 _LOOK_S = 0.2
 _END_S = 5.0
-_LEFT_S = 2.0  # how long processes of a station that was killed may take to see it
+_LEFT_S = 2.0  # for the processes of a killed station to end
 
 
 @click.command("simulate")
@@ -32,27 +32,27 @@ _LEFT_S = 2.0  # how long processes of a station that was killed may take to see
     "--rate-hz", type=click.FloatRange(min=0.1, max=1000.0), default=10.0, show_default=True,
     help="Samples a second, in a new folder.",
 )  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the fleet, in a new folder.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed, in a new folder.")
 @reporting
 def simulate(folder: Path, units: int, speed: float, rate_hz: float, seed: int, *, as_json: bool) -> None:
-    """Play a test station: chamber, rate table and supply that speak SCPI, and gyros on a CAN bus.
+    """Simulate a test station: chamber, rate table and supply that speak SCPI, and gyros on a CAN bus.
 
-    It is reached like a real one: `gyrofleet run PROCEDURE --station FOLDER/station.toml --units FOLDER/units.csv`. In
-    a new folder the files of a station are written first; edit them, fleet.toml says what is planted in the gyros.
-    What was drawn for each power-on goes to truth.jsonl, which nothing else reads. Ctrl-C ends it.
+    It is used like a real one: `gyrofleet run PROCEDURE --station FOLDER/station.toml --units FOLDER/units.csv`. In a
+    new folder the files of a station are written first; fleet.toml holds the effects planted in the gyros. What was
+    drawn for each power-on goes to truth.jsonl, which nothing else reads. Ctrl-C ends it.
     """
     from ingest.simulator.station_files import STATION, UNITS, read_simulation, write_station
 
     write_station(folder, [f"SIM-{i:04d}" for i in range(1, units + 1)], speed=speed, rate_hz=rate_hz, seed=seed)
     simulation = read_simulation(folder)
-    with until_stopped() as stop, _held(folder) as held:
-        playing: list[subprocess.Popen[str]] = []
+    with until_stopped() as stop, _locked(folder) as lock:
+        processes: list[subprocess.Popen[str]] = []
         try:
             for role in ("instruments", "gyros"):
-                playing.append(_start(role, folder, held, stop))  # noqa: PERF401  what has started is ended, whatever the next does
+                processes.append(_start(role, folder, lock, stop))  # noqa: PERF401  what has started is ended if the next fails
             if as_json:
-                told = {name: str(folder / file) for name, file in (("station", STATION), ("units", UNITS))}
-                print_json({"event": "ready", **told, "speed": simulation.speed})
+                paths = {"station": str(folder / STATION), "units": str(folder / UNITS)}
+                print_json({"event": "ready", **paths, "speed": simulation.speed})
             else:
                 command = f"gyrofleet run static_bias --station {shlex.quote(str(folder / STATION))}"
                 results().print(
@@ -60,18 +60,18 @@ def simulate(folder: Path, units: int, speed: float, rate_hz: float, seed: int, 
                     f"--units {shlex.quote(str(folder / UNITS))} --yes",
                     soft_wrap=True, markup=False,
                 )  # fmt: skip
-            _watch(playing, stop)
+            _watch(processes, stop)
         finally:
-            for process in reversed(playing):
+            for process in reversed(processes):
                 process.terminate()
-            for process in playing:
+            for process in processes:
                 _end(process)
     notes().print("station ended")
 
 
 @contextmanager
-def _held(folder: Path) -> Iterator[int]:
-    """Have the folder alone, as its ports; the processes of the station hold it as well, until the last has ended."""
+def _locked(folder: Path) -> Iterator[int]:
+    """Lock the folder, whose ports have one user; the station's processes hold the lock until the last has ended."""
     with (folder / "lock").open("a") as file:
         until = time.monotonic() + _LEFT_S
         while True:
@@ -81,28 +81,28 @@ def _held(folder: Path) -> Iterator[int]:
             except BlockingIOError:
                 if time.monotonic() > until:
                     raise BadInput(
-                        f"another gyrofleet simulate plays the station in {folder}: use that one, or end it with Ctrl-C"
+                        f"another gyrofleet simulate runs the station in {folder}: use that one, or end it with Ctrl-C"
                     ) from None
                 time.sleep(_LOOK_S)
         yield file.fileno()
 
 
-def _start(role: str, folder: Path, held: int, stop: Stop) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "ingest.simulator.station_roles", role, str(folder)]
+def _start(role: str, folder: Path, lock: int, stop: Stop) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "ingest.simulator.processes", role, str(folder)]
     process = subprocess.Popen(  # noqa: S603  a module of ours
-        command, stdout=subprocess.PIPE, text=True, start_new_session=True, pass_fds=(held,)
+        command, stdout=subprocess.PIPE, text=True, start_new_session=True, pass_fds=(lock,)
     )
     assert process.stdout is not None
     until = time.monotonic() + _READY_S
-    is_told = False
-    while not is_told and stop.asked_at is None and time.monotonic() < until:
-        is_told = bool(select.select([process.stdout], [], [], _LOOK_S)[0])
-    if is_told and process.stdout.readline() == "ready\n":
+    has_output = False
+    while not has_output and stop.asked_at is None and time.monotonic() < until:
+        has_output = bool(select.select([process.stdout], [], [], _LOOK_S)[0])
+    if has_output and process.stdout.readline() == "ready\n":
         return process
     _end(process)
     if stop.asked_at is not None:
         raise KeyboardInterrupt
-    raise InstrumentError(f"the simulated {role} did not start (exit code {process.returncode}); see above why")
+    raise InstrumentError(f"the simulated {role} did not start (exit code {process.returncode}); the reason is above")
 
 
 def _end(process: subprocess.Popen[str]) -> None:
@@ -114,9 +114,9 @@ def _end(process: subprocess.Popen[str]) -> None:
         process.wait()
 
 
-def _watch(playing: list[subprocess.Popen[str]], stop: Stop) -> None:
+def _watch(processes: list[subprocess.Popen[str]], stop: Stop) -> None:
     while not stop.wait(_LOOK_S):
-        for process in playing:
+        for process in processes:
             if process.poll() is not None:
                 raise InstrumentError(
                     f"a process of the simulated station has ended with exit code {process.returncode}"

@@ -1,13 +1,10 @@
 """Temperature chamber."""
 
-from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any
 
-from ingest.instruments.base import Options
 from ingest.instruments.scpi import ScpiOptions
-from ingest.instruments.scpi_instrument import ScpiInstrument
-from ingest.instruments.settling import Settling
+from ingest.instruments.scpi_instrument import ScpiInstrument, Settling
 from ingest.station_clock import StationClock
 from stream.errors import BadInput
 
@@ -17,10 +14,10 @@ class TemperatureChamberOptions(ScpiOptions, frozen=True, kw_only=True, forbid_u
 
     Parameters
     ----------
-    lowest_deg_c, highest_deg_c: Beyond these nothing is set.
-    band_deg_c: A temperature is reached when what is measured stays within this of it, degC.
-    stable_s: For this long, seconds at the station.
-    room_deg_c: Where it is left alone, degC.
+    lowest_deg_c, highest_deg_c: Range of settings.
+    band_deg_c, stable_s: A temperature has settled when it is measured within `band_deg_c` of its setting for
+        `stable_s`.
+    room_deg_c: Temperature of the safe state.
     """
 
     lowest_deg_c: float = -40.0
@@ -35,8 +32,9 @@ class TemperatureChamber(ScpiInstrument):
 
     Examples
     --------
-    A maker's own words in the station file: ``[instruments.chamber.commands]``, ``set = "TEMP,S{value:.1f}"``; and
-    where an answer holds more than the number, ``[instruments.chamber.answers]``, ``measure = "([^,]+),.*"``.
+    A manufacturer's own commands in the station file: ``[instruments.chamber.commands]``, ``set =
+    "TEMP,S{value:.1f}"``; and where an answer holds more than the number, ``[instruments.chamber.answers]``,
+    ``measure = "([^,]+),.*"``.
 
     >>> options = TemperatureChamberOptions(
     ...     resource="ASRL/dev/ttyUSB0::INSTR", identity="none", check_errors=False,
@@ -46,29 +44,28 @@ class TemperatureChamber(ScpiInstrument):
     (-40.0, 85.0)
     """
 
-    kind: ClassVar[str] = "temperature_chamber"
-    names: ClassVar[Mapping[str, str]] = MappingProxyType({"en": "temperature chamber", "zh": "高低温试验箱"})
-    options_type: ClassVar[type[Options]] = TemperatureChamberOptions
-    settings: ClassVar[Mapping[str, str]] = MappingProxyType({"temperature": "degC"})
-    signals: ClassVar[Mapping[str, str]] = MappingProxyType({"chamber_temperature": "degC"})
-    commands: ClassVar[Mapping[str, str]] = MappingProxyType({"set": "TEMP:SETP {value:.6g}", "measure": "TEMP:ACT?"})
-    set_by: ClassVar[Mapping[str, str]] = MappingProxyType({"temperature": "set"})
-    settled_by: ClassVar[Mapping[str, str]] = MappingProxyType({"temperature": "measure"})
-    measured_by: ClassVar[Mapping[str, str]] = MappingProxyType({"chamber_temperature": "measure"})
+    kind = "temperature_chamber"
+    names = MappingProxyType({"en": "temperature chamber", "zh": "高低温试验箱"})
+    options_type = TemperatureChamberOptions
+    settings = MappingProxyType({"temperature": "degC"})
+    signals = MappingProxyType({"chamber_temperature": "degC"})
+    commands = MappingProxyType({"set": "TEMP:SETP {value:.6g}", "measure": "TEMP:ACT?"})
+    set_by = MappingProxyType({"temperature": "set"})
+    settled_by = MappingProxyType({"temperature": "measure"})
+    measured_by = MappingProxyType({"chamber_temperature": "measure"})
 
     def __init__(self, name: str, options: Any, clock: StationClock) -> None:
         super().__init__(name, options, clock)
         low, high = self.limits("temperature")
         if not low <= options.room_deg_c <= high:
             raise BadInput(f"{self.who}: room_deg_c of {options.room_deg_c:g} is not within {low:g} to {high:g} degC")
-        self.settling("temperature", options.room_deg_c)
 
     def limits(self, what: str) -> tuple[float, float]:  # noqa: ARG002
-        """Lowest and highest temperature, degC."""
+        """Lowest and highest temperature."""
         return self.options.lowest_deg_c, self.options.highest_deg_c
 
     def settling(self, what: str, value: float) -> Settling:  # noqa: ARG002
-        """When a temperature counts as reached."""
+        """Criterion by which a temperature has settled."""
         return Settling(value, self.options.band_deg_c, self.options.stable_s)
 
     def make_safe(self) -> None:

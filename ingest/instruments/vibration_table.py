@@ -1,17 +1,13 @@
 """Angular-vibration table: a sine of the rate about one axis, for bandwidth and delay."""
 
-from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any
 
-from ingest.instruments.base import Options, Reading
+from ingest.instruments.base import Reading
 from ingest.instruments.scpi import ScpiOptions
-from ingest.instruments.scpi_instrument import ScpiInstrument
-from ingest.instruments.settling import Settling
+from ingest.instruments.scpi_instrument import ScpiInstrument, Settling
 from ingest.station_clock import StationClock
 from stream.errors import InstrumentError
-
-_LEAST_FIELDS = 2  # time and interval, and then no sample
 
 
 class VibrationTableOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -19,12 +15,11 @@ class VibrationTableOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unkno
 
     Parameters
     ----------
-    lowest_frequency_hz, highest_frequency_hz: Beyond these no frequency is set.
-    max_amplitude_deg_per_s: Beyond this no amplitude of the rate is set.
-    frequency_band_fraction, amplitude_band_fraction: They are reached when what is measured stays within these shares
-        of them.
-    amplitude_band_deg_per_s: Least band of the amplitude, deg/s, since a share of 0 is nothing.
-    stable_s: For this long, seconds at the station.
+    max_amplitude_deg_per_s: Largest amplitude of the rate.
+    lowest_frequency_hz, highest_frequency_hz: Range of frequencies.
+    frequency_band_fraction, amplitude_band_fraction: Settings have settled when they are measured within these
+        fractions of their values for `stable_s`.
+    amplitude_band_deg_per_s: Smallest band of the amplitude.
     """
 
     max_amplitude_deg_per_s: float
@@ -39,9 +34,9 @@ class VibrationTableOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unkno
 class VibrationTable(ScpiInstrument):
     """Angular-vibration table; settings ``frequency`` and ``amplitude`` (of the rate), signal ``table_rate``.
 
-    A sine of 100 Hz cannot be read a value at a time: ``trace`` fetches what the controller has recorded since it was
-    last asked, as ``t0_ns,dt_ns,rate,rate,...`` with times in nanoseconds UTC of a controller whose clock is the
-    station's (PTP). Where the controller records nothing, say ``trace = ""``: single values are then read. Safe is an
+    A sine of 100 Hz cannot be read one value at a time: ``trace`` fetches the controller's record since the last
+    query, as ``t0_ns,dt_ns,rate,rate,...`` with times in nanoseconds UTC of a controller whose clock is the
+    station's (PTP). Where the controller has no record, ``trace = ""`` reads single values. The safe state is an
     amplitude of 0.
 
     Examples
@@ -51,12 +46,12 @@ class VibrationTable(ScpiInstrument):
     (0.0, 100)
     """
 
-    kind: ClassVar[str] = "vibration_table"
-    names: ClassVar[Mapping[str, str]] = MappingProxyType({"en": "angular-vibration table", "zh": "角振动台"})
-    options_type: ClassVar[type[Options]] = VibrationTableOptions
-    settings: ClassVar[Mapping[str, str]] = MappingProxyType({"frequency": "Hz", "amplitude": "deg/s"})
-    signals: ClassVar[Mapping[str, str]] = MappingProxyType({"table_rate": "deg/s"})
-    commands: ClassVar[Mapping[str, str]] = MappingProxyType(
+    kind = "vibration_table"
+    names = MappingProxyType({"en": "angular-vibration table", "zh": "角振动台"})
+    options_type = VibrationTableOptions
+    settings = MappingProxyType({"frequency": "Hz", "amplitude": "deg/s"})
+    signals = MappingProxyType({"table_rate": "deg/s"})
+    commands = MappingProxyType(
         {
             "set_frequency": "FREQ:SETP {value:.9g}",
             "set_amplitude": "AMPL:SETP {value:.9g}",
@@ -66,53 +61,46 @@ class VibrationTable(ScpiInstrument):
             "trace": "RATE:TRAC?",
         }
     )
-    set_by: ClassVar[Mapping[str, str]] = MappingProxyType({"frequency": "set_frequency", "amplitude": "set_amplitude"})
-    settled_by: ClassVar[Mapping[str, str]] = MappingProxyType({"frequency": "frequency", "amplitude": "amplitude"})
-    measured_by: ClassVar[Mapping[str, str]] = MappingProxyType({"table_rate": "rate"})
+    measured_by = MappingProxyType({"table_rate": "rate"})
 
     def __init__(self, name: str, options: Any, clock: StationClock) -> None:
         super().__init__(name, options, clock)
-        self._shakes = False
-        for what in self.settings:
-            self.settling(what, 1.0)
+        self._is_vibrating = False
 
     def limits(self, what: str) -> tuple[float, float]:
-        """Lowest and highest value of a setting, in its unit."""
+        """Lowest and highest value of a setting."""
         if what == "frequency":
             return self.options.lowest_frequency_hz, self.options.highest_frequency_hz
         return 0.0, self.options.max_amplitude_deg_per_s
 
     def set(self, what: str, value: float) -> None:
-        """Command a setting; from the first amplitude on its rate is recorded as a trace, until it is 0 again."""
+        """Command a setting; while the amplitude is not 0 the rate is recorded as a trace."""
         super().set(what, value)
         if what == "amplitude":
-            self._shakes = value > 0.0
+            self._is_vibrating = value > 0.0
 
     def settling(self, what: str, value: float) -> Settling:
-        """When a setting counts as reached."""
-        options = self.options
-        if what == "frequency":
-            band = options.frequency_band_fraction * value
-        else:
+        """Criterion by which a setting has settled."""
+        options, band = self.options, self.options.frequency_band_fraction * value
+        if what == "amplitude":
             band = max(options.amplitude_band_deg_per_s, options.amplitude_band_fraction * value)
         return Settling(value, band, options.stable_s)
 
     def sample(self) -> list[Reading]:
-        """Everything recorded since the last time; one value at rest, or where nothing is recorded."""
-        # a table that nobody shakes would fill the store with thousands of zeros a second
-        if not (self.has("trace") and self._shakes):
+        """The trace since the last time; one value at rest, or where there is no trace."""
+        # a trace at rest would fill the store with thousands of zeros per second
+        if not (self.has("trace") and self._is_vibrating):
             return super().sample()
-        answer = self.connection.ask(self._text("trace", None))
-        fields = answer.text.split(",")
+        answer = self.connection.ask(self._text("trace"))
         try:
-            t0_ns, dt_ns = int(fields[0]), int(fields[1])
-            rates = [float(field) for field in fields[_LEAST_FIELDS:]]
-        except (ValueError, IndexError):
+            t0, dt, *rates = answer.text.split(",")
+            t0_ns, dt_ns = int(t0), int(dt)
+            return [Reading("table_rate", t0_ns + i * dt_ns, float(rate)) for i, rate in enumerate(rates)]
+        except ValueError:
             raise InstrumentError(
                 f"{self.connection.who}: asked for its trace it answered {answer.text[:80]!r}, not "
                 f't0_ns,dt_ns,rate,rate,...; if it records none, say trace = "" in the station file'
             ) from None
-        return [Reading("table_rate", t0_ns + i * dt_ns, rate) for i, rate in enumerate(rates)]
 
     def make_safe(self) -> None:
         """Bring it to rest."""

@@ -1,10 +1,8 @@
-"""Digital voltmeter: DC volts to 6.5 digits, as JJF 2014-2022 asks for a gyro with an analogue output."""
+"""Digital voltmeter: DC volts to 6.5 digits, as JJF 2014-2022 requires for a gyro with an analogue output."""
 
-from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any
 
-from ingest.instruments.base import Options
 from ingest.instruments.scpi import ScpiOptions
 from ingest.instruments.scpi_instrument import ScpiInstrument
 from ingest.station_clock import StationClock
@@ -16,9 +14,7 @@ class VoltmeterOptions(ScpiOptions, frozen=True, kw_only=True, forbid_unknown_fi
 
     Parameters
     ----------
-    range_v: Measuring range, volts.
-    nplc: Time over which it averages, cycles of the mains: 1 or more rejects the mains.
-    mains_hz: Frequency of the mains.
+    nplc: Averaging time in mains cycles: 1 or more rejects the mains.
     """
 
     range_v: float = 10.0
@@ -37,14 +33,14 @@ class Voltmeter(ScpiInstrument):
     'V'
     """
 
-    kind: ClassVar[str] = "voltmeter"
-    names: ClassVar[Mapping[str, str]] = MappingProxyType({"en": "digital voltmeter", "zh": "数字电压表"})
-    options_type: ClassVar[type[Options]] = VoltmeterOptions
-    signals: ClassVar[Mapping[str, str]] = MappingProxyType({"voltage": "V"})
-    commands: ClassVar[Mapping[str, str]] = MappingProxyType(
+    kind = "voltmeter"
+    names = MappingProxyType({"en": "digital voltmeter", "zh": "数字电压表"})
+    options_type = VoltmeterOptions
+    signals = MappingProxyType({"voltage": "V"})
+    commands = MappingProxyType(
         {"configure": "CONF:VOLT:DC {range_v:g}", "average": "VOLT:DC:NPLC {nplc:g}", "measure": "READ?"}
     )
-    measured_by: ClassVar[Mapping[str, str]] = MappingProxyType({"voltage": "measure"})
+    measured_by = MappingProxyType({"voltage": "measure"})
 
     def __init__(self, name: str, options: Any, clock: StationClock) -> None:
         super().__init__(name, options, clock)
@@ -55,7 +51,7 @@ class Voltmeter(ScpiInstrument):
         if average_s >= options.timeout_s:
             raise BadInput(
                 f"{self.who}: {options.nplc:g} cycles of {options.mains_hz:g} Hz take {average_s:g} s, "
-                f"but it is to answer within timeout_s = {options.timeout_s:g} s: allow more, or average less"
+                f"but the answer is due within timeout_s = {options.timeout_s:g} s: increase it, or average less"
             )
 
     def prepare(self) -> None:

@@ -1,6 +1,8 @@
-"""A procedure as it stands in a TOML file, before its loops are unrolled."""
+"""The TOML file of a procedure, with its loops."""
 
 import difflib
+import re
+from collections.abc import Iterable
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal
@@ -29,15 +31,14 @@ class Names(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Parameter(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a user may choose.
+    """A parameter that a user may choose.
 
     Parameters
     ----------
-    default: Used where nothing else is asked for. A whole number without a unit stays a whole number.
+    default: A whole number without a unit allows whole numbers only.
+    en, zh: Description.
+    source: The clause that gives its value, or refers to the product's specification.
     unit: Unit of measure, as in the name's ending; empty for counts and words.
-    en, zh: What it is.
-    source: The clause that says how large it is, or that the product's specification does.
-    least, most: Bounds.
     choices: The words that are possible, where it is a word.
     """
 
@@ -52,7 +53,7 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class Series(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A list by rule, see `ingest.procedures.series.series`; with `both_directions` each value and its negative."""
+    """A list by a rule, see `ingest.procedures.series.series`; with `both_directions` each value and its negative."""
 
     kind: Kind
     min: Value | None = None
@@ -75,24 +76,24 @@ class Item(
 
     Parameters
     ----------
-    name: The step's name in the data; of a loop, what its time is summed up under.
-    over: ``for``: the loop's variable; `values` or `series` say what it goes over.
+    name: Name of the step in the data; of a loop, name of its part in estimates of time.
+    over: ``for``: the loop's variable, with its values in `values` or `series`.
     values: Numbers, words, or tables with one value for each of several variables; ``"$parameter"`` for a list
         parameter.
-    times: Do the steps so often; `$repeat` counts from 1 and is the step's `repeat`.
-    items: ``step``: what the loop does. What the loop itself says of rate, temperature, position and so on holds for
-        every step in it that does not say otherwise.
-    use: Do the steps of this procedure, a ready one or a file beside this one, with `overrides` (``set``) as its
+    times: Number of repetitions; `$repeat` counts from 1 and is the step's `repeat`.
+    items: ``step``: the steps of the loop. Rate, temperature, position and so on of the loop are the defaults of the
+        steps in it.
+    use: Procedure whose steps are done, a ready one or a file beside this one, with `overrides` (``set``) as its
         parameters.
-    rate_deg_per_s, temperature_deg_c, frequency_hz, amplitude_deg_per_s: What the table, the chamber and the angular
-        vibration table are set to; what is not said stays as it is.
-    angle_deg: Angle that the table goes to and stands at; a rate takes its place.
-    position, axis, phase: Words for the step.
+    rate_deg_per_s, temperature_deg_c, frequency_hz, amplitude_deg_per_s, angle_deg: Settings of the rate table, the
+        chamber and the angular-vibration table; omitted settings keep their values. A rate ends an angle, and an angle
+        a rate.
+    position, axis, phase: Words of the step in the data.
     settle_s, record_s, warm_up_s, off_s: Seconds: dropped at the step's start, recorded after that, waited after
         power-on, and without power.
     power: ``off``, ``on``, or ``cycle`` (off for `off_s`, then on); ``none`` changes nothing.
-    prompt: What an operator does and confirms before the step.
-    room: The step at room temperature.
+    prompt: Action that an operator performs and confirms before the step.
+    room: Whether it is the step at room temperature.
     wait_settled: Settings that must have settled before the step; by default those that change.
     """
 
@@ -123,7 +124,7 @@ class Item(
 
 
 class ProcedureFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={"items": "step"}):
-    """The file: a name, its names, where it comes from, parameters and steps."""
+    """The whole file."""
 
     name: Text
     names: Names
@@ -131,6 +132,14 @@ class ProcedureFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     source: tuple[Text, ...] = ()
     notes: Names | None = None
     parameters: dict[Name, Parameter] = {}
+
+
+_KINDS: dict[str, type[msgspec.Struct]] = {
+    "step": Item,
+    "series": Series,
+    "parameters": Parameter,
+    **dict.fromkeys(("names", "notes", "prompt"), Names),
+}
 
 
 def ready_names() -> tuple[str, ...]:
@@ -150,17 +159,13 @@ def read_procedure(name: str | Path, beside: Path | None = None) -> tuple[Proced
 
     Parameters
     ----------
-    name: Name of a ready procedure, or path of a file: whatever ends with ``.toml`` or holds a slash.
-    beside: Folder that a relative path counts from.
+    name: Name of a ready procedure, or path of a file, which ends with ``.toml`` or holds a slash.
+    beside: Folder of relative paths.
 
     Returns
     -------
-    file : ProcedureFile
-        What it says.
-    source : str
-        Where it comes from, for messages.
-    folder : Path or None
-        Folder of the file; None of a ready one.
+    tuple
+        The file, its name for messages, and its folder, None of a ready procedure.
 
     Raises
     ------
@@ -169,11 +174,9 @@ def read_procedure(name: str | Path, beside: Path | None = None) -> tuple[Proced
     text = str(name)
     if not isinstance(name, Path) and not text.endswith(".toml") and "/" not in text:
         if text not in (ready := ready_names()):
-            near = difflib.get_close_matches(text, ready, n=1)
-            hint = f", did you mean {near[0]}?" if near else ";"
             raise BadInput(
-                f"no procedure {text!r}{hint} `gyrofleet procedure list` shows those that are ready, a file of your "
-                f"own is given by its path, as ./{text}.toml"
+                f"no procedure {text!r}{near_name(text, ready)}; `gyrofleet procedure list` shows the ready ones, "
+                f"a file of your own is given by its path, as ./{text}.toml"
             )
         found = files("ingest").joinpath(_READY, f"{text}.toml")
         return parse_procedure(found.read_bytes(), f"procedure {text}"), f"procedure {text}", None
@@ -184,7 +187,7 @@ def read_procedure(name: str | Path, beside: Path | None = None) -> tuple[Proced
     except OSError as error:
         raise BadInput(f"procedure {path} cannot be read: {error.strerror or error}") from error
     if len(content) > _MOST_BYTES:
-        raise BadInput(f"procedure {path} is longer than {_MOST_BYTES:,} bytes: this is no procedure")
+        raise BadInput(f"procedure {path} is longer than {_MOST_BYTES:,} bytes: it is no procedure")
     return parse_procedure(content, str(path)), str(path), path.parent
 
 
@@ -199,39 +202,53 @@ def parse_procedure(text: str | bytes, source: str) -> ProcedureFile:
     --------
     >>> parse_procedure('name = "a"\nnames = {en = "A", zh = "甲"}\n[[step]]\nname = "s"\nrecrod_s = 1', "a.toml")
     Traceback (most recent call last):
-    stream.errors.BadInput: a.toml: Object contains unknown field `recrod_s` - at `$.step[0]`
+    stream.errors.BadInput: a.toml: Object contains unknown field `recrod_s` - at `$.step[0]`, did you mean record_s?
     """
     try:
         parsed = decode_toml(text, ProcedureFile)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise BadInput(f"{source}: {error}") from error
+        raise BadInput(f"{source}: {error}{_near_key(str(error))}") from error
     try:
         check_name("procedure", parsed.name)
     except BadInput as error:
         raise BadInput(f"{source}: $.name: {error}") from error
     for key, parameter in parsed.parameters.items():
-        _check_parameter(parameter, f"{source}: $.parameters.{key}")
+        default, where = parameter.default, f"{source}: $.parameters.{key}.default"
+        for value in default if isinstance(default, tuple) else (default,):
+            check_value(parameter, value, where)
+        if default == ():
+            raise BadInput(f"{where}: an empty list")
     return parsed
 
 
-def _check_parameter(parameter: Parameter, where: str) -> None:
-    default = parameter.default
-    for value in default if isinstance(default, tuple) else (default,):
-        check_value(parameter, value, f"{where}.default")
-    if isinstance(default, tuple) and not default:
-        raise BadInput(f"{where}.default: an empty list")
+def near_name(name: str, known: Iterable[str]) -> str:
+    """A question after the known name that `name` may be a mistyping of; empty where there is none.
+
+    Examples
+    --------
+    >>> near_name("statc_bias", ready_names()), near_name("x", ["rate"])
+    (', did you mean static_bias?', '')
+    """
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f", did you mean {near[0]}?" if near else ""
+
+
+def _near_key(message: str) -> str:
+    """The question after a mistyped key that msgspec does not know, at its place in the file."""
+    found = re.fullmatch(r"Object contains unknown field `([^`]*)`(?: - at `(.*)`)?", message)
+    if found is None:
+        return ""
+    keys = re.findall(r"[a-z_]+", found[2] or "")
+    kind = next((_KINDS[key] for key in reversed(keys) if key in _KINDS), ProcedureFile)
+    return near_name(found[1], [field.encode_name for field in msgspec.structs.fields(kind)])
 
 
 def check_value(parameter: Parameter, value: float | str, where: str) -> None:
-    """Check one value of a parameter against its kind, bounds and choices.
-
-    Raises
-    ------
-    BadInput: If it is not of the kind of the default, out of bounds, or none of the choices.
-    """
+    """Check one value of a parameter against its bounds and choices."""
     if isinstance(value, str):
         if parameter.choices and value not in parameter.choices:
-            raise BadInput(f"{where}: {value!r} is none of {', '.join(parameter.choices)}")
+            choices = parameter.choices
+            raise BadInput(f"{where}: {value!r} is none of {', '.join(choices)}{near_name(value, choices)}")
         return
     if not -1e300 < value < 1e300:
         raise BadInput(f"{where}: {value} is no finite number")

@@ -1,4 +1,4 @@
-"""Loops of a procedure: what each item may hold, and what a loop's variables are, round by round."""
+"""Loops of a procedure: the form of each item, and a loop's variables, round by round."""
 
 from collections.abc import Iterable, Iterator
 
@@ -12,12 +12,7 @@ _MOST_ROUNDS = 100_000
 
 
 def check_form(item: Item, where: str) -> None:
-    """Check that an item is one thing: a step, a loop, or the use of a procedure.
-
-    Raises
-    ------
-    BadInput: If it is not.
-    """
+    """Check that an item is either a step, a loop, or the use of a procedure."""
     loops = item.over is not None or item.times is not None
     if item.over is not None and item.times is not None:
         raise BadInput(f"{where}: give `for` or `times`, not both")
@@ -39,19 +34,14 @@ def check_form(item: Item, where: str) -> None:
 
 
 def items_of(items: Iterable[Item], key: str = "$.step") -> Iterator[tuple[str, Item]]:
-    """Every item with its key, those in loops as well."""
+    """Every item with its key, including those in loops."""
     for i, item in enumerate(items):
         yield f"{key}[{i}]", item
         yield from items_of(item.items, f"{key}[{i}].step")
 
 
 def rounds(item: Item, variables: Variables, where: str) -> Iterator[dict[str, Scalar]]:
-    """What a loop's variables are, round by round; one round without any for what is no loop.
-
-    Raises
-    ------
-    BadInput: If the list cannot be made.
-    """
+    """A loop's variables, round by round; one round without any for an item that is no loop."""
     if item.times is not None:
         times = number_of(item.times, variables, f"{where}.times")
         if not times.is_integer() or not 1 <= times <= _MOST_ROUNDS:
@@ -102,5 +92,5 @@ def _values(item: Item, variables: Variables, where: str) -> Iterator[dict[str, 
 
 
 def bound_value(value: Scalar, variables: Variables, where: str) -> Scalar:
-    """A value in a list or handed to a used procedure; a text with a ``$`` is a number to be worked out."""
+    """A value in a list or passed to a used procedure; a text with a ``$`` is an expression."""
     return number_of(value, variables, where) if isinstance(value, str) and "$" in value else value

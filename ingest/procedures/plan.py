@@ -1,4 +1,4 @@
-"""The steps of a procedure with its loops unrolled: what is done one after the other."""
+"""The steps of a procedure in order, with its loops unrolled."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -6,13 +6,13 @@ from typing import Literal, TypeAlias
 
 import msgspec
 
-from ingest.procedures.file import Item, Names
+from ingest.procedures.file import Item, Names, near_name
 from ingest.procedures.loops import bound_value, check_form, rounds
 from ingest.procedures.values import Scalar, Variables, number_of, text_of
 from stream.errors import BadInput
 from stream.events import StepWords
 
-# What instruments can be set to, and in which unit of measure.
+# Settings of instruments, with units of measure.
 SETTINGS: Mapping[str, str] = MappingProxyType(
     {"rate": "deg/s", "temperature": "degC", "frequency": "Hz", "amplitude": "deg/s", "angle": "deg"}
 )
@@ -23,11 +23,11 @@ _FIELDS = {
     "amplitude_deg_per_s": "amplitude",
     "angle_deg": "angle",
 }
-# What a loop says for all the steps in it.
-_HANDED_DOWN = (*_FIELDS, "position", "axis", "phase", "settle_s", "record_s", "warm_up_s", "room", "wait_settled")
+# Defaults that a loop gives to the steps in it.
+_INHERITED = (*_FIELDS, "position", "axis", "phase", "settle_s", "record_s", "warm_up_s", "room", "wait_settled")
 _POWER = ("off", "on", "cycle", "none")
-# A table turns or it stands at an angle: to command one ends the other.
-_ENDS = {"rate": "angle", "angle": "rate"}
+# A table either turns or stands at an angle: to command one ends the other.
+ENDS = {"rate": "angle", "angle": "rate"}
 _MOST_STEPS = 100_000
 _LONGEST_S = 366 * 86_400.0
 
@@ -38,27 +38,21 @@ class PlannedStep(msgspec.Struct, frozen=True, kw_only=True):
     """One step, in the order in which its parts are done.
 
     1. `prompt`: an operator does something and confirms.
-    2. `power` ``off`` or ``cycle``: the units are switched off and stay so for `off_s`.
-    3. `settings` are commanded, those that are new; then all of `wait_settled` have settled.
+    2. `power` ``off`` or ``cycle``: the units are switched off, for `off_s`.
+    3. `settings` are commanded; then all of `wait_settled` have settled.
     4. `power` ``on`` or ``cycle``: the units are switched on; `warm_up_s` is waited.
-    5. If `record_s` is not 0 the step begins in the data (StepStarted with `words`): `settle_s` that is dropped in the
-       evaluation, then `record_s`. Otherwise `settle_s` is just waited, and nothing is said in the data.
+    5. If `record_s` is not 0 the step begins in the data (StepStarted with `words`): `settle_s`, which the evaluation
+       drops, then `record_s`. Otherwise `settle_s` is only waited, and the step is not in the data.
 
-    Units have power when the first step begins, unless it says otherwise.
+    Units have power when the first step begins.
 
     Parameters
     ----------
     number: Place in the procedure, from 1.
-    words: What is said of it in the data.
-    settings: What instruments are set to by the name of the setting, in the units of `SETTINGS`; the rest stays as it
-        is.
-    settle_s, record_s: Seconds dropped at its start, and recorded after that.
-    wait_settled: Settings that must have settled.
-    power: ``off``, ``on``, ``cycle``.
-    off_s, warm_up_s: Seconds without power; seconds with power before the step.
-    prompt: What an operator is asked, in two languages.
+    words: Its description in the data.
+    settings: New settings of instruments, in the units of `SETTINGS`.
     part: The part of the procedure that it belongs to.
-    key: Where in the file it stands.
+    key: Its key in the file.
     """
 
     number: int
@@ -81,7 +75,7 @@ class PlannedStep(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Used(msgspec.Struct, frozen=True):
-    """A procedure that another uses: its steps, and where they stand."""
+    """The steps of a procedure, its file for messages, and the procedures that it uses."""
 
     items: tuple[Item, ...]
     source: str
@@ -89,12 +83,7 @@ class Used(msgspec.Struct, frozen=True):
 
 
 class Planner:
-    """Unrolls the steps of a procedure.
-
-    Parameters
-    ----------
-    procedure: Its name, for the words of every step.
-    """
+    """Unrolls the steps of a procedure; its name goes into the words of every step."""
 
     def __init__(self, procedure: str) -> None:
         self._procedure = procedure
@@ -103,30 +92,24 @@ class Planner:
         self._steps: list[PlannedStep] = []
 
     def plan(self, used: Used, variables: Variables) -> tuple[PlannedStep, ...]:
-        """All steps.
-
-        Raises
-        ------
-        BadInput: If a value cannot be found or makes no sense; the message names the file and the key.
-        """
+        """All steps."""
         for i, item in enumerate(used.items):
-            key = f"$.step[{i}]"
-            self._item(item, used, key, dict(variables), {}, _part_name(item))
+            self._item(item, used, f"$.step[{i}]", dict(variables), {}, _part_name(item))
         return tuple(self._steps)
 
     def _item(
         self, item: Item, used: Used, key: str, variables: dict[str, Scalar | tuple[Scalar, ...]],
-        handed: dict[str, object], part: str,
+        inherited: dict[str, object], part: str,
     ) -> None:  # fmt: skip
         where = f"{used.source}: {key}"
         check_form(item, where)
         if item.use is None and not item.items:
-            self._step(item, where, key, variables, handed, part)
+            self._step(item, where, key, variables, inherited, part)
             return
         for bound in rounds(item, variables, where):
             inner = {**variables, **bound}
-            # filled in here: what a loop says is meant in its own words, not in those of what it uses
-            down = {**handed, **_filled(item, inner, where)}
+            # evaluated here, with the loop's variables and not with those of the procedure that it uses
+            down = {**inherited, **_filled(item, inner, where)}
             if "repeat" in bound and item.times is not None:
                 down["repeat"] = bound["repeat"]
             if item.use is not None:
@@ -139,9 +122,9 @@ class Planner:
                 self._item(each, used, f"{key}.step[{i}]", inner, down, part)
 
     def _step(
-        self, item: Item, where: str, key: str, variables: Variables, handed: dict[str, object], part: str
+        self, item: Item, where: str, key: str, variables: Variables, inherited: dict[str, object], part: str
     ) -> None:
-        said = {**handed, **_filled(item, variables, where)}
+        said = {**inherited, **_filled(item, variables, where)}
         settings = {name: float(said[field]) for field, name in _FIELDS.items() if field in said}  # type: ignore[arg-type]
         times = {
             name: self._seconds(said.get(name, 0.0), f"{where}.{name}")
@@ -153,7 +136,7 @@ class Planner:
         wait = said.get("wait_settled", changed)
         assert isinstance(wait, tuple)
         self._check_settings(settings, wait, where)
-        self._state = {name: value for name, value in self._state.items() if _ENDS.get(name) not in settings} | settings
+        self._state = {name: value for name, value in self._state.items() if ENDS.get(name) not in settings} | settings
         if power is not None:
             self._is_powered = power != "off"
         if times["record_s"] > 0.0 and not self._is_powered:
@@ -209,7 +192,7 @@ class Planner:
         return value
 
     def _power(self, item: Item, variables: Variables, where: str) -> tuple[Power | None, float]:
-        """What is done with the power, and for how long the units are without it."""
+        """The switching of the power, and the seconds without it."""
         power = "none" if item.power is None else text_of(item.power, variables, f"{where}.power")
         if power not in _POWER:
             raise BadInput(f"{where}.power: {power!r} is none of {', '.join(_POWER)}")
@@ -225,24 +208,20 @@ class Planner:
         return power, off_s if power != "on" else 0.0  # type: ignore[return-value]
 
     def _check_safe(self, item: Item, where: str) -> None:
-        """An operator is not sent to a table that moves."""
-        if item.prompt is None:
-            return
-        if (rate := self._state.get("rate", 0.0)) != 0.0:
+        """An operator is not called to a table that moves."""
+        rate, amplitude = (self._state.get(name, 0.0) for name in ("rate", "amplitude"))
+        if item.prompt is not None and (rate != 0.0 or amplitude != 0.0):
+            moves, key = (f"turns at {rate:g} deg/s", "rate") if rate != 0.0 else ("vibrates", "amplitude")
             raise BadInput(
-                f"{where}.prompt: an operator is called while the table turns at {rate:g} deg/s; "
-                f"put a step with rate_deg_per_s = 0 before it"
-            )
-        if self._state.get("amplitude", 0.0) != 0.0:
-            raise BadInput(
-                f"{where}.prompt: an operator is called while the table vibrates; "
-                f"put a step with amplitude_deg_per_s = 0 before it"
+                f"{where}.prompt: an operator is called while the table {moves}; "
+                f"put a step with {key}_deg_per_s = 0 before it"
             )
 
     def _check_settings(self, settings: dict[str, float], wait: tuple[str, ...], where: str) -> None:
         for name in wait:
             if name not in SETTINGS:
-                raise BadInput(f"{where}.wait_settled: {name!r} is no setting; there is {', '.join(SETTINGS)}")
+                near = near_name(name, SETTINGS)
+                raise BadInput(f"{where}.wait_settled: {name!r} is no setting{near}; there is {', '.join(SETTINGS)}")
             if name not in settings and name not in self._state:
                 raise BadInput(f"{where}.wait_settled: {name} has not been set to anything before")
         if "rate" in settings and "angle" in settings:
@@ -256,9 +235,9 @@ class Planner:
 
 
 def _filled(item: Item, variables: Variables, where: str) -> dict[str, object]:
-    """What an item says, in numbers and texts."""
+    """The settings, times and words of an item, as numbers and texts."""
     found: dict[str, object] = {}
-    for name in _HANDED_DOWN:
+    for name in _INHERITED:
         value = getattr(item, name)
         if value is None:
             continue

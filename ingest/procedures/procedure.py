@@ -1,8 +1,8 @@
-"""Test procedures: what is commanded, how long it settles, what is recorded, as data in TOML.
+"""Test procedures as data in TOML: settings, settling, records.
 
-A file names the procedure in two languages and the clauses that it follows, has parameters that a user may choose, and
-steps. A `[[step]]` is a step, a loop over `[[step.step]]`, or the `use` of another procedure; `ingest.procedures.file`
-says what each may hold.
+A file has the procedure's names in two languages, the clauses that it follows, parameters that a user may choose, and
+steps. A `[[step]]` is a step, a loop over `[[step.step]]`, or the `use` of another procedure, as described in
+`ingest.procedures.file`.
 """
 
 from collections.abc import Iterable, Mapping
@@ -10,10 +10,10 @@ from pathlib import Path
 
 import msgspec
 
-from ingest.procedures.file import Names, Parameter, ProcedureFile, check_value, read_procedure, ready_names
+from ingest.procedures.file import Names, Parameter, ProcedureFile, check_value, near_name, read_procedure, ready_names
 from ingest.procedures.loops import items_of
 from ingest.procedures.plan import SETTINGS, PlannedStep, Planner, Used
-from ingest.procedures.time import Spent, StationRates, spent_by_part
+from ingest.procedures.run_steps import Spent, StationRates, spent_by_part
 from ingest.procedures.values import Scalar
 from stream.errors import BadInput
 
@@ -46,20 +46,11 @@ class Requirement(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Procedure:
-    """A procedure that can be planned.
-
-    Parameters
-    ----------
-    file: What its file says.
-    used: Its steps and those of the procedures that it uses.
-    parameters: Its parameters, and those of the procedures that it uses.
+    """A procedure with its steps and parameters, and those of the procedures that it uses.
 
     Attributes
     ----------
-    name: For the data and the command line.
-    names: For people, ``en`` and ``zh``.
     source: The clauses that it follows.
-    parameters: What a user may choose, by name.
     """
 
     def __init__(self, file: ProcedureFile, used: Used, parameters: Mapping[str, Parameter]) -> None:
@@ -71,11 +62,7 @@ class Procedure:
         self._used = used
 
     def chosen(self, given: Mapping[str, str | Choice] | None = None) -> dict[str, Choice]:
-        """Every parameter's value: as given, else its default.
-
-        Parameters
-        ----------
-        given: Values by name; texts, as a command line has them, are read as what the default is.
+        """Every parameter's value: as given, else its default; texts are read as the type of the default.
 
         Raises
         ------
@@ -89,22 +76,16 @@ class Procedure:
         values: dict[str, Choice] = {name: each.default for name, each in self.parameters.items()}
         for name, value in (given or {}).items():
             if name not in self.parameters:
-                raise BadInput(
-                    f"procedure {self.name} has no parameter {name!r}; it has {', '.join(self.parameters) or 'none'}"
-                )
+                raise BadInput(f"procedure {self.name} has no parameter {_unknown(name, self.parameters)}")
             values[name] = _read(self.parameters[name], value, f"procedure {self.name}: {name}")
         return values
 
     def steps(self, parameters: Mapping[str, str | Choice] | None = None) -> tuple[PlannedStep, ...]:
-        """All steps, one after the other.
-
-        Parameters
-        ----------
-        parameters: Values of parameters, see `chosen`.
+        """All steps in order, with values of parameters as in `chosen`.
 
         Raises
         ------
-        BadInput: If a parameter or a step makes no sense; the message names the file and the key.
+        BadInput: If a parameter or a step is invalid; the message names the file and the key.
 
         Examples
         --------
@@ -115,7 +96,7 @@ class Procedure:
         return Planner(self.name).plan(self._used, self.chosen(parameters))
 
     def requirements(self, parameters: Mapping[str, str | Choice] | None = None) -> tuple[Requirement, ...]:
-        """What a station must be able to set, over which range.
+        """Settings that a station needs, with their ranges.
 
         Examples
         --------
@@ -133,7 +114,7 @@ class Procedure:
         )
 
     def unmet(self, settings: Iterable[str], parameters: Mapping[str, str | Choice] | None = None) -> tuple[str, ...]:
-        """What a station lacks that can set `settings`, in sentences; empty where it can do the procedure.
+        """Sentences on what a station with these settings lacks; empty where it can do the procedure.
 
         Examples
         --------
@@ -151,13 +132,13 @@ class Procedure:
     def spent(
         self, rates: StationRates | None = None, parameters: Mapping[str, str | Choice] | None = None
     ) -> dict[str, Spent]:
-        """What each part takes at a station, see `spent_by_part`."""
+        """Time of each part at a station, see `spent_by_part`."""
         return spent_by_part(self.steps(parameters), rates or StationRates())
 
     def duration_s(
         self, rates: StationRates | None = None, parameters: Mapping[str, str | Choice] | None = None
     ) -> float:
-        """How long it takes, seconds: power-off, ramps, warm-up, settling, recording and prompts.
+        """Total time, seconds: power-off, ramps, warm-up, settling, recording and prompts.
 
         Examples
         --------
@@ -168,15 +149,11 @@ class Procedure:
 
 
 def load_procedure(name: str | Path) -> Procedure:
-    """Read a procedure, and check it with its defaults.
-
-    Parameters
-    ----------
-    name: Name of a ready procedure, or path of a file.
+    """Read a ready procedure by its name, or a file, and check it with its defaults.
 
     Raises
     ------
-    BadInput: If there is none, or it makes no sense; the message names the file and the key.
+    BadInput: If there is none, or it is invalid; the message names the file and the key.
 
     Examples
     --------
@@ -184,16 +161,16 @@ def load_procedure(name: str | Path) -> Procedure:
     '零偏与零偏稳定性'
     """
     file, source, folder = read_procedure(name)
-    used, parameters = _gather(file, source, folder, (source,))
+    used, parameters = _with_used(file, source, folder, (source,))
     procedure = Procedure(file, used, parameters)
     procedure.steps()
     return procedure
 
 
-def _gather(
+def _with_used(
     file: ProcedureFile, source: str, folder: Path | None, chain: tuple[str, ...]
 ) -> tuple[Used, dict[str, Parameter]]:
-    """The procedures that one uses, and the parameters of all; its own go before theirs."""
+    """The steps with those of used procedures, and the parameters of all; its own take precedence."""
     procedures: dict[str, Used] = {}
     theirs: dict[str, tuple[Parameter, str]] = {}
     for key, item in items_of(file.items):
@@ -203,13 +180,11 @@ def _gather(
         other, other_source, other_folder = read_procedure(item.use, folder)
         if other_source in chain or len(chain) > _MOST_NESTED:
             raise BadInput(f"{where}: {' uses '.join((*chain, other_source))}: a procedure cannot use itself")
-        inner, parameters = _gather(other, other_source, other_folder, (*chain, other_source))
+        inner, parameters = _with_used(other, other_source, other_folder, (*chain, other_source))
         procedures[item.use] = inner
         for name in item.overrides:
             if name not in parameters:
-                raise BadInput(
-                    f"{where}: {other_source} has no parameter {name!r}; it has {', '.join(parameters) or 'none'}"
-                )
+                raise BadInput(f"{where}: {other_source} has no parameter {_unknown(name, parameters)}")
         for name, parameter in parameters.items():
             if name in file.parameters:
                 continue
@@ -223,6 +198,10 @@ def _gather(
         Used(file.items, source, procedures),
         {**file.parameters, **{name: parameter for name, (parameter, _) in theirs.items()}},
     )
+
+
+def _unknown(name: str, parameters: Mapping[str, Parameter]) -> str:
+    return f"{name!r}{near_name(name, parameters)}; it has {', '.join(parameters) or 'none'}"
 
 
 def _read(parameter: Parameter, value: str | Choice, where: str) -> Choice:

@@ -1,15 +1,18 @@
-"""What follows from the steps of a procedure for one who carries them out: where to go on, and what holds there."""
+"""What follows from the steps of a procedure: durations, the settings that hold, where a run resumes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
-from ingest.procedures.procedure import PlannedStep
+import msgspec
+
+from ingest.procedures.plan import ENDS, PlannedStep
+from stream.errors import BadInput
 
 
-def goes_on_at(steps: Sequence[PlannedStep], at: int) -> int:
-    """Index of the step that a run goes on with that was interrupted in another.
+def resume_index(steps: Sequence[PlannedStep], at: int) -> int:
+    """Index of the step at which a run resumes that was interrupted in the step `at`.
 
-    While it was interrupted the station was made safe, or nobody saw to it: what prepares a record, a soak or a time
-    without power, is done again, unless it takes an operator.
+    During the interruption the station was made safe, or left alone: the preparation of a record, a soak or a time
+    without power, is repeated, unless it takes an operator.
 
     Examples
     --------
@@ -17,7 +20,7 @@ def goes_on_at(steps: Sequence[PlannedStep], at: int) -> int:
     >>> steps = load_procedure("bias_temperature_sensitivity").steps()
     >>> [(each.number, each.words.step) for each in steps[1:5]]
     [(2, 'static'), (3, 'soak'), (4, 'static'), (5, 'soak')]
-    >>> goes_on_at(steps, 3), goes_on_at(steps, 1)
+    >>> resume_index(steps, 3), resume_index(steps, 1)
     (2, 1)
     """
     while 0 < at < len(steps) and not steps[at - 1].is_recorded and steps[at - 1].prompt is None:
@@ -26,12 +29,12 @@ def goes_on_at(steps: Sequence[PlannedStep], at: int) -> int:
 
 
 def lasts_s(step: PlannedStep) -> float:
-    """How long a step takes at least, seconds; what settles comes on top."""
+    """Least duration of a step, seconds, without the time in which instruments settle."""
     return step.off_s + step.warm_up_s + step.settle_s + step.record_s
 
 
 def settings_before(steps: Sequence[PlannedStep], at: int) -> dict[str, float]:
-    """What holds when a step begins, and that step does not replace.
+    """Settings that hold when a step begins, without those that it replaces.
 
     Examples
     --------
@@ -46,6 +49,99 @@ def settings_before(steps: Sequence[PlannedStep], at: int) -> dict[str, float]:
 
 
 def _kept(held: dict[str, float], settings: dict[str, float]) -> dict[str, float]:
-    """What stays: a table turns or stands somewhere, one takes the place of the other."""
-    gone = {"angle"} if "rate" in settings else {"rate"} if "angle" in settings else set()
-    return {what: value for what, value in held.items() if what not in gone}
+    return {what: value for what, value in held.items() if ENDS.get(what) not in settings}
+
+
+class StationRates(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Rates at which a station changes its settings.
+
+    Parameters
+    ----------
+    angle_rate_deg_per_s: Rate of the table on the way to an angle.
+    chamber_deg_c_per_min: Mean ramp of the chamber.
+    room_deg_c: Temperature at the start.
+    prompt_s: Time of an operator for one prompt.
+    """
+
+    table_acceleration_deg_per_s2: float = 50.0
+    angle_rate_deg_per_s: float = 20.0
+    chamber_deg_c_per_min: float = 2.0
+    room_deg_c: float = 23.0
+    prompt_s: float = 300.0
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        for name in ("table_acceleration_deg_per_s2", "angle_rate_deg_per_s", "chamber_deg_c_per_min"):
+            if not getattr(self, name) > 0.0:
+                raise BadInput(f"{name} of {getattr(self, name):g}: more than 0 is needed")
+        if not self.prompt_s >= 0.0:
+            raise BadInput(f"prompt_s of {self.prompt_s:g} is negative")
+
+
+class Spent(msgspec.Struct, frozen=True, kw_only=True):
+    """Seconds by their use: of the steps, of the units' power, of tables and chambers (`ramp_s`), and of operators."""
+
+    steps: int = 0
+    record_s: float = 0.0
+    settle_s: float = 0.0
+    warm_up_s: float = 0.0
+    off_s: float = 0.0
+    ramp_s: float = 0.0
+    prompt_s: float = 0.0
+    prompts: int = 0
+
+    @property
+    def total_s(self) -> float:
+        """All together."""
+        return self.record_s + self.settle_s + self.warm_up_s + self.off_s + self.ramp_s + self.prompt_s
+
+    def __add__(self, other: "Spent") -> "Spent":
+        return Spent(**{name: getattr(self, name) + getattr(other, name) for name in self.__struct_fields__})
+
+
+def spent_by_part(steps: Iterable[PlannedStep], rates: StationRates) -> dict[str, Spent]:
+    """Time of each part of a procedure, in order; `steps` are all steps, since ramps count from one to the next.
+
+    Examples
+    --------
+    >>> from stream.events import StepWords
+    >>> step = PlannedStep(number=1, words=StepWords(step="a"), settings={"rate": 100.0},
+    ...                    wait_settled=("rate",), record_s=10.0, part="a")
+    >>> spent_by_part([step], StationRates(table_acceleration_deg_per_s2=50.0))["a"].total_s
+    12.0
+    """
+    found: dict[str, Spent] = {}
+    state = {"rate": 0.0, "temperature": rates.room_deg_c, "angle": 0.0}
+    for step in steps:
+        spent = Spent(
+            steps=1,
+            record_s=step.record_s,
+            settle_s=step.settle_s,
+            warm_up_s=step.warm_up_s,
+            off_s=step.off_s,
+            ramp_s=_ramp_s(state, step, rates),
+            prompt_s=rates.prompt_s if step.prompt is not None else 0.0,
+            prompts=int(step.prompt is not None),
+        )
+        state |= step.settings
+        if "angle" in step.settings:
+            state["rate"] = 0.0
+        found[step.part] = found.get(step.part, Spent()) + spent
+    return found
+
+
+def _ramp_s(state: dict[str, float], step: PlannedStep, rates: StationRates) -> float:
+    """Time until the settings have been reached: the longest of them, since they change at the same time."""
+    speed = {
+        "rate": rates.table_acceleration_deg_per_s2,
+        "temperature": rates.chamber_deg_c_per_min / 60.0,
+        "angle": rates.angle_rate_deg_per_s,
+    }
+    return max(
+        (
+            abs(step.settings[name] - state[name]) / speed[name]
+            for name in step.wait_settled
+            if name in step.settings and name in speed
+        ),
+        default=0.0,
+    )

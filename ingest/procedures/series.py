@@ -1,4 +1,4 @@
-"""Lists by rule: preferred numbers of GB/T 321, equal steps, equal ratios, and points of temperature."""
+"""Lists by a rule: preferred numbers of GB/T 321, equal steps, equal ratios, temperature points."""
 
 import math
 from collections.abc import Callable
@@ -26,7 +26,7 @@ _LEAST_TEMPERATURE_DEG_C = 10.0  # of the preferred numbers, whose steps below a
 
 
 def preferred_below(kind: str, most: float) -> list[float]:
-    """Preferred numbers up to `most`, from the largest down, over all decades that make sense.
+    """Preferred numbers up to `most`, in falling order, over all decades in use.
 
     Examples
     --------
@@ -51,13 +51,8 @@ def preferred_series(
     ----------
     kind: ``R5``, ``R10`` or ``R20``.
     most: The largest value; always in the list, preferred number or not.
-    count: How many values. Exactly one of `count` and `least` is given.
-    least: The smallest value that is wanted.
-    given: Where the series stands, for messages.
-
-    Raises
-    ------
-    BadInput: If `most` is not positive, or neither or both of `count` and `least` are given.
+    count, least: Number of values, or the smallest one: exactly one of them.
+    given: The series' key, for messages.
 
     Notes
     -----
@@ -89,18 +84,12 @@ def preferred_series(
 
 
 def temperature_points(least: float, most: float, room: float, apart: float, given: str = "series") -> list[float]:
-    """Points of temperature: both ends and preferred numbers of R5 between them, none near another or the room's.
+    """Temperature points: both ends of the range of use and preferred numbers of R5 between them.
 
     Parameters
     ----------
-    least, most: The range of use, deg C.
-    room: Room temperature, deg C; measured apart and not in the list.
-    apart: Least distance between two points, deg C.
-    given: Where the series stands, for messages.
-
-    Raises
-    ------
-    BadInput: If `least` is not below `most`, or `apart` is not positive.
+    room: Room temperature, deg C; measured separately and not in the list.
+    apart: Least distance between two points, and to the room's, deg C.
 
     Notes
     -----
@@ -155,7 +144,7 @@ def linear_series(least: float, most: float, count: int, given: str = "series") 
 
 
 def _rounded(value: float) -> float:
-    """Six digits: more is beyond what a table is set to, and none would read them."""
+    """Six digits: a table cannot be set more finely."""
     return float(f"{value:.6g}")
 
 
@@ -164,18 +153,14 @@ _TAKEN = {"log": (), "linear": (), "temperatures": ("apart",)}
 
 
 def series(kind: Kind, numbers: dict[str, float], given: str = "series") -> list[float]:
-    """The list that a `series` table of a procedure asks for, in rising order.
+    """The list of a `series` table of a procedure, in rising order.
 
     Parameters
     ----------
     kind: ``R5``, ``R10``, ``R20`` (`max` with `count` or `min`), ``log`` or ``linear`` (`min`, `max`, `count`),
         ``temperatures`` (`min`, `max`, `room`, and `apart`, 10 deg C by default).
     numbers: Its numbers by name.
-    given: Where it stands, for messages.
-
-    Raises
-    ------
-    BadInput: If a number is missing, not taken by this kind, or makes no sense.
+    given: Its key, for messages.
 
     Examples
     --------

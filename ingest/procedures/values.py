@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping
 from typing import TypeAlias
 
+from ingest.procedures.file import near_name
 from stream.errors import BadInput
 
 Scalar: TypeAlias = float | int | str
@@ -24,14 +25,10 @@ def number_of(value: Scalar | bool, variables: Variables, where: str) -> float:
 
     Parameters
     ----------
-    value: A number, or sums and products of numbers and `$name`, such as ``"-0.1 * $max_rate_deg_per_s"``; products go
-        before sums, there are no brackets and no functions.
+    value: A number, or sums and products of numbers and `$name`, such as ``"-0.1 * $max_rate_deg_per_s"``; products
+        before sums, without brackets and functions.
     variables: Parameters and loop variables by name.
     where: File and key, for messages.
-
-    Raises
-    ------
-    BadInput: If it cannot be read, names what is not there, or comes to no finite number.
 
     Examples
     --------
@@ -78,27 +75,20 @@ def _factor(text: str, position: int, variables: Variables, where: str) -> tuple
 def _finite(number: float, text: str, where: str) -> float:
     if not math.isfinite(number):
         raise BadInput(f"{where}: {text} is no finite number")
-    return number + 0.0  # no minus zero, which would be told as -0
+    return number + 0.0  # no minus zero, which would be printed as -0
 
 
 def variable(name: str, variables: Variables, where: str) -> Scalar | tuple[Scalar, ...]:
-    """What a name stands for.
-
-    Raises
-    ------
-    BadInput: If it stands for nothing.
-    """
+    """The value of a parameter or of a loop's variable."""
     if name not in variables:
-        raise BadInput(f"{where}: ${name} is neither a parameter nor a loop's variable; there is {_listed(variables)}")
+        known = ", ".join(f"${each}" for each in variables) or "none"
+        near = near_name(name, variables)
+        raise BadInput(f"{where}: ${name} is neither a parameter nor a loop's variable{near}; there is {known}")
     return variables[name]
 
 
 def text_of(value: str, variables: Variables, where: str) -> str:
-    """A text with what stands in braces filled in; ``$name`` alone is what the name stands for.
-
-    Raises
-    ------
-    BadInput: If it names what is not there.
+    """A text with its names in braces replaced by their values; ``$name`` alone is replaced too.
 
     Examples
     --------
@@ -111,7 +101,7 @@ def text_of(value: str, variables: Variables, where: str) -> str:
 
 
 def shown(value: Scalar | tuple[Scalar, ...]) -> str:
-    """A value as people write it.
+    """A value as a text.
 
     Examples
     --------
@@ -121,7 +111,3 @@ def shown(value: Scalar | tuple[Scalar, ...]) -> str:
     if isinstance(value, tuple):
         return ", ".join(shown(each) for each in value)
     return value if isinstance(value, str) else f"{value:.10g}"
-
-
-def _listed(variables: Variables) -> str:
-    return ", ".join(f"${name}" for name in variables) or "none"

@@ -5,9 +5,10 @@ from collections.abc import Callable, Iterator
 
 import msgspec
 
-from ingest.run.live_source import PowerCycle, SimulatedStation, station_units
 from ingest.run.run_state import RUN_FILE, RunParameters, RunState, begin_run, read_run
 from ingest.run_record import Outcome, RunRecord, document_uid
+from ingest.simulator.demo_fleet import station_fleet
+from ingest.simulator.station import PowerCycle, SimulatedStation
 from ingest.state_file import write_state
 from stream.batch import SampleBatch
 from stream.delivery.publisher import Sender
@@ -48,10 +49,10 @@ class LiveRun(RunRecord[RunState]):
         self.is_resumed = found is not None
         self.gap_ns = 0
         self._clock_ns = clock_ns
-        units = station_units(parameters.simulate, parameters.rate_hz)
+        fleet = station_fleet(parameters.simulate, parameters.rate_hz, parameters.seed)
         self._name = _name(state)
-        self._station = SimulatedStation(units, self._name, seed=parameters.seed, batch=parameters.batch)
-        self.units = [parameters.unit for parameters in units]
+        self._station = SimulatedStation(fleet, self._name, batch=parameters.batch)
+        self.units = list(fleet.units)
         self._end_ns = state.t0_ns + round(parameters.hours * 3600e9)
 
     @property

@@ -11,7 +11,7 @@ from storage.log.replay import Comparing, Comparison, StoredMessage, StoredRun
 from storage.store import Store
 from stream.delivery.publisher import DurablePublisher, Sender
 from stream.errors import BadInput, NotFound, StoreError
-from stream.estimators.base import Estimator, default_estimators
+from stream.estimators.base import PointEstimator, default_estimators
 from stream.estimators.bias_stability import BiasStability
 from stream.events import decode_event
 from stream.transport.bus import LocalBus
@@ -75,7 +75,7 @@ def estimated_every_s(folder: Path, run: str) -> float:
 
 def compared(run: StoredRun, every_s: float, speed: float, progress: Progress) -> tuple[Replayed, Comparison]:
     """Estimate a run again, over a bus in this process, and compare with what is stored."""
-    factories: dict[str, Callable[[], Estimator]] = {
+    factories: dict[str, Callable[[], PointEstimator]] = {
         BiasStability(each).key: functools.partial(BiasStability, each) for each in run.averages_s
     }
     factories |= default_estimators()

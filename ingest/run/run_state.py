@@ -5,8 +5,8 @@ from pathlib import Path
 import msgspec
 
 from ingest.moment import moment_ns
-from ingest.run.live_source import PowerCycle
 from ingest.run_record import Outcome, Phase
+from ingest.simulator.station import PowerCycle
 from ingest.state_file import read_state
 from stream.errors import BadInput
 

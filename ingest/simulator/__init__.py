@@ -1,1 +1,1 @@
-"""Instruments that are physics and arithmetic: for demonstrations and tests, always declared as simulated."""
+"""Simulated instruments and gyros, for demonstrations and tests; their data are always declared as simulated."""

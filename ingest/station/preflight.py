@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo
 from ingest.instruments.base import Instrument
 from ingest.station.sources import StationSources
 from ingest.station.station import Station
-from storage.recording.disk_watch import DiskWatch, told_bytes
+from storage.recording.disk_watch import DiskWatch, format_bytes
 from storage.segments.disk import DISK, Disk
 from storage.sql.catalog import Catalog
 from storage.store import Store
@@ -104,8 +104,8 @@ def _disk_trouble(folder: Path, disk: Disk) -> str | None:
     if space.free >= 2 * reserve:
         return None
     return (
-        f"{told_bytes(space.free)} free of {told_bytes(space.total)} on the disk of {folder}, and recording pauses "
-        f"below {told_bytes(reserve)}: free space, or give --store on another disk"
+        f"{format_bytes(space.free)} free of {format_bytes(space.total)} on the disk of {folder}, and recording pauses "
+        f"below {format_bytes(reserve)}: free space, or give --store on another disk"
     )
 
 

@@ -4,9 +4,10 @@ from collections.abc import Callable, Mapping
 from uuid import uuid4
 
 from ingest.can.bus.bus import CanBus
-from ingest.can.bus.clock import ReceiveClock
-from ingest.can.bus.intake import open_intake
-from ingest.can.mapping import CanPlan, load_mapping
+from ingest.can.bus.columns import ReceiveClock
+from ingest.can.bus.interface import open_intake
+from ingest.can.mapping import load_mapping
+from ingest.can.plan import CanPlan
 from ingest.can.stream import CanDecoder
 from ingest.instruments.base import Instrument
 from ingest.serial.frame_layout import load_layout
@@ -109,7 +110,7 @@ class StationSources:
                 CanDecoder(plan, run=log.state.run, epoch_of=log.epoch_of),
                 log.deliver,
                 report,
-                wanted={route.arbitration_id for route in plan.routes},
+                wanted=plan.wanted,
             )
             for name, plan in self._plans.items()
         ]

@@ -9,10 +9,10 @@ from typing import Any
 
 import msgspec
 
-from ingest.can.bus.open import CanBusOptions
+from ingest.can.bus.interface import CanBusOptions
 from ingest.instruments.base import Instrument, Options, instrument_kinds
 from ingest.instruments.scpi import ScpiOptions
-from ingest.instruments.visa_resource import resource_trouble
+from ingest.instruments.visa import resource_trouble
 from ingest.station.location import StationLocation
 from ingest.station_clock import StationClock
 from stream.errors import BadInput

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import msgspec
 
-from storage.log.seal import sealed_specification
+from storage.log.store_documents import signed_specification
 from storage.log.tail import documents_beyond
-from storage.recording.noting import note
+from storage.recording.client import record_documents
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.events import SpecificationEntered
@@ -17,7 +17,7 @@ from stream.identity import Place
 
 _PLACE = Place("store", "specifications")
 _ROLE = "gyrofleet limits"
-_SQL = "select document, arrival_ns from lake_documents where kind = $kind"
+_SQL = "select document, arrival_ns from internal.lake_documents where kind = $kind"
 
 
 class Link(NamedTuple):
@@ -122,7 +122,7 @@ def append_document(store: Store, document: SpecificationEntered) -> None:
     ------
     StoreError, DeliveryError: If it cannot be written.
     """
-    note(store, [sealed_specification(store, document)], role=_ROLE, place=_PLACE, builds_lake=True)
+    record_documents(store, [signed_specification(store, document)], role=_ROLE, place=_PLACE, builds_lake=True)
 
 
 def _breaks(links: Iterable[Link], following: dict[str, list[str]]) -> Iterator[Break]:

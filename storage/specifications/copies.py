@@ -7,7 +7,8 @@ from pathlib import Path
 
 from storage.findings import Finding, Severity
 from storage.specifications.chain import Chain, read_chain
-from storage.store import Store, sync_folder
+from storage.store import Store
+from stream.atomic_file import write_durably
 from stream.errors import StoreError
 from stream.events import SpecificationEntered
 
@@ -25,19 +26,11 @@ def write_copy(store: Store, document: SpecificationEntered) -> None:
     fresh = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(exist_ok=True)
-        with fresh.open("wb") as file:
-            file.write(document.content.encode())
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.chmod(0o444)
-        fresh.replace(path)
-        sync_folder(path.parent)
+        write_durably(path, document.content.encode(), fresh=fresh, mode=0o444)
     except OSError as error:
         raise StoreError(
             f"cannot write {path}: {error}; free the disk or mend its permissions, then `gyrofleet recover`"
         ) from error
-    finally:
-        fresh.unlink(missing_ok=True)
 
 
 def specification_findings(store: Store) -> list[Finding]:

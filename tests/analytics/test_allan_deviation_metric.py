@@ -11,7 +11,7 @@ from analytics.specifications.verdicts import verdicts_of
 from ingest.procedures.procedure import load_procedure, ready_names
 from ingest.station import run_limits
 from ingest.station.run_limits import has_one_record_at_rest
-from stream.estimators.allan_variance import overlapping_allan_variance
+from tests.allan_definition import overlapping_allan_variance
 from tests.analytics.conftest import START_NS, TestedUnits
 
 SPECIFICATION = """

@@ -1,7 +1,9 @@
 """The demonstration's fleet is judged as it was planted."""
 
 from analytics.demo.demo import demo_limits
-from ingest.simulator.gyro import GyroParameters, demo_fleet, unit_batches
+from ingest.simulator.demo_fleet import demo_fleet
+from ingest.simulator.physics.plan import Plan
+from ingest.simulator.station import PowerCycle, SimulatedStation
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.bias_stability import BiasStability
 from stream.events import EstimatePublished, LimitsApplied, RunEnded, Verdict
@@ -10,10 +12,11 @@ from stream.worker.limit_checks import estimator_key, unit_verdicts
 HOURS = 6
 
 
-def simulated_estimates(gyro: GyroParameters) -> list[EstimatePublished]:
+def simulated_estimates(unit: str) -> list[EstimatePublished]:
     estimators = [AllanDeviation(), BiasStability(10.0), BiasStability(100.0)]
-    batches = unit_batches(gyro, run="r1", duration_s=HOURS * 3600, seed=1, rate_batch=100_000)
-    for batch in batches:
+    alone = Plan(1, {unit: demo_fleet(1).parameters[unit]})
+    station = SimulatedStation(alone, "r1", batch=100_000, temperature_batch=60)
+    for batch in station.batches("r1", PowerCycle(0, 0), round(HOURS * 3600e9)):
         for estimator in estimators:
             if batch.signal == "rate":
                 estimator.update(batch)
@@ -25,7 +28,7 @@ def simulated_estimates(gyro: GyroParameters) -> list[EstimatePublished]:
             EstimatePublished(
                 run="r1",
                 t_ns=0,
-                unit=gyro.unit,
+                unit=unit,
                 signal="rate",
                 estimator=estimator.key,
                 unit_of_measure=estimator.unit_of_measure,
@@ -47,10 +50,10 @@ def test_the_demo_fleet_is_judged_as_planted() -> None:
         "bias_stability_10s",
         "bias_stability_100s",
     ]
-    final = [estimate for gyro in demo_fleet() for estimate in simulated_estimates(gyro)]
+    final = [estimate for unit in demo_fleet(1).units for estimate in simulated_estimates(unit)]
     applied = LimitsApplied(run="r1", t_ns=0, revision=limits.label, limits=limits.live)
     verdicts = {each.unit: each for each in unit_verdicts(RunEnded(run="r1", t_ns=0), [applied], final)}
-    assert set(verdicts) == {gyro.unit for gyro in demo_fleet()}
+    assert set(verdicts) == set(demo_fleet(1).units)
     marginal, worse, drifting = (verdicts.pop(unit) for unit in ("FOG-0238", "FOG-0234", "FOG-0236"))
     assert {unit: given.verdict for unit, given in verdicts.items()} == dict.fromkeys(verdicts, Verdict.PASS)
     assert [check.verdict for check in worse.checks[:3]] == [Verdict.FAIL] * 3

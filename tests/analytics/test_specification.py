@@ -188,7 +188,7 @@ def test_the_numbers_of_a_product_are_those_of_the_revision_that_began_last(stor
             for run, at in begins.items()
         ]
         define_views(catalog, pa.Table.from_pylist(rows, schema=step_means(catalog).schema))
-        found = catalog.rows("select run, max_rate_deg_per_s from run_products order by run")
+        found = catalog.rows("select run, max_rate_deg_per_s from internal.run_products order by run")
     assert found == [("r2023", 8.0), ("r2024", 8.0), ("r2026", 10.0)]  # of a time before all, the first
 
 

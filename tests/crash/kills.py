@@ -248,7 +248,7 @@ def trial(folder: Path, kills: int, seed: int) -> dict[str, Any]:
     with Catalog(Store.open(station.store)) as killed, Catalog(Store.open(folder / "whole")) as whole:
         rows, different = compare(killed, whole, runs)
         ((recovered,),) = killed.rows("select count(*) from events where document->>'$.what' = 'segment_recovered'")
-        ((twice,),) = killed.rows("select count(*) - count(distinct uid) from lake_events")
+        ((twice,),) = killed.rows("select count(*) - count(distinct uid) from internal.lake_events")
     wrong += different
     if rows.get("samples") != runs * SAMPLES:
         wrong.append(f"{rows.get('samples')} samples, {runs} runs have {runs * SAMPLES}")

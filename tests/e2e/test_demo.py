@@ -10,7 +10,7 @@ import mcap.reader
 import polars as pl
 import pytest
 
-from ingest.simulator.cycle_runs import ODD_UNIT
+from ingest.simulator.demo_fleet import ODD_UNIT
 
 UNITS = [f"FOG-02{n}" for n in range(31, 39)]
 

@@ -141,5 +141,6 @@ def test_words_that_no_procedure_has_are_told(ask: Callable[..., Result]) -> Non
     assert "warning" not in ask(*known, "--run", "w1", *UP).output
     told = ask(*known, "--run", "w2", "--procedure", "static_bais", "--position", "IRA_sideways").output
     assert "warning: --procedure static_bais is none of gyrofleet's" in told
+    assert ", did you mean static_bias? the step is judged by its position alone" in told
     assert "warning: --position IRA_sideways is none of" in told
     assert "IRA_up" in told.partition("IRA_sideways is none of")[2]

@@ -22,8 +22,12 @@ from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
 from analytics.loop.model.model_use import Stage, activate, read_uses
 from analytics.loop.model.noise import NoiseCoefficients
 from ingest.run.pipeline import EmbeddedPipeline
-from ingest.simulator import cycle_runs
-from ingest.simulator.gyro import GyroParameters
+from ingest.simulator import demo_fleet
+from ingest.simulator.physics.bias import Bias
+from ingest.simulator.physics.gyro import GyroParameters
+from ingest.simulator.physics.noise import Noise
+from ingest.simulator.physics.plan import Plan
+from ingest.simulator.physics.thermal import Thermal
 from storage.check.verify import verify
 from storage.log.tail import LogTail
 from storage.sql.catalog import Catalog
@@ -36,20 +40,18 @@ from stream.transport.zenoh_bus import ZenohBus
 from stream.wire.batches import decode_batch
 
 PLACE = Place("plant", "bench")
-UNIT = cycle_runs.ODD_UNIT
+UNIT = demo_fleet.ODD_UNIT
 DAY_NS = 86_400 * 10**9
 T0_NS = 1_700_000_000 * 10**9
-FLEET = (
-    GyroParameters(
-        unit=UNIT,
+GYRO = GyroParameters(
+    noise=Noise(
         angle_random_walk_deg_per_sqrt_h=0.004,
         bias_instability_deg_per_h=0.02,
         rate_random_walk_deg_per_h_per_sqrt_h=0.005,
-        bias_deg_per_h=1.0,
-        turn_on_bias_deg_per_h=0.02,
-        bias_temperature_coefficient_deg_per_h_per_deg_c=0.01,
-        sample_interval_ns=50_000_000,
     ),
+    bias=Bias(constant_deg_per_h=1.0, turn_on_deg_per_h=0.02),
+    thermal=Thermal(bias_polynomial_deg_per_h=(0.01,)),
+    sample_interval_ns=50_000_000,
 )
 
 
@@ -85,9 +87,9 @@ def measure(folder: Path, day: int, runs: int) -> list[str]:
     """Send runs of a day, the first of which is a temperature cycle, through the whole path."""
     names = []
     with _Compensated(folder) as pipeline:
-        for run in cycle_runs.cycle_runs(T0_NS + day * DAY_NS)[:runs]:
+        for run in demo_fleet.cycle_runs(T0_NS + day * DAY_NS)[:runs]:
             names.append(f"day-{day}-{run.number}")
-            send_cycle(pipeline, PLACE, FLEET, run, names[-1], seed=day + 1)
+            send_cycle(pipeline, PLACE, Plan(day + 1, {UNIT: GYRO}), run, names[-1])
         pipeline.finish()
     return names
 
@@ -134,7 +136,7 @@ def test_found_promoted_compensated_and_rolled_back(tmp_path: Path, monkeypatch:
     assert watch_store(store) == []
 
     # the effect has gone: the model is refused, and the next run is not compensated any more
-    monkeypatch.setattr(cycle_runs, "ODD_UNIT", "none")
+    monkeypatch.setattr(demo_fleet, "ODD_UNIT", "none")
     measure(folder, 4, 1)
     refused, off = watch_store(store)
     assert isinstance(refused, ResidualWatched)

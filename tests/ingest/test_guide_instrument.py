@@ -1,12 +1,15 @@
 """The instrument that the guide shows, in a file of its own, measures; and its procedure and station can be read."""
 
-import importlib.util
 import re
+import sys
+import tomllib
 from pathlib import Path
 
 import msgspec
+import pytest
 
-from ingest.instruments.base import Instrument
+import ingest.instruments
+from ingest.instruments.base import instrument_kinds
 from ingest.procedures.procedure import load_procedure
 from ingest.simulator.scpi.device import SimulatedDevice
 from ingest.simulator.scpi.server import ScpiServer
@@ -22,21 +25,23 @@ def block(guide: str, language: str, holds: str) -> str:
     return str(found)
 
 
-def test_an_instrument_of_forty_lines_measures(tmp_path: Path) -> None:
+def test_an_instrument_of_forty_lines_is_found_by_its_kind_and_measures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     source = block("instrument.md", "python", "class PressureGauge(")
     assert len(source.splitlines()) <= 40
-    path = tmp_path / "pressure_gauge.py"
-    path.write_text(source)
-    spec = importlib.util.spec_from_file_location("pressure_gauge", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    kind: type[Instrument] = module.PressureGauge
+    (tmp_path / "pressure_gauge.py").write_text(source)
+    # the file is all that is added to the package
+    monkeypatch.setattr(ingest.instruments, "__path__", [*ingest.instruments.__path__, str(tmp_path)])
+    kind = instrument_kinds()["pressure_gauge"]
+    monkeypatch.delitem(sys.modules, kind.__module__)
+    monkeypatch.delattr(ingest.instruments, "pressure_gauge")
     clock = StationClock()
     device = SimulatedDevice("ACME,GAUGE,1,1", clock, {}, {"MEASure:PRESsure?": lambda: "1.25E-3"})
+    shown = tomllib.loads(block("instrument.md", "toml", "pressure_gauge"))["instruments"]["gauge"]
+    assert shown.pop("kind") == kind.kind
     with ScpiServer({"gauge": device}) as server:
-        table = {"resource": server.resource("gauge"), "channel": 2, "sample_interval_s": 0.5}
+        table = shown | {"resource": server.resource("gauge"), "sample_interval_s": 0.5}
         with kind("gauge", msgspec.convert(table, kind.options_type), clock) as gauge:
             (reading,) = gauge.sample()
     assert (reading.signal, reading.value) == ("pressure", 1.25e-3)

@@ -11,11 +11,9 @@ from ingest.instruments.base import Instrument, instrument_kinds
 from ingest.instruments.scpi_instrument import ScpiInstrument
 from ingest.simulator.scpi.chamber import SimulatedChamber
 from ingest.simulator.scpi.device import Fault, SimulatedDevice
-from ingest.simulator.scpi.rate_table import SimulatedRateTable
+from ingest.simulator.scpi.electrical import SimulatedSupply, SimulatedVoltmeter
 from ingest.simulator.scpi.server import ScpiServer
-from ingest.simulator.scpi.supply import SimulatedSupply
-from ingest.simulator.scpi.vibration_table import SimulatedVibrationTable
-from ingest.simulator.scpi.voltmeter import SimulatedVoltmeter
+from ingest.simulator.scpi.tables import SimulatedRateTable, SimulatedVibrationTable
 from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError
 

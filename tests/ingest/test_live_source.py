@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from ingest.run.live_run import LiveRun
-from ingest.run.live_source import PowerCycle, SimulatedStation, station_units
 from ingest.run.run_state import RunParameters
+from ingest.simulator.demo_fleet import station_fleet
+from ingest.simulator.station import PowerCycle, SimulatedStation
 from stream.batch import SampleBatch
 from stream.delivery.spool import Spool
 from stream.errors import BadInput, StoreError
@@ -19,7 +20,7 @@ SECOND = 10**9
 
 
 def station(batch: int = 100, seed: int = 1) -> SimulatedStation:
-    return SimulatedStation(station_units(3, 100.0), "r1", seed=seed, batch=batch)
+    return SimulatedStation(station_fleet(3, 100.0, seed), "r1", batch=batch)
 
 
 def counts(batches: list[SampleBatch], unit: str, signal: str) -> np.ndarray:

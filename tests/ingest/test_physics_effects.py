@@ -8,9 +8,9 @@ import pytest
 
 from ingest.simulator.physics.bias import Bias, Jumps, Line, Step, WarmUp
 from ingest.simulator.physics.environment import Environment, PiecewiseEnvironment, StaticEnvironment
-from ingest.simulator.physics.gyro_model import GyroModelParameters, SimulatedGyroModel
-from ingest.simulator.physics.misalignment import Misalignment
+from ingest.simulator.physics.gyro import GyroParameters, SimulatedGyro
 from ingest.simulator.physics.scale import Ripple, Scale
+from ingest.simulator.physics.sensing import Misalignment
 from ingest.simulator.physics.thermal import Hysteresis, TemperatureRate, Thermal
 from stream.batch import FloatArray
 
@@ -26,8 +26,8 @@ def output_deg_per_h(
     whose: dict[str, Any] = {"seed": 1, "unit": "G"}
     whose |= {key: given.pop(key) for key in ("power_on", "day", "age_h", "seed", "unit") if key in given}
     planted: dict[str, Any] = {"scale": Scale(counts_per_deg_per_s=counts)} | given
-    parameters = GyroModelParameters(sample_interval_ns=interval_ns, **planted)
-    gyro = SimulatedGyroModel(parameters, environment=environment, **whose)
+    parameters = GyroParameters(sample_interval_ns=interval_ns, **planted)
+    gyro = SimulatedGyro(parameters, environment=environment, **whose)
     rate: FloatArray = gyro.samples(n).counts.astype(np.float64) * (gyro.scale_deg_per_s_per_count * 3600)
     return rate
 
@@ -57,8 +57,8 @@ COUNT_PPM = 0.5 / COARSE / 200 * 1e6
 
 def test_without_effects_the_counts_are_the_rate() -> None:
     rates, environment = sweep()
-    gyro = SimulatedGyroModel(
-        GyroModelParameters(sample_interval_ns=SECOND_NS, scale=kept()), seed=1, unit="G", environment=environment
+    gyro = SimulatedGyro(
+        GyroParameters(sample_interval_ns=SECOND_NS, scale=kept()), seed=1, unit="G", environment=environment
     )
     assert np.array_equal(gyro.samples(len(rates)).counts, np.rint(rates * COARSE).astype(np.int32))
     assert not output_deg_per_h(1000).any()

@@ -10,19 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ingest.simulator.physics.bias import Bias, Jumps, Line, Step, WarmUp
-from ingest.simulator.physics.dynamics import DeadZone, Dynamics
 from ingest.simulator.physics.environment import PiecewiseEnvironment, StaticEnvironment
-from ingest.simulator.physics.gyro_model import GyroModelParameters, SimulatedGyroModel
-from ingest.simulator.physics.misalignment import Misalignment
+from ingest.simulator.physics.gyro import GyroParameters, SimulatedGyro
 from ingest.simulator.physics.mounting import TableEnvironment
 from ingest.simulator.physics.noise import Markov, Noise
 from ingest.simulator.physics.readout import Fault, Readout, Samples, StartUp
 from ingest.simulator.physics.scale import Ripple, Scale
+from ingest.simulator.physics.sensing import DeadZone, Dynamics, Misalignment
 from ingest.simulator.physics.thermal import Hysteresis, TemperatureRate, Thermal
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput
 
-EVERYTHING = GyroModelParameters(
+EVERYTHING = GyroParameters(
     scale=Scale(
         error_ppm=100.0,
         turn_on_ppm=10.0,
@@ -102,9 +101,9 @@ class Shaking:
         return self._sines(t_ns, 0.5, 0.9)
 
 
-def gyro(parameters: GyroModelParameters = EVERYTHING, **given: Any) -> SimulatedGyroModel:
+def gyro(parameters: GyroParameters = EVERYTHING, **given: Any) -> SimulatedGyro:
     arguments: dict[str, Any] = {"seed": 7, "unit": "FOG-1", "environment": Shaking()} | given
-    return SimulatedGyroModel(parameters, **arguments)
+    return SimulatedGyro(parameters, **arguments)
 
 
 def joined(parts: list[Samples]) -> list[Any]:
@@ -118,7 +117,7 @@ def test_samples_do_not_depend_on_the_sizes_of_the_blocks(blocks: list[int]) -> 
     taken = [parts.samples(n) for n in blocks]
     assert [part.first for part in taken] == [sum(blocks[:i]) for i in range(len(blocks))]
     assert joined(taken) == joined([whole.samples(sum(blocks))])
-    assert parts.next_sample == sum(blocks)
+    assert parts.samples(1).first == sum(blocks)
 
 
 def test_one_sample_at_a_time_is_the_same_too() -> None:
@@ -135,7 +134,7 @@ def test_another_start_is_the_same_at_the_same_environment() -> None:
 
 
 def test_seed_unit_power_on_and_day_each_change_what_they_should() -> None:
-    noise = GyroModelParameters(noise=EVERYTHING.noise, scale=Scale(counts_per_deg_per_s=1e7))
+    noise = GyroParameters(noise=EVERYTHING.noise, scale=Scale(counts_per_deg_per_s=1e7))
     runs = {
         (seed, unit, power_on): gyro(noise, seed=seed, unit=unit, power_on=power_on, environment=None)
         .samples(20_000)
@@ -149,7 +148,7 @@ def test_seed_unit_power_on_and_day_each_change_what_they_should() -> None:
     assert np.abs(np.corrcoef(white) - np.eye(8)).max() < 5 * math.sqrt(1.5 / 20_000)
     again = gyro(noise, seed=0, unit="FOG-1", power_on=1, environment=None).samples(20_000).counts
     assert np.array_equal(again, runs[0, "FOG-1", 1])
-    daily = GyroModelParameters(bias=Bias(day_deg_per_h=50.0))
+    daily = GyroParameters(bias=Bias(day_deg_per_h=50.0))
     first = [gyro(daily, power_on=n, day=d).samples(1).counts[0] for n, d in ((1, 1), (2, 1), (2, 2))]
     assert first[0] == first[1] != first[2]
 
@@ -158,13 +157,13 @@ def test_seed_unit_power_on_and_day_each_change_what_they_should() -> None:
 def test_a_group_of_which_nothing_is_planted_changes_nothing(group: str) -> None:
     kinds = {"bias": Bias, "thermal": Thermal, "misalignment": Misalignment, "noise": Noise, "dynamics": Dynamics}
     kinds |= {"readout": Readout, "start_up": StartUp}
-    empty = GyroModelParameters(**{group: kinds[group]()})
+    empty = GyroParameters(**{group: kinds[group]()})
     environment = PiecewiseEnvironment(
         [0.0, 10.0], rates_deg_per_s=[(-50, 9, 9), (50, 9, 9)], temperature_deg_c=[0, 50], supply_v=[4, 6]
     )
     t_s = np.arange(2000) * 0.005
     expected = np.rint(np.interp(t_s, [0, 10], [-50, 50]) * 20_000).astype(np.int32)
-    for parameters in (empty, GyroModelParameters()):
+    for parameters in (empty, GyroParameters()):
         samples = gyro(parameters, environment=environment).samples(2000)
         assert np.array_equal(samples.counts, expected)
         assert samples.present.all()
@@ -176,8 +175,8 @@ def test_nothing_later_than_the_samples_asked_for_and_nothing_before_power_on_is
     start_ns = 5 * 10**9
     model = gyro(environment=environment, start_ns=start_ns)
     for n in (1, 7, 1000):
-        model.samples(n)
-        assert environment.latest_ns <= model.time_ns(model.next_sample - 1)
+        last = model.samples(n).first + n - 1
+        assert environment.latest_ns <= model.time_ns(last)
     assert environment.earliest_ns == start_ns
 
 
@@ -225,13 +224,13 @@ def test_an_environment_that_gives_no_numbers_is_named() -> None:
         def supply_v(self, t_ns: IntArray) -> FloatArray:
             return np.zeros(1)
 
-    thermal = GyroModelParameters(thermal=Thermal(bias_polynomial_deg_per_h=(1.0,)))
+    thermal = GyroParameters(thermal=Thermal(bias_polynomial_deg_per_h=(1.0,)))
     with pytest.raises(BadInput, match="FOG-1: the environment's temperature_deg_c is not finite at 15000000 ns"):
         gyro(thermal, environment=Broken()).samples(10)
-    supply = GyroModelParameters(bias=Bias(supply_deg_per_h_per_v=1.0))
+    supply = GyroParameters(bias=Bias(supply_deg_per_h_per_v=1.0))
     with pytest.raises(BadInput, match=r"supply_v has the shape \(1,\), \(10,\) is needed"):
         gyro(supply, environment=Broken()).samples(10)
-    gyro(GyroModelParameters(), environment=Broken()).samples(10)  # what no effect needs is not asked for
+    gyro(GyroParameters(), environment=Broken()).samples(10)  # what no effect needs is not asked for
     for wrong in ({"temperature_deg_c": [1.0]}, {"rates_deg_per_s": [(1, 2), (3, 4)]}, {"supply_v": [5.0, math.inf]}):
         with pytest.raises(BadInput, match=next(iter(wrong))):
             PiecewiseEnvironment([0, 1], **wrong)
@@ -258,7 +257,7 @@ def test_earth_rate_and_gravity_by_position_at_30_degrees_north(position: str, e
     assert environment.rates_deg_per_s(t_ns)[0] * 3600 == pytest.approx(15.041067 * expected[0], abs=1e-12)
     assert environment.specific_force_g(t_ns)[0] == pytest.approx(expected[1], abs=1e-12)
     assert np.linalg.norm(environment.rates_deg_per_s(t_ns)[:, 0]) * 3600 == pytest.approx(15.041067)
-    model = gyro(GyroModelParameters(scale=Scale(counts_per_deg_per_s=1e9)), environment=environment)
+    model = gyro(GyroParameters(scale=Scale(counts_per_deg_per_s=1e9)), environment=environment)
     assert model.samples(1).counts[0] == round(15.041067 * expected[0] / 3600 * 1e9)
 
 

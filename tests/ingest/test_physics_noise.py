@@ -7,7 +7,7 @@ import allantools
 import numpy as np
 import pytest
 
-from ingest.simulator.physics.gyro_model import GyroModelParameters, SimulatedGyroModel
+from ingest.simulator.physics.gyro import GyroParameters, SimulatedGyro
 from ingest.simulator.physics.noise import Markov, Noise
 from ingest.simulator.physics.scale import Scale
 from stream.batch import FloatArray
@@ -16,10 +16,10 @@ FLOOR = math.sqrt(2 * math.log(2) / math.pi)
 
 
 def rate_deg_per_h(noise: Noise, n: int, interval_s: float, seed: int = 1) -> FloatArray:
-    parameters = GyroModelParameters(
+    parameters = GyroParameters(
         sample_interval_ns=round(interval_s * 1e9), scale=Scale(counts_per_deg_per_s=1e7), noise=noise
     )
-    gyro = SimulatedGyroModel(parameters, seed=seed, unit="G")
+    gyro = SimulatedGyro(parameters, seed=seed, unit="G")
     rate: FloatArray = gyro.samples(n).counts.astype(np.float64) * (gyro.scale_deg_per_s_per_count * 3600)
     return rate
 

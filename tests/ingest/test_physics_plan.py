@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ingest.simulator.physics.environment import StaticEnvironment
-from ingest.simulator.physics.gyro_model import GyroModelParameters
+from ingest.simulator.physics.gyro import GyroParameters
 from ingest.simulator.physics.plan import Plan, load_plan, parse_plan
 from ingest.simulator.physics.truth import truth, write_truth
 from stream.errors import BadInput
@@ -220,7 +220,7 @@ def test_the_output_follows_from_the_truth_alone(tmp_path: Path) -> None:
         assert out[~stuck] == pytest.approx(expected[~stuck], abs=0.5001 * 3600e-8)
         before = np.flatnonzero(stuck)
         assert (given.counts[before[before > 0]] == given.counts[before[before > 0] - 1]).all()
-        assert msgspec.convert(line["parameters"], GyroModelParameters) == plan.parameters[line["unit"]]
+        assert msgspec.convert(line["parameters"], GyroParameters) == plan.parameters[line["unit"]]
     assert any(line["dropouts"] for line in lines)
     assert any(line["stuck"] for line in lines)
     assert sum(len(line["jumps"]) > 1 for line in lines) >= 6

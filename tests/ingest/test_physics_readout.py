@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from ingest.simulator.physics.bias import Bias
-from ingest.simulator.physics.dynamics import DeadZone, Dynamics
 from ingest.simulator.physics.environment import Environment, PiecewiseEnvironment, StaticEnvironment
-from ingest.simulator.physics.gyro_model import GyroModelParameters, SimulatedGyroModel
+from ingest.simulator.physics.gyro import GyroParameters, SimulatedGyro
 from ingest.simulator.physics.noise import Noise
 from ingest.simulator.physics.readout import Fault, Readout, Samples, StartUp
 from ingest.simulator.physics.scale import Scale
+from ingest.simulator.physics.sensing import DeadZone, Dynamics
 from stream.batch import BoolArray, FloatArray, IntArray
 
 INTERVAL_NS = 1_000_000
@@ -32,8 +32,8 @@ class Vibration(StaticEnvironment):
 
 def samples(n: int, environment: Environment | None = None, counts: float = 1e7, **given: Any) -> Samples:
     interval_ns = given.pop("interval_ns", INTERVAL_NS)
-    parameters = GyroModelParameters(sample_interval_ns=interval_ns, scale=Scale(counts_per_deg_per_s=counts), **given)
-    return SimulatedGyroModel(parameters, seed=3, unit="G", environment=environment).samples(n)
+    parameters = GyroParameters(sample_interval_ns=interval_ns, scale=Scale(counts_per_deg_per_s=counts), **given)
+    return SimulatedGyro(parameters, seed=3, unit="G", environment=environment).samples(n)
 
 
 def rate_deg_per_s(n: int, environment: Environment | None = None, **given: Any) -> FloatArray:

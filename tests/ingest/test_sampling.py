@@ -16,7 +16,7 @@ from ingest.instruments.temperature_chamber import TemperatureChamber, Temperatu
 from ingest.instruments.vibration_table import VibrationTable, VibrationTableOptions
 from ingest.simulator.scpi.chamber import SimulatedChamber
 from ingest.simulator.scpi.server import ScpiServer
-from ingest.simulator.scpi.vibration_table import SimulatedVibrationTable
+from ingest.simulator.scpi.tables import SimulatedVibrationTable
 from ingest.station.sampling import Sampler
 from ingest.station_clock import StationClock
 from stream.batch import SampleBatch

@@ -13,10 +13,9 @@ from ingest.instruments.vibration_table import VibrationTable, VibrationTableOpt
 from ingest.instruments.voltmeter import Voltmeter, VoltmeterOptions
 from ingest.simulator.scpi.chamber import SimulatedChamber
 from ingest.simulator.scpi.device import SimulatedDevice
-from ingest.simulator.scpi.rate_table import SimulatedRateTable
+from ingest.simulator.scpi.electrical import SimulatedVoltmeter
 from ingest.simulator.scpi.server import ScpiServer
-from ingest.simulator.scpi.vibration_table import SimulatedVibrationTable
-from ingest.simulator.scpi.voltmeter import SimulatedVoltmeter
+from ingest.simulator.scpi.tables import SimulatedRateTable, SimulatedVibrationTable
 from ingest.station_clock import StationClock
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput, InstrumentError
@@ -72,9 +71,9 @@ def test_options_that_contradict_each_other_are_refused_at_once() -> None:
         (Voltmeter, VoltmeterOptions(resource="x", nplc=100.0, timeout_s=2.0), "100 cycles of 50 Hz take 2 s"),
         (Voltmeter, VoltmeterOptions(resource="x", range_v=0.0), "range_v is 0"),
         (TemperatureChamber, TemperatureChamberOptions(resource="x", highest_deg_c=20.0), "room_deg_c of 25"),
-        (TemperatureChamber, TemperatureChamberOptions(resource="x", lowest_deg_c=90.0), "leaves nothing"),
+        (TemperatureChamber, TemperatureChamberOptions(resource="x", lowest_deg_c=90.0), "is an empty range"),
         (TemperatureChamber, TemperatureChamberOptions(resource="x", band_deg_c=-1.0), "neither can be negative"),
-        (RateTable, RateTableOptions(resource="x", max_rate_deg_per_s=-5.0), "leaves nothing"),
+        (RateTable, RateTableOptions(resource="x", max_rate_deg_per_s=-5.0), "is an empty range"),
         (TemperatureChamber, TemperatureChamberOptions(resource="x", answers={"measure": "("}), "answer measure"),
     ]
     for cls, options, complaint in cases:

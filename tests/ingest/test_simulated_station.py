@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ingest.simulator.gyro_bus import GyroBus
-from ingest.simulator.physics.gyro_model import SimulatedGyroModel
+from ingest.simulator.bench import CourseClient, CourseDevice
+from ingest.simulator.physics.gyro import SimulatedGyro
 from ingest.simulator.physics.mounting import TableEnvironment
 from ingest.simulator.physics.plan import parse_plan
+from ingest.simulator.processes import GyroBus, power_ons_so_far
 from ingest.simulator.scpi.chamber import SimulatedChamber
 from ingest.simulator.scpi.device import SimulatedDevice
-from ingest.simulator.scpi.rate_table import SimulatedRateTable
-from ingest.simulator.scpi.supply import SimulatedSupply
-from ingest.simulator.station_roles import power_ons_so_far
-from ingest.simulator.world import World, WorldServer
+from ingest.simulator.scpi.electrical import SimulatedSupply
+from ingest.simulator.scpi.server import ScpiServer
+from ingest.simulator.scpi.tables import SimulatedRateTable
 from ingest.station_clock import StationClock
 from stream.errors import InstrumentError
 
@@ -71,7 +71,7 @@ def played(
     frames: Frames = []
     told: list[tuple[str, int, float]] = []
 
-    def tell(model: SimulatedGyroModel, duration_s: float) -> None:
+    def tell(model: SimulatedGyro, duration_s: float) -> None:
         told.append((model.unit, model.power_on, duration_s))
 
     bus = GyroBus(PLAN, environment, supply, frames.extend, tell, power_ons)
@@ -128,14 +128,18 @@ def test_copies_follow_through_many_commands_and_learn_that_the_world_has_ended(
     clock = StationClock(speed=1000.0)
     real, copy = SimulatedRateTable(clock), SimulatedRateTable(clock)
     rng = np.random.default_rng(7)
-    with WorldServer({"table": real}) as server, World("127.0.0.1", server.port, {"table": copy}) as world:
+    courses = CourseDevice(clock, {"table": real})
+    with (
+        ScpiServer({"world": courses}) as server,
+        CourseClient("127.0.0.1", server.port("world"), {"table": copy}) as world,
+    ):
         before_ns = clock.now_ns()
         for _ in range(30):
             real.handle(f"RATE:SETP {rng.uniform(-50, 50):.3f}")
             clock.sleep(float(rng.uniform(0.0, 2.0)))
-            now_ns = world.look()
+            now_ns = world.update()
             t_ns = rng.integers(before_ns, now_ns, 50)
             assert (copy.rate_deg_per_s(t_ns) == real.rate_deg_per_s(t_ns)).all()
             assert (copy.angle_deg(t_ns) == real.angle_deg(t_ns)).all()
     with pytest.raises(InstrumentError, match="cannot be reached"):
-        World("127.0.0.1", server.port, {"table": copy})
+        CourseClient("127.0.0.1", server.port("world"), {"table": copy})

@@ -11,7 +11,7 @@ import pytest
 from ingest import run_record
 from ingest.instruments.base import Instrument, Options, Reading
 from ingest.procedures.procedure import PlannedStep, load_procedure
-from ingest.procedures.run_steps import goes_on_at
+from ingest.procedures.run_steps import resume_index
 from ingest.state_file import write_state
 from ingest.station import run as station_run
 from ingest.station.run import RunStopped, StationRun
@@ -134,7 +134,7 @@ def station() -> Station:
 
 def begun(folder: Path, wire: Wire, steps: tuple[PlannedStep, ...], spool: Spool) -> RunLog:
     log = RunLog("r1", "p", "plan", (UNIT,), station(), spool, StationClock(1e5))
-    log.begin(wire, (), {}, operator=None, lot=None, at=goes_on_at(steps, log.state.step))
+    log.begin(wire, (), {}, operator=None, lot=None, at=resume_index(steps, log.state.step))
     return log
 
 

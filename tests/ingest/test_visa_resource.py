@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ingest.instruments.visa_resource import resource_trouble
+from ingest.instruments.visa import resource_trouble
 from ingest.simulator.station_files import write_station
 from ingest.station.station import load_station
 from stream.errors import BadInput

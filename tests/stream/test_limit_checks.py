@@ -91,7 +91,7 @@ def test_no_estimate_is_no_data_with_the_reason() -> None:
         "no bias_stability_10s of signal rate was published": [],
         "2 averages of 10 s needed, 1 seen": [published(reason="2 averages of 10 s needed, 1 seen")],
         "the estimate has no points": [published()],
-        "'degC' cannot be turned into 'deg/h': they measure different quantities": [
+        "'degC' cannot be converted to 'deg/h': they measure different quantities": [
             published(point(10.0, 1.0), unit_of_measure="degC")
         ],
         "the curve reaches from 1 s to 5 s, not to 10 s: a longer record is needed": [

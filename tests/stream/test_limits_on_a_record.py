@@ -76,7 +76,7 @@ class Worker:
         """Resume from a checkpoint, as it is written."""
         packed = msgspec.msgpack.encode(self.estimation.checkpoint("s"))
         self.estimation = self._fresh()
-        self.estimation.go_on_from(msgspec.msgpack.decode(packed, type=Checkpoint))
+        self.estimation.resume(msgspec.msgpack.decode(packed, type=Checkpoint))
 
     def verdict(self) -> VerdictGiven:
         self.send(RunEnded(run="r1", t_ns=self.now_ns))

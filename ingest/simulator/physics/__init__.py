@@ -1,1 +1,1 @@
-"""Physics of the gyros of a simulated station: what is planted, written apart from everything that looks for it."""
+"""Physics of simulated gyros, written independently of the code that looks for the planted effects."""

@@ -1,4 +1,4 @@
-"""Bias of a gyro: all that it puts out without a rate and that is neither thermal nor noise, in deg/h."""
+"""Bias of a gyro: its output at rest that is neither thermal nor noise, in deg/h."""
 
 import math
 from collections.abc import Iterator
@@ -7,29 +7,29 @@ import msgspec
 import numpy as np
 from numba import njit
 
-from ingest.simulator.physics.arrivals import Jump, Staircase, merged_jumps, random_jumps
+from ingest.simulator.physics.draws import (
+    SECONDS_PER_HOUR,
+    Jump,
+    NotNegative,
+    Positive,
+    Seeds,
+    Staircase,
+    merged_jumps,
+    random_jumps,
+)
 from ingest.simulator.physics.environment import NOMINAL_SUPPLY_V, Conditions
-from ingest.simulator.physics.scale import NotNegative, Positive
-from ingest.simulator.physics.seeds import Seeds
 from stream.batch import FloatArray
-
-SECONDS_PER_HOUR = 3600.0
 
 Vector = tuple[float, float, float]
 _ZERO: Vector = (0.0, 0.0, 0.0)
 
 
 class WarmUp(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One exponential of the warm-up.
-
-    Parameters
-    ----------
-    amplitude_deg_per_h, time_constant_s: Bias at power-on and its time constant.
+    """One exponential of the warm-up: b(t) = A exp(-t/tau), t from power-on.
 
     Notes
     -----
-    Source, electronics and housing heat themselves up after power-on, each with a heat capacity and a path to the
-    outside of its own. b(t) = sum_i A_i exp(-t/tau_i), t from power-on.
+    Source, electronics and housing heat up after power-on, each with its own heat capacity and thermal resistance.
     """
 
     amplitude_deg_per_h: float
@@ -37,24 +37,18 @@ class WarmUp(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Step(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A bias step at a known time: size for good, from `at_s` seconds after power-on on."""
+    """A permanent bias step `at_s` seconds after power-on."""
 
     at_s: NotNegative
     size_deg_per_h: float
 
 
 class Jumps(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Bias steps at random times.
-
-    Parameters
-    ----------
-    rate_per_h: How many are expected in an hour.
-    sd_deg_per_h: Standard deviation of their sizes, normal about 0.
+    """Permanent bias steps at random times: a Poisson process, with normally distributed sizes of mean 0.
 
     Notes
     -----
-    Mode hops of the source, popcorn noise of a stage or a splice that gives way move the bias at once and for good.
-    b(t) = sum of all sizes up to t, their number Poisson with mean rate t.
+    Mode hops of the source, popcorn noise of a stage or a splice that gives way. b(t) = sum of all sizes up to t.
     """
 
     rate_per_h: NotNegative
@@ -62,16 +56,9 @@ class Jumps(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Line(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A sine in the output.
+    """A sine in the output, from mains hum, a fan or a compressor: b(t) = A sin(2 pi f t + phase), t from power-on.
 
-    Parameters
-    ----------
-    frequency_hz, amplitude_deg_per_h, phase_deg: Its frequency, amplitude, and phase at power-on.
-
-    Notes
-    -----
-    Mains hum, a fan or a cycling compressor reaches the output directly. b(t) = A sin(2 pi f t + phase), taken at
-    the samples: above half the sample rate it folds, as it does in a gyro without a filter behind the pick-up.
+    It is evaluated at the samples: above half the sample rate it aliases, as in a gyro without an anti-alias filter.
     """
 
     frequency_hz: NotNegative
@@ -84,24 +71,17 @@ class Bias(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     Parameters
     ----------
-    constant_deg_per_h: The unit's own.
-    turn_on_deg_per_h, day_deg_per_h: Standard deviations of what is drawn anew at every power-on and on every day.
-    warm_up: Exponentials from power-on.
-    acceleration_deg_per_h_per_g, acceleration_squared_deg_per_h_per_g2: list of 3 floats; sensitivity to the specific
-        force along x, y, z, and to its squares.
-    supply_deg_per_h_per_v, supply_nominal_v: Sensitivity to the supply voltage above the nominal one.
-    magnetic_deg_per_h_per_gauss: list of 3 floats; sensitivity to the field along x, y, z.
+    turn_on_deg_per_h, day_deg_per_h: Standard deviations of what is drawn at every power-on and on every day.
+    acceleration_deg_per_h_per_g, acceleration_squared_deg_per_h_per_g2: Sensitivity to the specific force along x, y,
+        z, and to its squares.
+    magnetic_deg_per_h_per_gauss: Sensitivity to the field along x, y, z.
     ageing_deg_per_h_per_decade, ageing_onset_h: Drift with the logarithm of the hours of operation.
-    step: Steps at known times.
-    jumps: Steps at random times.
-    line: Sines.
 
     Notes
     -----
-    A gyro puts out what its optics and electronics take for a rate: residual polarisation and offsets (constant,
-    turn-on, day), stress by weight (g, g^2), gains that follow the supply, the Faraday effect of twisted fibre in a
-    field, and slow relaxation of glue and mirrors. b = b_0 + b_on + b_day + d . f + q . f^2 + s (V - V_0) + m . B +
-    a log10(1 + age/t_0) + warm-up + steps + lines; f along the housing's axes.
+    Residual polarisation and offsets (constant, turn-on, day), stress by weight (g, g^2), gains that follow the supply,
+    the Faraday effect of twisted fibre, and slow relaxation of glue and mirrors. b = b_0 + b_on + b_day + d . f +
+    q . f^2 + s (V - V_0) + m . B + a log10(1 + age/t_0) + warm-up + steps + lines; f along the housing's axes.
     """
 
     constant_deg_per_h: float = 0.0
@@ -140,15 +120,7 @@ def _add_logarithm(t_s: FloatArray, age_h: float, onset_h: float, per_decade: fl
 
 
 class BiasEffect:
-    """Bias of one power-on.
-
-    Parameters
-    ----------
-    bias: What is planted.
-    seeds: Of the power-on.
-    age_h: Hours of operation before this power-on.
-    interval_s: Sample interval.
-    """
+    """Bias of one power-on after `age_h` hours of operation."""
 
     def __init__(self, bias: Bias, seeds: Seeds, age_h: float, interval_s: float) -> None:
         self._bias, self._seeds, self._age_h = bias, seeds, age_h
@@ -184,11 +156,11 @@ class BiasEffect:
         p = self._bias
         for axis in range(3):
             if p.acceleration_deg_per_h_per_g[axis] != 0.0:
-                out += p.acceleration_deg_per_h_per_g[axis] * conditions.specific_force_g[axis]
+                out += p.acceleration_deg_per_h_per_g[axis] * conditions["specific_force_g"][axis]
             if p.acceleration_squared_deg_per_h_per_g2[axis] != 0.0:
-                squared = np.square(conditions.specific_force_g[axis])
+                squared = np.square(conditions["specific_force_g"][axis])
                 out += p.acceleration_squared_deg_per_h_per_g2[axis] * squared
             if p.magnetic_deg_per_h_per_gauss[axis] != 0.0:
-                out += p.magnetic_deg_per_h_per_gauss[axis] * conditions.magnetic_field_gauss[axis]
+                out += p.magnetic_deg_per_h_per_gauss[axis] * conditions["magnetic_field_gauss"][axis]
         if p.supply_deg_per_h_per_v != 0.0:
-            out += p.supply_deg_per_h_per_v * (conditions.supply_v - p.supply_nominal_v)
+            out += p.supply_deg_per_h_per_v * (conditions["supply_v"] - p.supply_nominal_v)

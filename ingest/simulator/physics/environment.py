@@ -1,13 +1,12 @@
-"""What a gyro is exposed to, as functions of time: rates, specific force, temperature, supply, magnetic field.
+"""Environment of a gyro as functions of time: rates, specific force, temperature, supply, magnetic field.
 
 The three axes of a vector are those of the gyro's housing: x is the nominal input axis, y and z lie across it and
 make a right-handed frame.
 """
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from types import MappingProxyType
-from typing import Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -17,12 +16,14 @@ from stream.errors import BadInput
 NOMINAL_TEMPERATURE_DEG_C = 25.0
 NOMINAL_SUPPLY_V = 5.0
 
-_VECTORS = ("rates_deg_per_s", "specific_force_g", "magnetic_field_gauss")
-_DEFAULTS: Mapping[str, tuple[float, ...]] = MappingProxyType(
+Channel = Literal["rates_deg_per_s", "specific_force_g", "magnetic_field_gauss", "temperature_deg_c", "supply_v"]
+
+_NO_VECTOR = (0.0, 0.0, 0.0)
+_DEFAULTS: Mapping[Channel, tuple[float, ...]] = MappingProxyType(
     {
-        "rates_deg_per_s": (0.0, 0.0, 0.0),
-        "specific_force_g": (0.0, 0.0, 0.0),
-        "magnetic_field_gauss": (0.0, 0.0, 0.0),
+        "rates_deg_per_s": _NO_VECTOR,
+        "specific_force_g": _NO_VECTOR,
+        "magnetic_field_gauss": _NO_VECTOR,
         "temperature_deg_c": (NOMINAL_TEMPERATURE_DEG_C,),
         "supply_v": (NOMINAL_SUPPLY_V,),
     }
@@ -32,9 +33,8 @@ _DEFAULTS: Mapping[str, tuple[float, ...]] = MappingProxyType(
 class Environment(Protocol):
     """Functions of time of everything that acts on one gyro.
 
-    Each takes times (int64 nanoseconds, not decreasing, shape (n,)) and is asked for no time later than the
-    samples that are wanted. It answers the same for a time whatever other times it is asked for with it; then the
-    samples do not depend on the block sizes either. Only what a planted effect needs is asked for.
+    Each takes times (int64 nanoseconds, not decreasing, shape (n,)). The value at a time must not depend on the other
+    times of the call; then the samples do not depend on block sizes either. Only what a planted effect needs is called.
     """
 
     def rates_deg_per_s(self, t_ns: IntArray) -> FloatArray:
@@ -65,13 +65,7 @@ class PiecewiseEnvironment:
     ----------
     times_s: Times of the knots from `origin_ns`, seconds, not decreasing. Two equal times make a jump, and the later
         knot holds at that time.
-    rates_deg_per_s, specific_force_g, magnetic_field_gauss: Three numbers a knot: x, y, z. Nought by default.
-    temperature_deg_c, supply_v: A number a knot. 25 degC and 5 V by default.
-    origin_ns: Time of second 0, nanoseconds.
-
-    Raises
-    ------
-    BadInput: If a channel has another number of values, or a value or a time is not finite or out of order.
+    channels: By the names of `Environment`, a value per knot, for vectors x, y, z per knot. By default 0, 25 degC, 5 V.
 
     Examples
     --------
@@ -80,34 +74,19 @@ class PiecewiseEnvironment:
     [20.0, 25.0, 30.0]
     """
 
-    def __init__(
-        self,
-        times_s: Sequence[float],
-        *,
-        rates_deg_per_s: Sequence[Sequence[float]] | None = None,
-        specific_force_g: Sequence[Sequence[float]] | None = None,
-        temperature_deg_c: Sequence[float] | None = None,
-        supply_v: Sequence[float] | None = None,
-        magnetic_field_gauss: Sequence[Sequence[float]] | None = None,
-        origin_ns: int = 0,
-    ) -> None:
+    def __init__(self, times_s: Sequence[float], *, origin_ns: int = 0, **channels: Sequence[Any]) -> None:
         self._times_s = np.asarray(times_s, np.float64)
         self._origin_ns = origin_ns
         if self._times_s.ndim != 1 or not len(self._times_s) or not np.isfinite(self._times_s).all():
             raise BadInput("a piecewise environment needs at least one knot, at finite times in seconds")
         if (np.diff(self._times_s) < 0).any():
             raise BadInput("the knots of a piecewise environment are out of order: sort them by time")
-        given = {
-            "rates_deg_per_s": rates_deg_per_s,
-            "specific_force_g": specific_force_g,
-            "temperature_deg_c": temperature_deg_c,
-            "supply_v": supply_v,
-            "magnetic_field_gauss": magnetic_field_gauss,
-        }
-        self._knots = {name: self._checked(name, values) for name, values in given.items()}
+        if unknown := channels.keys() - set(_DEFAULTS):
+            raise BadInput(f"environment: no channel {min(unknown)}, only {', '.join(_DEFAULTS)}")
+        self._knots = {name: self._rows(name, channels.get(name)) for name in _DEFAULTS}
 
-    def _checked(self, name: str, values: Sequence[float] | Sequence[Sequence[float]] | None) -> FloatArray:
-        """Knots of a channel as rows, one a component."""
+    def _rows(self, name: Channel, values: Sequence[Any] | None) -> FloatArray:
+        """Knots of a channel as rows, one per component."""
         default = _DEFAULTS[name]
         n = len(self._times_s)
         if values is None:
@@ -121,7 +100,7 @@ class PiecewiseEnvironment:
             raise BadInput(f"environment: {name} holds a value that is not finite")
         return np.ascontiguousarray(rows)
 
-    def _at(self, name: str, t_ns: IntArray) -> FloatArray:
+    def _at(self, name: Channel, t_ns: IntArray) -> FloatArray:
         rows = self._knots[name]
         if (rows == rows[:, :1]).all():
             return np.repeat(rows[:, :1], len(t_ns), axis=1)
@@ -150,16 +129,7 @@ class PiecewiseEnvironment:
 
 
 class StaticEnvironment(PiecewiseEnvironment):
-    """Everything constant.
-
-    Parameters
-    ----------
-    rates_deg_per_s, specific_force_g, magnetic_field_gauss: About or along x, y, z.
-    temperature_deg_c, supply_v: Temperature and supply voltage.
-
-    Raises
-    ------
-    BadInput: If a vector has not three numbers or a number is not finite.
+    """A constant environment; channels by the names of `Environment`.
 
     Examples
     --------
@@ -167,72 +137,38 @@ class StaticEnvironment(PiecewiseEnvironment):
     [[10.0], [0.0], [0.0]]
     """
 
-    def __init__(
-        self,
-        *,
-        rates_deg_per_s: Sequence[float] = (0.0, 0.0, 0.0),
-        specific_force_g: Sequence[float] = (0.0, 0.0, 0.0),
-        temperature_deg_c: float = NOMINAL_TEMPERATURE_DEG_C,
-        supply_v: float = NOMINAL_SUPPLY_V,
-        magnetic_field_gauss: Sequence[float] = (0.0, 0.0, 0.0),
-    ) -> None:
-        super().__init__(
-            [0.0],
-            rates_deg_per_s=[rates_deg_per_s],
-            specific_force_g=[specific_force_g],
-            temperature_deg_c=[temperature_deg_c],
-            supply_v=[supply_v],
-            magnetic_field_gauss=[magnetic_field_gauss],
-        )
+    def __init__(self, **channels: float | Sequence[float]) -> None:
+        knots: dict[str, Any] = {name: [value] for name, value in channels.items()}
+        super().__init__([0.0], **knots)
 
 
 class Conditions:
-    """An environment over one block of samples: each channel is asked for once, checked, and only if needed.
+    """An environment over one block of samples: each channel is evaluated once, checked, and only if needed.
 
     Parameters
     ----------
-    environment: The environment.
-    t_ns: shape (n,); times at which it acts.
-    elapsed_s: shape (n,); times of the samples from power-on, seconds.
-    who: Whose conditions, for messages.
+    t_ns: shape (n,); times at which the environment acts.
+    elapsed_s: shape (n,); times from power-on, seconds.
+    who: Name of the gyro in messages.
     """
 
     def __init__(self, environment: Environment, t_ns: IntArray, elapsed_s: FloatArray, who: str) -> None:
         self._environment, self._t_ns, self._who = environment, t_ns, who
         self.elapsed_s = elapsed_s
 
-    @cached_property
-    def rates_deg_per_s(self) -> FloatArray:
-        """Rates about x, y, z, shape (3, n)."""
-        return self.rates_at(self._t_ns)
+        self._known: dict[Channel, FloatArray] = {}
 
-    def rates_at(self, t_ns: IntArray) -> FloatArray:
-        """Rates about x, y, z at other times, shape (3, len(t_ns))."""
-        return self._checked("rates_deg_per_s", t_ns, self._environment.rates_deg_per_s(t_ns))
+    def __getitem__(self, name: Channel) -> FloatArray:
+        """A channel, shape (n,), or (3, n) for vectors."""
+        if name not in self._known:
+            self._known[name] = self.at(name, self._t_ns)
+        return self._known[name]
 
-    @cached_property
-    def specific_force_g(self) -> FloatArray:
-        """Specific force along x, y, z, shape (3, n)."""
-        return self._checked("specific_force_g", self._t_ns, self._environment.specific_force_g(self._t_ns))
-
-    @cached_property
-    def temperature_deg_c(self) -> FloatArray:
-        """Temperature at the housing, shape (n,)."""
-        return self._checked("temperature_deg_c", self._t_ns, self._environment.temperature_deg_c(self._t_ns))
-
-    @cached_property
-    def supply_v(self) -> FloatArray:
-        """Supply voltage, shape (n,)."""
-        return self._checked("supply_v", self._t_ns, self._environment.supply_v(self._t_ns))
-
-    @cached_property
-    def magnetic_field_gauss(self) -> FloatArray:
-        """Magnetic flux density along x, y, z, shape (3, n)."""
-        return self._checked("magnetic_field_gauss", self._t_ns, self._environment.magnetic_field_gauss(self._t_ns))
-
-    def _checked(self, name: str, t_ns: IntArray, values: FloatArray) -> FloatArray:
-        values = np.ascontiguousarray(values, np.float64)
-        shape = (3, len(t_ns)) if name in _VECTORS else (len(t_ns),)
+    def at(self, name: Channel, t_ns: IntArray) -> FloatArray:
+        """A channel at other times."""
+        values = np.ascontiguousarray(getattr(self._environment, name)(t_ns), np.float64)
+        components = len(_DEFAULTS[name])
+        shape = (components, len(t_ns)) if components > 1 else (len(t_ns),)
         if values.shape != shape:
             raise BadInput(f"{self._who}: the environment's {name} has the shape {values.shape}, {shape} is needed")
         if not np.isfinite(values).all():

@@ -1,18 +1,20 @@
-"""A gyro on a rate table on Earth: from the table's angle and rate to what acts along the gyro's three axes."""
+"""Environments of a gyro on Earth: on a rate table, or at rest in a temperature chamber."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
+import msgspec
 import numpy as np
 from numba import njit
 
-from ingest.simulator.physics.environment import NOMINAL_SUPPLY_V, NOMINAL_TEMPERATURE_DEG_C
+from ingest.simulator.physics.draws import SECONDS_PER_HOUR, NotNegative, Positive, Seeds, checked
+from ingest.simulator.physics.environment import NOMINAL_SUPPLY_V, NOMINAL_TEMPERATURE_DEG_C, StaticEnvironment
+from ingest.simulator.physics.noise import ornstein_uhlenbeck
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput
 
 EARTH_RATE_DEG_PER_H = 15.041067
-SECONDS_PER_HOUR = 3600.0
 
 Axes = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 FunctionOfTime = Callable[[IntArray], FloatArray]
@@ -57,19 +59,16 @@ def _turned(angle_deg: FloatArray, constant: FloatArray, cosine: FloatArray, sin
 
 
 class TableEnvironment:
-    """What acts on a gyro that stands on a rate table.
+    """Environment of a gyro on a rate table.
 
     Parameters
     ----------
-    latitude_deg: Of the station, -90 to 90.
-    axes_enu: str or 3 x 3 numbers; directions of the gyro's x (input axis), y and z in east, north, up while the table
-        stands at 0 deg; a name of `POSITIONS` or the three rows. The rows are a rotation matrix.
-    table_axis_enu: 3 numbers; direction of the table's axis in east, north, up; a positive rate turns by the right hand
-        about it.
+    axes_enu: Directions of the gyro's x (input axis), y and z in east, north, up while the table stands at 0 deg: a
+        name of `POSITIONS`, or the three rows of a rotation matrix.
+    table_axis_enu: Direction of the table's axis in east, north, up; positive rates by the right-hand rule.
     rate_deg_per_s, angle_deg, temperature_deg_c: The table's rate and angle and the temperature as functions of an
         int64 array of nanoseconds. Without them the table stands at 0 deg, at 25 degC.
-    supply_v: Supply voltage.
-    magnetic_field_enu_gauss: 3 numbers; field in east, north, up, gauss.
+    magnetic_field_enu_gauss: Field in east, north, up.
 
     Raises
     ------
@@ -143,6 +142,69 @@ class TableEnvironment:
     def magnetic_field_gauss(self, t_ns: IntArray) -> FloatArray:
         """See `Environment`."""
         return self._components(self._field, t_ns)
+
+
+class ChamberParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Temperature in a chamber, and readings of the thermometer at each gyro in it.
+
+    Parameters
+    ----------
+    start_offset_deg_c, settling_time_constant_s: Start relative to the mean, and time constant of the approach.
+    daily_amplitude_deg_c, daily_period_s: A sine, 0 and rising at the start.
+    draught_deg_c, draught_correlation_s: Standard deviation and correlation time of the fluctuation at each gyro.
+    thermometer_noise_deg_c: Standard deviation of one reading.
+    """
+
+    mean_deg_c: float = 25.5
+    start_offset_deg_c: float = -2.0
+    settling_time_constant_s: Positive = 2400.0
+    daily_amplitude_deg_c: float = 1.0
+    daily_period_s: Positive = 86400.0
+    draught_deg_c: NotNegative = 0.03
+    draught_correlation_s: Positive = 600.0
+    thermometer_noise_deg_c: NotNegative = 0.01
+
+
+class ChamberEnvironment(StaticEnvironment):
+    """Environment of a gyro at rest in a chamber, with its input axis east-west: it senses no part of Earth's rate.
+
+    The times of one call must not lie before those of the call before. Two environments of the same seeds have the
+    same temperatures.
+
+    Parameters
+    ----------
+    seeds: Seeds of the draught.
+    start_ns: Time at which the temperature starts.
+    """
+
+    def __init__(self, chamber: ChamberParameters, seeds: Seeds, start_ns: int = 0) -> None:
+        super().__init__()
+        self._chamber, self._start_ns = checked(chamber, "simulated chamber"), start_ns
+        sd, correlation_s = np.array([chamber.draught_deg_c]), np.array([chamber.draught_correlation_s])
+        self._draught = ornstein_uhlenbeck(sd, correlation_s, 1.0, seeds.of_power_on("draught"))
+        self._second = 0  # of the first node
+        self._nodes = np.empty(0)
+
+    def temperature_deg_c(self, t_ns: IntArray) -> FloatArray:
+        """Temperature, degC: linear between whole seconds."""
+        if not len(t_ns):
+            return np.empty(0)
+        t_s = (t_ns - self._start_ns) * 1e-9
+        known = self._second + len(self._nodes)
+        if (missing := int(t_s[-1]) + 2 - known) > 0:
+            self._nodes = np.concatenate([self._nodes, self._next_nodes(known, missing)])
+        temperature: FloatArray = np.interp(t_s, self._second + np.arange(len(self._nodes)), self._nodes)
+        passed = int(t_s[-1]) - self._second
+        self._nodes, self._second = self._nodes[passed:], self._second + passed
+        return temperature
+
+    def _next_nodes(self, first: int, n: int) -> FloatArray:
+        """Temperature at the seconds `first`, `first` + 1, ..."""
+        c = self._chamber
+        t_s = first + np.arange(n, dtype=np.float64)
+        settling = c.start_offset_deg_c * np.exp(-t_s / c.settling_time_constant_s)
+        daily = c.daily_amplitude_deg_c * np.sin(2 * np.pi * t_s / c.daily_period_s)
+        return np.asarray(c.mean_deg_c + settling + daily + self._draught.means(n), np.float64)
 
 
 def _axes(axes_enu: str | Sequence[Sequence[float]]) -> FloatArray:

@@ -1,17 +1,16 @@
-"""The plan of a simulated fleet: what is planted in which unit, from TOML."""
+"""The plan of a simulated fleet, from TOML: the effects planted in each unit."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, TypeVar
 
 import msgspec
 
+from ingest.simulator.physics.draws import NotNegative, unit_generator
 from ingest.simulator.physics.environment import Environment
-from ingest.simulator.physics.gyro_model import GyroModelParameters, SimulatedGyroModel
-from ingest.simulator.physics.scale import NotNegative
-from ingest.simulator.physics.seeds import unit_generator
+from ingest.simulator.physics.gyro import GyroParameters, SimulatedGyro
 from stream.errors import BadInput
 from stream.identity import check_name
 from stream.toml_text import decode_toml
@@ -22,7 +21,7 @@ Settings = TypeVar("Settings", bound=msgspec.Struct)
 
 
 class Spread(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How a number is distributed over the units: normal, drawn again where it falls outside `low` to `high`."""
+    """Distribution of a number over the units: normal, truncated to `low` to `high`."""
 
     mean: float
     sd: NotNegative
@@ -30,8 +29,8 @@ class Spread(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     high: float = math.inf
 
 
-class _Fleet(GyroModelParameters, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The `[fleet]` of the file: what all units have in common, and of whom it is made."""
+class _Fleet(GyroParameters, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The `[fleet]` of the file: parameters common to all units, and their names."""
 
     seed: Annotated[int, msgspec.Meta(ge=0)]
     units: tuple[str, ...] = ()
@@ -44,21 +43,19 @@ class Plan(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    seed: Of everything random.
-    power_ons_per_day: How many power-ons of a unit share a day.
-    hours_per_power_on: Hours of operation by which a unit is older at its next power-on.
-    parameters: What is planted in each unit, by serial number, with everything drawn that is drawn once for a unit's
-        life.
+    power_ons_per_day: Number of power-ons of a unit on one day.
+    hours_per_power_on: Hours of operation from one power-on of a unit to the next.
+    parameters: Planted effects by serial number, with everything drawn that is constant over a unit's life.
     """
 
     seed: int
-    power_ons_per_day: int
-    hours_per_power_on: float
-    parameters: Mapping[str, GyroModelParameters]
+    parameters: Mapping[str, GyroParameters]
+    power_ons_per_day: int = 1
+    hours_per_power_on: float = 0.0
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Serial numbers, in the order of the file."""
+        """Serial numbers, in order of the file."""
         return tuple(self.parameters)
 
     def gyro(
@@ -70,26 +67,21 @@ class Plan(msgspec.Struct, frozen=True):
         age_h: float | None = None,
         environment: Environment | None = None,
         start_ns: int = 0,
-    ) -> SimulatedGyroModel:
+    ) -> SimulatedGyro:
         """One power-on of a unit, from its first sample on.
 
         Parameters
         ----------
-        unit: Serial number.
         power_on: Its number, from 1 on.
-        day: Day that the power-on falls on; by default it follows from `power_ons_per_day`, from 1 on.
+        day: Day of the power-on; by default from `power_ons_per_day`, from 1 on.
         age_h: Hours of operation before; by default `hours_per_power_on` for every earlier power-on.
-        environment, start_ns: See `SimulatedGyroModel`.
-
-        Raises
-        ------
-        BadInput: If the plan has no such unit, or the number is below 1.
+        environment, start_ns: See `SimulatedGyro`.
         """
         if unit not in self.parameters:
             raise BadInput(f"simulated fleet: no unit {unit!r} in the plan; it has {', '.join(self.units) or 'none'}")
         if power_on < 1:
             raise BadInput(f"simulated fleet: power-on {power_on} of unit {unit}; they are numbered from 1 on")
-        return SimulatedGyroModel(
+        return SimulatedGyro(
             self.parameters[unit],
             seed=self.seed,
             unit=unit,
@@ -120,15 +112,14 @@ def load_plan(path: Path) -> Plan:
 def parse_plan(text: str, source: str) -> Plan:
     """Read a plan from TOML.
 
-    `[fleet]` has the `seed`, optionally `units`, `power_ons_per_day` and `hours_per_power_on`, and what is planted in
-    every unit (see `GyroModelParameters`). `[unit."FOG-0231"]` has what is different in one; its `off` lists what the
-    fleet has and this unit has not, such as ``bias.jumps``. A list in a unit replaces the fleet's. Wherever a fraction
-    may stand, so may a `Spread`: ``{mean = 0.5, sd = 0.1, low = 0.0}``, drawn once for each unit.
+    `[fleet]` has the `seed`, optionally `units`, `power_ons_per_day` and `hours_per_power_on`, and the effects of
+    every unit (see `GyroParameters`). `[unit."FOG-0231"]` has what is different in one; its `off` lists effects of the
+    fleet that this unit does not have, such as ``bias.jumps``. A list in a unit replaces the fleet's. In place of a
+    number, a `Spread` is allowed: ``{mean = 0.5, sd = 0.1, low = 0.0}``, drawn once for each unit.
 
     Parameters
     ----------
-    text: The TOML.
-    source: Where it comes from, for messages.
+    source: Name of the file, for messages.
 
     Raises
     ------
@@ -159,23 +150,24 @@ def parse_plan(text: str, source: str) -> Plan:
     except msgspec.MsgspecError as error:
         raise BadInput(f"{what}: {error}") from error
     unknown = set(tree) - {"fleet", "unit"}
+    extra = f", and nothing else: {', '.join(sorted(unknown))}" if unknown else ""
     if unknown or not isinstance(tree.get("fleet"), dict) or not isinstance(tree.get("unit", {}), dict):
-        raise BadInput(f'{what}: one [fleet] and any number of [unit."..."] are needed{_listed(unknown)}')
+        raise BadInput(f'{what}: one [fleet] and any number of [unit."..."] are needed{extra}')
     common = tree["fleet"]
     settings = _convert(_replaced(common, "$.fleet", what, lambda _, spread: spread.mean), _Fleet, "$.fleet", what)
 
     own: dict[str, Any] = tree.get("unit", {})
-    shared = {key: value for key, value in common.items() if key in GyroModelParameters.__struct_fields__}
+    shared = {key: value for key, value in common.items() if key in GyroParameters.__struct_fields__}
     parameters = {}
     for unit in dict.fromkeys((*settings.units, *own)):
         parameters[unit] = _unit_parameters(unit, shared, own.get(unit, {}), settings.seed, what)
     if not parameters:
         raise BadInput(f'{what}: it has no unit; list them in fleet.units or give each a [unit."..."]')
-    return Plan(settings.seed, settings.power_ons_per_day, settings.hours_per_power_on, MappingProxyType(parameters))
+    return Plan(settings.seed, MappingProxyType(parameters), settings.power_ons_per_day, settings.hours_per_power_on)
 
 
-def _unit_parameters(unit: str, shared: dict[str, Any], own: Any, seed: int, what: str) -> GyroModelParameters:
-    """What is planted in one unit, drawn."""
+def _unit_parameters(unit: str, shared: dict[str, Any], own: Any, seed: int, what: str) -> GyroParameters:
+    """Planted effects of one unit, drawn."""
     place = f"$.unit.{unit}"
     try:
         check_name("unit", unit)
@@ -200,7 +192,7 @@ def _unit_parameters(unit: str, shared: dict[str, Any], own: Any, seed: int, wha
                 return value
         raise BadInput(f"{what}: low and high leave hardly any of the distribution - at `{path}`")
 
-    return _convert(_replaced(_merged(shared, own), place, what, draw), GyroModelParameters, place, what)
+    return _convert(_replaced(_merged(shared, own), place, what, draw), GyroParameters, place, what)
 
 
 def _convert(tree: Any, kind: type[Settings], place: str, what: str) -> Settings:
@@ -214,7 +206,7 @@ def _convert(tree: Any, kind: type[Settings], place: str, what: str) -> Settings
 
 
 def _replaced(tree: Any, place: str, what: str, value_of: Callable[[str, Spread], float]) -> Any:
-    """The tree with a number for every distribution; numbers that are not finite are refused."""
+    """The tree with a number in place of every distribution; numbers that are not finite are refused."""
     if _is_spread(tree):
         for key, bound in tree.items():
             _finite(bound, f"{place}.{key}", what)
@@ -247,20 +239,9 @@ def _merged(common: Any, own: Any) -> Any:
 
 
 def _without(tree: dict[str, Any], path: list[str], missing: str) -> dict[str, Any]:
-    """The tree without what stands at `path`."""
+    """The tree without the entry at `path`."""
     head, *rest = path
     if head not in tree or (rest and not isinstance(tree[head], dict)):
         raise BadInput(missing)
     others = {key: value for key, value in tree.items() if key != head}
     return others | {head: _without(tree[head], rest, missing)} if rest else others
-
-
-def _listed(names: set[str]) -> str:
-    return f", and nothing else: {', '.join(sorted(names))}" if names else ""
-
-
-def each_power_on(plan: Plan, power_ons: int) -> Iterator[SimulatedGyroModel]:
-    """The first `power_ons` power-ons of every unit of a plan, in the order of the file."""
-    for unit in plan.units:
-        for power_on in range(1, power_ons + 1):
-            yield plan.gyro(unit, power_on)

@@ -1,4 +1,4 @@
-"""From a rate to the counts that leave the gyro: saturation, resolution, dropouts, stuck values, start-up."""
+"""Read-out, from a rate to counts: saturation, resolution, missing samples, stuck values, start-up."""
 
 import math
 from collections.abc import Iterator
@@ -8,26 +8,24 @@ import msgspec
 import numpy as np
 from numba import njit
 
-from ingest.simulator.physics.arrivals import Stretch, StretchMask, random_stretches
-from ingest.simulator.physics.scale import NotNegative, Positive
-from ingest.simulator.physics.seeds import Seeds
+from ingest.simulator.physics.draws import NotNegative, Positive, RangeMask, SampleRange, Seeds, random_ranges
 from stream.batch import BoolArray, CountArray, FloatArray
 
 _INT32 = np.iinfo(np.int32)
 
 
 class Fault(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Stretches of samples in which something is wrong.
+    """Ranges of faulty samples.
 
     Parameters
     ----------
-    probability: That a stretch begins at a sample, 0 to 1.
-    mean_samples: Mean of its length, at least 1.
+    probability: Probability that a range begins at a sample.
+    mean_samples: Mean length.
 
     Notes
     -----
-    A loose contact or a busy controller loses a message or repeats an old one, now and then for a while. Gaps and
-    lengths are geometric: P(gap = k) = p (1 - p)^k, P(length = k) = (1/m)(1 - 1/m)^(k - 1).
+    A loose contact or a busy controller loses messages or repeats old ones. Gaps and lengths are geometric:
+    P(gap = k) = p (1 - p)^k, P(length = k) = (1/m)(1 - 1/m)^(k - 1).
     """
 
     probability: Annotated[float, msgspec.Meta(ge=0, le=1)]
@@ -39,14 +37,12 @@ class StartUp(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     Parameters
     ----------
-    invalid_s: How long the output is a fixed word.
-    invalid_counts: That word.
-    transient_deg_per_s, time_constant_s: Rate that is put out in error when the output begins, and the time constant of
-        its decay.
+    invalid_s, invalid_counts: Time during which the output is a fixed word, and that word.
+    transient_deg_per_s, time_constant_s: Error of the rate when the output begins, and time constant of its decay.
 
     Notes
     -----
-    The loop closes only once the source has come up, and then finds its working point from a wrong one.
+    The loop closes once the source has come up, and then settles to its working point.
     counts = word for t < t_0, then Omega_out + A exp(-(t - t_0)/tau).
     """
 
@@ -57,19 +53,19 @@ class StartUp(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class Readout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What becomes of the rate at the output.
+    """Conversion of the output rate to counts.
 
     Parameters
     ----------
-    saturation_deg_per_s: Rate at which the output stops, to both sides; in any case it stops at the ends of int32.
+    saturation_deg_per_s: Largest rate in both directions; without it the limits are those of int32.
     resolution_counts: Counts are multiples of this.
-    carries_rest: Whether what rounding leaves is added to the next sample, as a counter of angle does.
-    dropout, stuck: Samples that never arrive, and samples that repeat the one before.
+    carries_rest: Whether the rounding error is added to the next sample, as in an angle counter.
+    dropout, stuck: Samples that are missing, and samples that repeat the one before.
 
     Notes
     -----
-    The detector or the feedback ends somewhere, and a converter gives whole counts. counts =
-    r round(K clip(Omega_out)/r); with the rest carried, the sum of the counts follows the angle to half a step.
+    counts = r round(K clip(Omega_out)/r); with the rest carried, the sum of the counts follows the angle to half a
+    step.
     """
 
     saturation_deg_per_s: Positive | None = None
@@ -80,7 +76,7 @@ class Readout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class Samples(NamedTuple):
-    """Consecutive samples: number of the first, counts, which of them arrive, and which are past the start-up."""
+    """Consecutive samples: number of the first, counts, which are not missing, and which are past the start-up."""
 
     first: int
     counts: CountArray
@@ -118,62 +114,49 @@ def _add_transient(t_s: FloatArray, begin_s: float, size: float, time_constant_s
 
 
 class ReadoutEffect:
-    """Readout of one power-on.
+    """Read-out of one power-on, with a nominal scale factor and the sample interval in nanoseconds."""
 
-    Parameters
-    ----------
-    readout: What is planted.
-    start_up: The first seconds.
-    counts_per_deg_per_s: Nominal scale factor.
-    seeds: Of the power-on.
-    """
-
-    def __init__(self, readout: Readout, start_up: StartUp | None, counts_per_deg_per_s: float, seeds: Seeds) -> None:
+    def __init__(
+        self, readout: Readout, start_up: StartUp | None, counts_per_deg_per_s: float, interval_ns: int, seeds: Seeds
+    ) -> None:
         self._readout, self._start_up, self._seeds = readout, start_up, seeds
-        self._counts_per_rate = counts_per_deg_per_s
-        # beyond the ends of int32 anyway, so that a product with an infinite limit is not needed
+        self._counts_per_rate, self._interval_ns = counts_per_deg_per_s, interval_ns
+        # beyond int32, so that the product is finite
         limit = 2.0**32 / counts_per_deg_per_s
         self._limit = min(limit, readout.saturation_deg_per_s or limit)
         self._rest = 0.0
         self._last = 0
-        self._dropouts = StretchMask(self.dropouts())
-        self._stuck = StretchMask(self.stuck())
+        self._missing = RangeMask(self.dropouts())
+        self._stuck = RangeMask(self.stuck())
 
-    def dropouts(self) -> Iterator[Stretch]:
-        """Stretches of samples that never arrive, from the first on."""
-        return _stretches(self._readout.dropout, self._seeds.of_power_on("dropout"))
+    def dropouts(self) -> Iterator[SampleRange]:
+        """Ranges of missing samples, from the first on."""
+        return _ranges(self._readout.dropout, self._seeds.of_power_on("dropout"))
 
-    def stuck(self) -> Iterator[Stretch]:
-        """Stretches of samples that repeat the one before, from the first on."""
-        return _stretches(self._readout.stuck, self._seeds.of_power_on("stuck"))
+    def stuck(self) -> Iterator[SampleRange]:
+        """Ranges of samples that repeat the one before, from the first on."""
+        return _ranges(self._readout.stuck, self._seeds.of_power_on("stuck"))
 
-    def read(self, first: int, rate_deg_per_s: FloatArray, elapsed_s: FloatArray) -> Samples:
-        """Samples of the next rates at the output; adds the transient to `rate_deg_per_s` in place."""
+    def read(self, first: int, rate_deg_per_s: FloatArray) -> Samples:
+        """Samples of the next output rates; adds the transient to `rate_deg_per_s` in place."""
         p, start_up = self._readout, self._start_up
         n = len(rate_deg_per_s)
-        counts = np.empty(n, np.int32)
-        if start_up is not None and start_up.transient_deg_per_s != 0.0:
+        counts, ready = np.empty(n, np.int32), np.ones(n, np.bool_)
+        if start_up is not None:
+            elapsed_s = np.asarray((first + np.arange(n, dtype=np.int64)) * self._interval_ns * 1e-9, np.float64)
+            ready = elapsed_s >= start_up.invalid_s
             size, time_constant_s = start_up.transient_deg_per_s, start_up.time_constant_s
             _add_transient(elapsed_s, start_up.invalid_s, size, time_constant_s, rate_deg_per_s)
+        step = float(p.resolution_counts)
         self._rest = _to_counts(
-            rate_deg_per_s,
-            self._counts_per_rate,
-            self._limit,
-            float(p.resolution_counts),
-            p.carries_rest,
-            self._rest,
-            counts,
+            rate_deg_per_s, self._counts_per_rate, self._limit, step, p.carries_rest, self._rest, counts
         )
-        ready = np.ones(n, np.bool_)
-        if start_up is not None and start_up.invalid_s > 0.0:
-            ready = elapsed_s >= start_up.invalid_s
+        if start_up is not None:
             counts[~ready] = start_up.invalid_counts
         if p.stuck is not None:
             self._last = _repeat(self._stuck.take(first, n), self._last, counts)
-        return Samples(first, counts, ~self._dropouts.take(first, n), ready)
+        return Samples(first, counts, ~self._missing.take(first, n), ready)
 
 
-def _stretches(fault: Fault | None, generator: np.random.Generator) -> Iterator[Stretch]:
-    if fault is None:
-        return iter(())
-    return random_stretches(fault.probability, fault.mean_samples, generator)
+def _ranges(fault: Fault | None, generator: np.random.Generator) -> Iterator[SampleRange]:
+    return iter(()) if fault is None else random_ranges(fault.probability, fault.mean_samples, generator)

@@ -1,4 +1,4 @@
-"""From the rate that is sensed to the rate that is put out: scale factor and everything that bends it."""
+"""Scale factor: from the sensed rate to the output rate, with nonlinearities."""
 
 import math
 from typing import Annotated
@@ -7,26 +7,16 @@ import msgspec
 import numpy as np
 from numba import njit
 
+from ingest.simulator.physics.draws import SECONDS_PER_HOUR, NotNegative, Positive, Seeds
 from ingest.simulator.physics.environment import NOMINAL_TEMPERATURE_DEG_C, Conditions
-from ingest.simulator.physics.seeds import Seeds
 from stream.batch import FloatArray
-
-Positive = Annotated[float, msgspec.Meta(gt=0)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 
 _PPM = 1e-6
 _HOURS_PER_KILOHOUR = 1000.0
-_SECONDS_PER_HOUR = 3600.0
 
 
 class Ripple(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A sinusoidal deviation from the straight line, periodic in the rate.
-
-    Parameters
-    ----------
-    amplitude_ppm: Of full range.
-    period_deg_per_s: Period.
-    phase_deg: Phase at rate 0.
+    """A sinusoidal deviation from the straight line, periodic in the rate; its amplitude is in ppm of full range.
 
     Notes
     -----
@@ -44,15 +34,13 @@ class Scale(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     Parameters
     ----------
-    counts_per_deg_per_s: Nominal scale factor, which the samples carry with them; its reciprocal is deg/s per count.
-    full_range_deg_per_s: Rate that nonlinearities are relative to.
-    error_ppm: The unit's deviation from the nominal scale factor at 25 degC.
-    turn_on_ppm, day_ppm: Standard deviations of what is drawn anew at every power-on and on every day.
-    nonlinearity_ppm: list of up to 4 floats; terms of order 2, 3, 4, 5 of the rate over full range, ppm of full range.
-    ripple: Sinusoidal nonlinearity.
+    counts_per_deg_per_s: Nominal scale factor, which the samples carry with them.
+    full_range_deg_per_s: Reference rate of the nonlinearities.
+    error_ppm: Deviation from the nominal scale factor at 25 degC.
+    turn_on_ppm, day_ppm: Standard deviations of what is drawn at every power-on and on every day.
+    nonlinearity_ppm: Terms of order 2, 3, 4, 5 of the rate over full range, ppm of full range.
     asymmetry_ppm: (K+ - K-)/K.
-    temperature_ppm_per_deg_c, temperature_ppm_per_deg_c2: Change of the scale factor with the temperature of the gyro
-        above 25 degC.
+    temperature_ppm_per_deg_c, temperature_ppm_per_deg_c2: Change with the temperature inside the gyro above 25 degC.
     acceleration_ppm_per_g: Change with the specific force along the input axis.
     ageing_ppm_per_1000_h: Change with the hours of operation.
 
@@ -96,14 +84,7 @@ def _add_ripple(rate: FloatArray, amplitude: float, period: float, phase: float,
 
 
 class ScaleEffect:
-    """Scale factor of one power-on.
-
-    Parameters
-    ----------
-    scale: What is planted.
-    seeds: Of the power-on.
-    age_h: Hours of operation before this power-on.
-    """
+    """Scale factor of one power-on after `age_h` hours of operation."""
 
     def __init__(self, scale: Scale, seeds: Seeds, age_h: float) -> None:
         self._scale = scale
@@ -118,16 +99,16 @@ class ScaleEffect:
         return self._scale.temperature_ppm_per_deg_c != 0.0 or self._scale.temperature_ppm_per_deg_c2 != 0.0
 
     def apply(self, rate: FloatArray, conditions: Conditions, temperature: FloatArray | None) -> FloatArray:
-        """Rate that is put out for a sensed `rate`, both deg/s; `temperature` is the gyro's own, degC."""
+        """Output rate for a sensed `rate`, both deg/s; `temperature` is that inside the gyro, degC."""
         p = self._scale
         ppm: float | FloatArray = p.error_ppm + self.turn_on_ppm + self.day_ppm
         if temperature is not None and self.needs_temperature:
             above = temperature - NOMINAL_TEMPERATURE_DEG_C
             ppm = ppm + above * (p.temperature_ppm_per_deg_c + above * p.temperature_ppm_per_deg_c2)
         if p.acceleration_ppm_per_g != 0.0:
-            ppm = ppm + p.acceleration_ppm_per_g * conditions.specific_force_g[0]
+            ppm = ppm + p.acceleration_ppm_per_g * conditions["specific_force_g"][0]
         if p.ageing_ppm_per_1000_h != 0.0:
-            age_h = self._age_h + conditions.elapsed_s / _SECONDS_PER_HOUR
+            age_h = self._age_h + conditions.elapsed_s / SECONDS_PER_HOUR
             ppm = ppm + p.ageing_ppm_per_1000_h * (age_h / _HOURS_PER_KILOHOUR)
         out = np.asarray(rate + rate * (_PPM * ppm), np.float64)
         if len(self._terms) or p.asymmetry_ppm != 0.0:

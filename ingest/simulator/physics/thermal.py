@@ -1,4 +1,4 @@
-"""Temperature in the gyro and the bias that it makes: polynomial, rate, hysteresis."""
+"""Temperature inside the gyro and the bias it causes: polynomial, rate, hysteresis."""
 
 import math
 from typing import Annotated
@@ -7,21 +7,19 @@ import msgspec
 import numpy as np
 from numba import njit
 
+from ingest.simulator.physics.draws import NotNegative, Positive
 from ingest.simulator.physics.environment import NOMINAL_TEMPERATURE_DEG_C
-from ingest.simulator.physics.scale import NotNegative, Positive
 from stream.batch import FloatArray
 
 _SECONDS_PER_MINUTE = 60.0
 
 
 class TemperatureRate(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Bias by a changing temperature.
+    """Bias caused by a temperature rate.
 
     Parameters
     ----------
-    deg_per_h_per_deg_c_per_min: Bias for every degC/min.
-    time_constant_s: How fast the gradient in the coil follows; on a ramp the effect has its full size after a few of
-        these.
+    time_constant_s: Lag of the gradient in the coil; on a ramp the effect reaches its full size after a few of these.
 
     Notes
     -----
@@ -40,16 +38,15 @@ class Hysteresis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     Parameters
     ----------
-    half_loop_deg_per_h: Bias on the warming branch; on the cooling branch it is the negative of it.
-    width_deg_c: How far the temperature must turn back until the other branch is reached.
-    start: Where in the loop the gyro stands at power-on: -1 as if cooled before, +1 as if warmed.
+    half_loop_deg_per_h: Bias on the warming branch; the cooling branch has its negative.
+    width_deg_c: Temperature reversal after which the other branch is reached.
+    start: Place in the loop at power-on: -1 as if cooled before, +1 as if warmed.
 
     Notes
     -----
-    Glue and fibre coating slip only after a strain has built up, so that the bias depends on where the temperature
-    came from. It is the stop operator, the counterpart of a backlash (M. Brokate, J. Sprekels, Hysteresis and Phase
-    Transitions, Springer 1996, 2.1): z <- min(max(z + dT, -w/2), w/2), b = h z/(w/2). Several loops of different
-    widths make a Prandtl-Ishlinskii model.
+    Glue and fibre coating slip only after a strain has built up, so that the bias depends on the history of the
+    temperature: the stop operator (M. Brokate, J. Sprekels, Hysteresis and Phase Transitions, Springer 1996, 2.1),
+    z <- min(max(z + dT, -w/2), w/2), b = h z/(w/2). Loops of different widths make a Prandtl-Ishlinskii model.
     """
 
     half_loop_deg_per_h: float
@@ -58,20 +55,17 @@ class Hysteresis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class Thermal(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What temperature does to the bias.
+    """Bias caused by temperature.
 
     Parameters
     ----------
-    lag_s: Time constant with which the gyro's own temperature follows that at the housing; 0 is at once.
-    bias_polynomial_deg_per_h: Bias for every degC above 25 degC, for its square, its cube and so on; the units are
-        deg/h/degC, deg/h/degC^2...
-    rate: Bias by the rate of temperature.
-    hysteresis: Loops.
+    lag_s: Time constant with which the temperature inside the gyro follows that of the housing; 0 for no lag.
+    bias_polynomial_deg_per_h: Coefficients of (T - 25 degC), its square, its cube..., in deg/h/degC, deg/h/degC^2...
 
     Notes
     -----
-    The inside follows the housing through a thermal resistance and a heat capacity, soaked through at power-on;
-    everything thermal, the scale factor's too, depends on the inside. dT_i/dt = (T - T_i)/lag,
+    The inside follows the housing through a thermal resistance and a heat capacity, in equilibrium at power-on;
+    every thermal effect, on the scale factor too, depends on the inside. dT_i/dt = (T - T_i)/lag,
     b = sum_k c_k (T_i - 25)^k + rate + hysteresis.
     """
 
@@ -115,10 +109,6 @@ def _add_polynomial(u: FloatArray, terms: FloatArray, out: FloatArray) -> None:
 class Lag:
     """A first-order lag, exact for an input that is linear between samples; in equilibrium at the first one.
 
-    Parameters
-    ----------
-    time_constant_s, interval_s: Time constant and sample interval.
-
     Notes
     -----
     With e = exp(-h/tau): x_1 = e x_0 + (1 - e) u_0 + (u_1 - u_0)(1 - (1 - e) tau/h).
@@ -139,13 +129,7 @@ class Lag:
 
 
 class ThermalEffect:
-    """Temperature in the gyro and thermal bias of one power-on.
-
-    Parameters
-    ----------
-    thermal: What is planted.
-    interval_s: Sample interval.
-    """
+    """Temperature inside the gyro and thermal bias of one power-on."""
 
     def __init__(self, thermal: Thermal, interval_s: float) -> None:
         self._inside = Lag(thermal.lag_s, interval_s) if thermal.lag_s > 0.0 else None
@@ -162,11 +146,11 @@ class ThermalEffect:
         return bool(len(self._terms) or self._rate or self._loops)
 
     def inside_deg_c(self, housing_deg_c: FloatArray) -> FloatArray:
-        """Temperature in the gyro for the next temperatures of the housing; to be asked once a block."""
+        """Temperature inside the gyro for the next temperatures of the housing; to be called once per block."""
         return housing_deg_c if self._inside is None else self._inside.follow(housing_deg_c)
 
     def add(self, inside_deg_c: FloatArray, out: FloatArray) -> None:
-        """Add the thermal bias, deg/h, for the next temperatures in the gyro."""
+        """Add the thermal bias, deg/h, for the next temperatures inside the gyro."""
         if len(self._terms):
             _add_polynomial(inside_deg_c, self._terms, out)
         if self._rate is not None and self._mass is not None:

@@ -1,22 +1,23 @@
-"""What was planted, for those who judge what was found. Nothing but tests and their judges may read it."""
+"""The planted effects, for evaluating what was found. Only tests and their judges may read it."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from ingest.simulator.physics.arrivals import Stretch
-from ingest.simulator.physics.gyro_model import SimulatedGyroModel
-from ingest.simulator.physics.plan import Plan, each_power_on
+from ingest.simulator.physics.draws import SampleRange
+from ingest.simulator.physics.gyro import SimulatedGyro
+from ingest.simulator.physics.plan import Plan
+from stream.atomic_file import replacement
 from stream.errors import BadInput
 
 
-def truth(gyro: SimulatedGyroModel, duration_s: float) -> dict[str, Any]:
+def truth(gyro: SimulatedGyro, duration_s: float) -> dict[str, Any]:
     """Everything that is planted in one power-on and drawn for it over its first `duration_s` seconds.
 
-    Noise is known by its coefficients; it is drawn again by running the gyro again.
+    Noise is given by its coefficients.
 
     Returns
     -------
@@ -28,9 +29,9 @@ def truth(gyro: SimulatedGyroModel, duration_s: float) -> dict[str, Any]:
     Examples
     --------
     >>> from ingest.simulator.physics.bias import Bias, Step
-    >>> from ingest.simulator.physics.gyro_model import GyroModelParameters
-    >>> parameters = GyroModelParameters(bias=Bias(step=(Step(at_s=5.0, size_deg_per_h=2.0),)))
-    >>> truth(SimulatedGyroModel(parameters, seed=1, unit="FOG-1"), 60.0)["jumps"]
+    >>> from ingest.simulator.physics.gyro import GyroParameters
+    >>> parameters = GyroParameters(bias=Bias(step=(Step(at_s=5.0, size_deg_per_h=2.0),)))
+    >>> truth(SimulatedGyro(parameters, seed=1, unit="FOG-1"), 60.0)["jumps"]
     [(5.0, 2.0)]
     """
     samples = -(-round(duration_s * 1e9) // gyro.parameters.sample_interval_ns)
@@ -56,36 +57,23 @@ def truth(gyro: SimulatedGyroModel, duration_s: float) -> dict[str, Any]:
 
 
 def write_truth(path: Path, plan: Plan, *, power_ons: int, duration_s: float) -> None:
-    """Write what is planted in the first power-ons of every unit of a plan, a line of JSON each.
-
-    Parameters
-    ----------
-    path: The file; it is there whole or not at all.
-    plan: The fleet.
-    power_ons: How many of each unit.
-    duration_s: How long each lasts.
+    """Write what is planted in the first power-ons of every unit of a plan, one line of JSON each, atomically.
 
     Raises
     ------
     BadInput: If a number is negative or the file cannot be written.
     """
-    write_lines(path, each_power_on(plan, power_ons), duration_s)
-
-
-def write_lines(path: Path, gyros: Iterable[SimulatedGyroModel], duration_s: float) -> None:
-    """Write what is planted in these power-ons, a line of JSON each; see `write_truth`."""
     if not 0.0 <= duration_s < float("inf"):
         raise BadInput(f"truth {path}: a duration of {duration_s} s, a finite number from 0 on is needed")
-    part = path.with_name(f"{path.name}.part")
+    gyros = (plan.gyro(unit, power_on) for unit in plan.units for power_on in range(1, power_ons + 1))
     try:
-        with part.open("wb") as file:
+        with replacement(path) as fresh, fresh.open("wb") as file:
             file.writelines(msgspec.json.encode(truth(gyro, duration_s)) + b"\n" for gyro in gyros)
-        part.replace(path)
     except OSError as error:
         raise BadInput(f"truth {path}: cannot be written ({error.strerror or error})") from error
 
 
-def _within(stretches: Iterator[Stretch], samples: int) -> list[tuple[int, int]]:
+def _within(ranges: Iterator[SampleRange], samples: int) -> list[tuple[int, int]]:
     """Those that begin within the samples, cut at their end."""
-    begun = takewhile(lambda stretch: stretch.first < samples, stretches)
-    return [(stretch.first, min(stretch.stop, samples)) for stretch in begun]
+    begun = takewhile(lambda each: each.first < samples, ranges)
+    return [(each.first, min(each.stop, samples)) for each in begun]

@@ -5,9 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ingest.simulator.scpi.device import SimulatedDevice, single, within
-from ingest.simulator.timeline import Stretch, Timeline
+from ingest.simulator.scpi.timeline import Segment, Timeline
 from ingest.station_clock import StationClock
 from stream.batch import FloatArray, IntArray
+
+_LOWEST_DEG_C, _HIGHEST_DEG_C = -70.0, 150.0
 
 
 class _Air(NamedTuple):
@@ -22,11 +24,8 @@ class SimulatedChamber(SimulatedDevice):
 
     Parameters
     ----------
-    clock: The station's clock.
-    start_deg_c: Temperature at the start.
-    ramp_deg_c_per_min: How fast the controller's ramp moves to the temperature that is set.
+    ramp_deg_c_per_min: Rate of the controller's ramp to the temperature that is set.
     lag_s: Time constant with which the air follows the ramp.
-    lowest_deg_c, highest_deg_c: What can be set.
 
     Notes
     -----
@@ -41,14 +40,7 @@ class SimulatedChamber(SimulatedDevice):
     """
 
     def __init__(
-        self,
-        clock: StationClock,
-        *,
-        start_deg_c: float = 25.0,
-        ramp_deg_c_per_min: float = 3.0,
-        lag_s: float = 60.0,
-        lowest_deg_c: float = -70.0,
-        highest_deg_c: float = 150.0,
+        self, clock: StationClock, *, start_deg_c: float = 25.0, ramp_deg_c_per_min: float = 3.0, lag_s: float = 60.0
     ) -> None:
         super().__init__(
             "GYROFLEET,SIMULATED CHAMBER,0,1",
@@ -56,11 +48,10 @@ class SimulatedChamber(SimulatedDevice):
             {"TEMPerature:SETPoint": self._set},
             {
                 "TEMPerature:SETPoint?": lambda: f"{self.setpoint_deg_c:.2f}",
-                "TEMPerature:ACTual?": lambda: f"{single(self.temperature_deg_c(clock.now_ns())):.3f}",
+                "TEMPerature:ACTual?": lambda: self.now(self.temperature_deg_c, 3),
             },
         )
         self.setpoint_deg_c = start_deg_c
-        self._range = lowest_deg_c, highest_deg_c
         self._slope = ramp_deg_c_per_min / 60.0
         self._lag_s = lag_s
         self.course = self._line = Timeline(clock, _Air(start_deg_c, start_deg_c, 0.0, lag_s), _air)
@@ -70,9 +61,9 @@ class SimulatedChamber(SimulatedDevice):
         return self._line.at(t_ns)
 
     def _set(self, value: float) -> None:
-        target = self.setpoint_deg_c = within(value, *self._range)
+        target = self.setpoint_deg_c = within(value, _LOWEST_DEG_C, _HIGHEST_DEG_C)
 
-        def plan(now_ns: int, present: _Air, dt_s: float) -> list[Stretch[_Air]]:
+        def plan(now_ns: int, present: _Air, dt_s: float) -> list[Segment[_Air]]:
             air = single(_air(present, np.array([dt_s])))
             ramp = present.ramp_deg_c + present.slope_deg_c_per_s * dt_s
             slope = float(np.copysign(self._slope, target - ramp))
@@ -80,8 +71,8 @@ class SimulatedChamber(SimulatedDevice):
             end_s = abs(target - ramp) / self._slope
             at_end = single(_air(moving, np.array([end_s])))
             return [
-                Stretch(now_ns, moving),
-                Stretch(now_ns + round(end_s * 1e9), _Air(at_end, target, 0.0, self._lag_s)),
+                Segment(now_ns, moving),
+                Segment(now_ns + round(end_s * 1e9), _Air(at_end, target, 0.0, self._lag_s)),
             ]
 
         self._line.change(plan)

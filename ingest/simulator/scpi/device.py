@@ -1,4 +1,4 @@
-"""What all simulated SCPI instruments have in common: headers, the queue of errors, and faults on demand."""
+"""Base class of simulated SCPI instruments: headers, the error queue, and faults on demand."""
 
 import re
 import threading
@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import Any
 
-from ingest.simulator.timeline import Timeline
+from ingest.simulator.scpi.timeline import Timeline
 from ingest.station_clock import StationClock
 from stream.batch import FloatArray
 
@@ -15,18 +15,18 @@ Handler = Callable[[str], str | None]
 
 
 class Fault(StrEnum):
-    """What a simulated instrument can be made to do wrong."""
+    """Faults of a simulated instrument."""
 
     NONE = "NONE"
     DROP = "DROP"  # the connection closes at the next line, once
     REFUSE = "REFUSE"  # commands are refused with an error
     UNSETTLED = "UNSETTLED"  # commands are accepted and do nothing
-    GARBAGE = "GARBAGE"  # answers are no answers
-    SILENT = "SILENT"  # nothing is answered
+    GARBAGE = "GARBAGE"  # answers are unreadable
+    SILENT = "SILENT"  # there are no answers
 
 
 class Refused(Exception):
-    """A command that the instrument answers with an error of its queue."""
+    """A command that puts an error into the instrument's queue."""
 
 
 class SimulatedDevice:
@@ -35,9 +35,8 @@ class SimulatedDevice:
     Parameters
     ----------
     identity: Its answer to ``*IDN?``.
-    clock: The station's clock.
-    settings, queries: Handlers by header, in SCPI's manner: ``TEMPerature:SETPoint`` is TEMP:SETP as well. A setting
-        takes one number.
+    settings, queries: Handlers by SCPI header: ``TEMPerature:SETPoint`` matches TEMP:SETP too. A setting takes one
+        number.
 
     Examples
     --------
@@ -74,8 +73,12 @@ class SimulatedDevice:
         }
         self._queries = [(_header(name), handler) for name, handler in {**common, **queries}.items()]
 
+    def now(self, quantity: Callable[[int], FloatArray], decimals: int) -> str:
+        """The present value of a quantity, as an answer."""
+        return f"{single(quantity(self.clock.now_ns())):.{decimals}f}"
+
     def handle(self, line: str) -> str | None:
-        """Do what a line says; what is answered, if anything is."""
+        """Execute a line; returns the answer, if there is one."""
         with self._lock:
             self.lines.append(line)
             answers = [
@@ -120,12 +123,7 @@ class SimulatedDevice:
 
 
 def within(value: float, low: float, high: float) -> float:
-    """Return a parameter that is within its range.
-
-    Raises
-    ------
-    Refused: If it is not.
-    """
+    """Return a parameter within its range; any other is refused."""
     if not low <= value <= high:
         raise Refused('-222,"Data out of range"')
     return value
@@ -137,7 +135,7 @@ def single(values: FloatArray) -> float:
 
 
 def _header(name: str) -> re.Pattern[str]:
-    """Regular expression of a header: capitals are its short form, what is in brackets may be left out."""
+    """Regular expression of a header: capitals are its short form, brackets are optional."""
     words = re.sub(
         r"([A-Z]+)([a-z]+)", r"\1(?:\2)?", re.sub(r"([*?])", r"\\\1", name).replace("[", "(~").replace("]", ")?")
     )

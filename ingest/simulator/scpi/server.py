@@ -1,4 +1,4 @@
-"""Serves simulated instruments on TCP, each on a port of its own, as raw SCPI instruments are."""
+"""Serves simulated instruments on TCP, each at its own port."""
 
 import socket
 import threading
@@ -18,7 +18,6 @@ class ScpiServer:
     Parameters
     ----------
     devices: The instruments by name.
-    host: Address to listen at.
     ports: Port of an instrument; any free one by default.
 
     Raises
@@ -60,7 +59,7 @@ class ScpiServer:
         return f"TCPIP::{self.host}::{self.port(name)}::SOCKET"
 
     def plug(self, name: str) -> None:
-        """Plug an instrument in, at the port that it had."""
+        """Plug an instrument in, at the port it had before."""
         if name in self._outlets:
             return
         try:
@@ -74,8 +73,8 @@ class ScpiServer:
         self._outlets[name] = outlet
 
     def unplug(self, name: str) -> None:
-        """Unplug an instrument: its connections break, and nobody reaches it."""
-        if (outlet := self._outlets.pop(name, None)) is not None:
+        """Unplug an instrument: its connections break, and it cannot be reached."""
+        if outlet := self._outlets.pop(name, None):
             outlet.close()
 
     def close(self) -> None:
@@ -108,7 +107,7 @@ class _Outlet:
             self._is_closed = True
             lines = dict(self._lines)
         for each in (self._listener, *lines):
-            with suppress(OSError):  # wakes whoever waits on it
+            with suppress(OSError):  # wakes the thread that waits on it
                 each.shutdown(socket.SHUT_RDWR)
         self._listener.close()
         for thread in (self._thread, *lines.values()):

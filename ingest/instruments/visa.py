@@ -1,0 +1,111 @@
+"""VISA resources: their names, and what the library under them does not do by itself."""
+
+import difflib
+import os
+import re
+import select
+import socket
+from functools import cache
+from typing import Any
+
+_BUILT_IN = ("TCPIP", "ASRL", "GPIB", "USB")
+_INTERFACES = (*_BUILT_IN, "VXI", "PXI", "VICP", "PRLGX-TCPIP", "PRLGX-ASRL")
+_EXAMPLES = "TCPIP::192.168.1.20::5025::SOCKET, ASRL/dev/ttyUSB0::INSTR or GPIB0::8::INSTR"
+
+
+def resource_trouble(resource: str) -> str | None:
+    """Why a text cannot be the name of a resource, and what to write; None where it can.
+
+    A name without a colon may be an alias that a vendor's library knows.
+
+    Examples
+    --------
+    >>> resource_trouble("TCPI::192.168.1.20::5025::SOCKET")
+    "VISA knows no interface 'TCPI', did you mean TCPIP?"
+    >>> resource_trouble("TCPIP::192.168.1.20::5025::SOCKET"), resource_trouble("chamber")
+    (None, None)
+    """
+    if not resource.strip():
+        return f"it is empty; write it as {_EXAMPLES}"
+    if ":" not in resource:
+        return None
+    upper = resource.upper()
+    if not upper.startswith(_INTERFACES):
+        given = re.split(r"\d*:|/", upper, maxsplit=1)[0]
+        near = difflib.get_close_matches(given, _INTERFACES, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"write it as {_EXAMPLES}"
+        return f"VISA knows no interface {given!r}, {hint}"
+    from pyvisa.rname import InvalidResourceName, ResourceName
+
+    try:
+        ResourceName.from_string(resource)
+    except InvalidResourceName as error:
+        # pyvisa does not know every form of the other interfaces
+        return f"{error}; write it as {_EXAMPLES}" if upper.startswith(_BUILT_IN) else None
+    return None
+
+
+@cache
+def _manager(backend: str) -> Any:
+    """The one manager of a VISA library; the search for vendors' libraries takes a third of a second."""
+    import pyvisa
+
+    return pyvisa.ResourceManager(backend)
+
+
+class VisaLine:
+    """An open VISA resource.
+
+    Raises
+    ------
+    Exception: Of pyvisa, of the socket, or bare ones of pyvisa-py; the same holds for every method but `close`.
+    """
+
+    def __init__(
+        self, backend: str, resource: str, timeout_s: float, terminations: tuple[str, str], baud_rate: int | None
+    ) -> None:
+        self._timeout_s = timeout_s
+        milliseconds = max(1, round(timeout_s * 1e3))
+        self._resource = _manager(backend).open_resource(resource, open_timeout=milliseconds)
+        self._resource.timeout = milliseconds
+        self._resource.read_termination, self._resource.write_termination = terminations
+        if baud_rate is not None:
+            self._resource.baud_rate = baud_rate
+        self._socket = self._raw_socket()
+        if self._socket is not None:
+            # pyvisa-py takes a refused connection for success, and cannot set its own attribute
+            if refusal := self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+                self._resource.close()
+                raise OSError(refusal, os.strerror(refusal))
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def _raw_socket(self) -> socket.socket | None:
+        """The socket under a raw TCP resource of pyvisa-py; None for every other resource."""
+        sessions = getattr(self._resource.visalib, "sessions", None)
+        session = sessions.get(self._resource.session) if isinstance(sessions, dict) else None
+        found = getattr(session, "interface", None)
+        return found if isinstance(found, socket.socket) else None
+
+    def write(self, text: str) -> None:
+        """Send a line, after making sure that no earlier answer waits to be read."""
+        if self._socket is not None:
+            from pyvisa.constants import BufferOperation
+
+            self._resource.flush(BufferOperation.discard_read_buffer_no_io)
+            if select.select([self._socket], [], [], 0.0)[0]:
+                raise ConnectionResetError("the instrument closed the connection, or sent a line without a query")
+        self._resource.write(text, encoding="latin-1")
+
+    def read(self) -> str:
+        """Read a line."""
+        if self._socket is not None:
+            # pyvisa-py spins for the whole time-out where the other side has closed
+            if not select.select([self._socket], [], [], self._timeout_s)[0]:
+                raise TimeoutError("no answer")
+            if not self._socket.recv(1, socket.MSG_PEEK):
+                raise ConnectionResetError("the instrument closed the connection")
+        return str(self._resource.read(encoding="latin-1"))
+
+    def close(self) -> None:
+        """Close it."""
+        self._resource.close()

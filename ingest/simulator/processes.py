@@ -1,0 +1,228 @@
+"""The two processes of a simulated station: instruments that speak SCPI, and gyros on a CAN bus."""
+
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from ingest.simulator.bench import CourseClient, CourseDevice, SimulatedBench
+from ingest.simulator.physics.gyro import SimulatedGyro
+from ingest.simulator.physics.mounting import TableEnvironment
+from ingest.simulator.physics.plan import Plan, load_plan
+from ingest.simulator.physics.truth import truth
+from ingest.simulator.scpi.electrical import SimulatedSupply
+from ingest.simulator.scpi.server import ScpiServer
+from ingest.simulator.station_files import FIRST_ID, MULTICAST, PLAN, Simulation, read_simulation
+from ingest.station_clock import StationClock
+from stream.console import until_stopped
+from stream.errors import GyrofleetError
+
+TRUTH = "truth.jsonl"
+_TICK_S = 0.005
+_LOOK_S = 0.5
+_PARENT = os.getppid()
+
+
+@dataclass
+class _Gyro:
+    unit: str
+    arbitration_id: int
+    power_ons: int = 0
+    model: SimulatedGyro | None = None
+
+
+class GyroBus:
+    """Sends the samples of a fleet as CAN frames, each as soon as its time has passed.
+
+    Parameters
+    ----------
+    supply: Powers the fleet: without power nothing is sent, and each switching on is a power-on.
+    send: Called with the frames of a tick, each an arbitration id and 8 bytes, in order of time.
+    on_power: Called at the begin and the end of every power-on, with its seconds so far.
+    power_ons: Number of earlier power-ons of each unit.
+
+    Notes
+    -----
+    A frame has the counts of the rate (int32), the temperature in 0.01 degC (int16) and the sample's number (uint16).
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        environment: TableEnvironment,
+        supply: SimulatedSupply,
+        send: Callable[[Sequence[tuple[int, bytes]]], None],
+        on_power: Callable[[SimulatedGyro, float], None] = lambda *_: None,
+        power_ons: Mapping[str, int] | None = None,
+    ) -> None:
+        power_ons = power_ons or {}
+        self._plan = plan
+        self._environment = environment
+        self._supply = supply
+        self._send = send
+        self._on_power = on_power
+        self._gyros = [_Gyro(unit, FIRST_ID + i, power_ons.get(unit, 0)) for i, unit in enumerate(plan.units)]
+        self._done_ns = 0
+        self.frames = 0
+
+    def advance(self, now_ns: int) -> None:
+        """Send everything up to a time."""
+        for start_ns, end_ns, on in self._powered(now_ns):
+            if on:
+                self._sample(start_ns, end_ns)
+            else:
+                self.end(start_ns)
+        self._done_ns = now_ns
+
+    def end(self, t_ns: int | None = None) -> None:
+        """End every power-on at a time, by default at that of the last `advance`."""
+        for gyro in self._gyros:
+            if gyro.model is not None:
+                end_ns = self._done_ns if t_ns is None else t_ns
+                self._on_power(gyro.model, (end_ns - gyro.model.start_ns) / 1e9)
+                gyro.model = None
+
+    def _powered(self, now_ns: int) -> list[tuple[int, int, bool]]:
+        """Intervals from the last `advance` to now, and whether there was power."""
+        course = self._supply.course
+        assert course is not None
+        _, segments = course.since(self._done_ns)
+        borders = [max(segment.start_ns, self._done_ns) for segment in segments if segment.start_ns <= now_ns]
+        ends = [*borders[1:], now_ns]
+        on = [bool(segment.state.on) and segment.state.set_v > 0.0 for segment in segments[: len(borders)]]
+        return [each for each in zip(borders, ends, on, strict=True) if each[0] < each[1]]
+
+    def _sample(self, start_ns: int, end_ns: int) -> None:
+        times: list[npt.NDArray[np.int64]] = []
+        ids: list[npt.NDArray[np.uint32]] = []
+        rows: list[npt.NDArray[np.uint8]] = []
+        for gyro in self._gyros:
+            if gyro.model is None:
+                gyro.power_ons += 1
+                gyro.model = self._plan.gyro(
+                    gyro.unit, gyro.power_ons, environment=self._environment, start_ns=start_ns
+                )
+                self._on_power(gyro.model, 0.0)
+            due = gyro.model.due(end_ns)
+            if due <= 0:
+                continue
+            samples = gyro.model.samples(due)
+            number = samples.first + np.arange(due, dtype=np.int64)
+            t_ns = gyro.model.start_ns + number * gyro.model.parameters.sample_interval_ns
+            times.append(t_ns[samples.present])
+            ids.append(np.full(int(samples.present.sum()), gyro.arbitration_id, np.uint32))
+            temperature = self._environment.temperature_deg_c(t_ns)
+            rows.append(_payload(samples.counts, temperature, number)[samples.present])
+        if not times:
+            return
+        order = np.argsort(np.concatenate(times), kind="stable")
+        all_ids, all_rows = np.concatenate(ids)[order].tolist(), np.concatenate(rows)[order]
+        data = all_rows.tobytes()
+        self._send([(each, data[8 * i : 8 * i + 8]) for i, each in enumerate(all_ids)])
+        self.frames += len(all_ids)
+
+
+def _payload(
+    counts: npt.NDArray[np.int32], temperature_deg_c: npt.NDArray[np.float64], number: npt.NDArray[np.int64]
+) -> npt.NDArray[np.uint8]:
+    rows = np.zeros(len(counts), np.dtype([("rate", "<i4"), ("temperature", "<i2"), ("counter", "<u2")]))
+    rows["rate"] = counts
+    rows["temperature"] = np.clip(np.rint(temperature_deg_c * 100.0), -32768, 32767)
+    rows["counter"] = number % 65536
+    return rows.view(np.uint8).reshape(len(counts), 8)
+
+
+def play_instruments(folder: Path) -> None:
+    """Play the instruments until asked to stop; the supply is on from the beginning."""
+    simulation = read_simulation(folder)
+    bench = _bench(simulation)
+    bench.supply.handle("VOLT 5;CURR 5;OUTP ON")
+    courses = CourseDevice(bench.supply.clock, bench.named)
+    with ScpiServer({**bench.named, "world": courses}, ports=simulation.ports), until_stopped() as stop:
+        print("ready", flush=True)
+        while not (stop.wait(_LOOK_S) or _is_orphan()):
+            pass
+
+
+def play_gyros(folder: Path) -> None:
+    """Play the gyros until asked to stop, or the instruments have ended; the truth goes to a file of its own."""
+    import can
+
+    simulation = read_simulation(folder)
+    bench = _bench(simulation)
+
+    def write(model: SimulatedGyro, duration_s: float) -> None:
+        with (folder / TRUTH).open("ab") as file:
+            file.write(msgspec.json.encode(truth(model, duration_s)) + b"\n")
+
+    with (
+        CourseClient("127.0.0.1", simulation.ports["world"], bench.named) as courses,
+        can.Bus(channel=MULTICAST, interface="udp_multicast", port=simulation.multicast_port) as bus,
+        until_stopped() as stop,
+    ):
+
+        def send(frames: Sequence[tuple[int, bytes]]) -> None:
+            for arbitration_id, data in frames:
+                bus.send(can.Message(arbitration_id=arbitration_id, data=data, is_extended_id=False, check=False))
+
+        environment = bench.environment(simulation.latitude_deg, simulation.position)
+        power_ons = power_ons_so_far(folder / TRUTH)
+        gyros = GyroBus(load_plan(folder / PLAN), environment, bench.supply, send, write, power_ons)
+        print("ready", flush=True)
+        try:
+            while stop.asked_at is None and not _is_orphan():
+                gyros.advance(courses.update())
+                time.sleep(_TICK_S)
+        finally:
+            gyros.end()
+
+
+def _bench(simulation: Simulation) -> SimulatedBench:
+    """The instruments; the gyros' process has copies, which follow those of the instruments' process."""
+    return SimulatedBench.at(StationClock(simulation.speed, simulation.start_ns, simulation.origin_s))
+
+
+class _PowerOn(msgspec.Struct):
+    unit: str
+    power_on: int
+
+
+def power_ons_so_far(path: Path) -> dict[str, int]:
+    """Number of power-ons of each unit in a truth file; a line that a crash has cut off is skipped."""
+    found: dict[str, int] = {}
+    try:
+        lines = path.read_bytes().splitlines()
+    except FileNotFoundError:
+        return found
+    for line in lines:
+        try:
+            each = msgspec.json.decode(line, type=_PowerOn)
+        except msgspec.DecodeError:
+            continue
+        found[each.unit] = max(found.get(each.unit, 0), each.power_on)
+    return found
+
+
+def _is_orphan() -> bool:
+    """Whether the process that started this one has been killed."""
+    return os.getppid() != _PARENT
+
+
+def main() -> None:
+    """`python -m ingest.simulator.processes instruments|gyros FOLDER`."""
+    _, role, folder = sys.argv
+    try:
+        {"instruments": play_instruments, "gyros": play_gyros}[role](Path(folder))
+    except GyrofleetError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()
