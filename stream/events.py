@@ -196,12 +196,11 @@ class Limit(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LimitsApplied(Document, frozen=True, kw_only=True, tag=True):
-    """The limits that a run is judged by while it goes on; with the planned duration it can be decided early.
+    """Live limits that a run is judged by; with the planned duration it can be decided early.
 
     Parameters
     ----------
     revision: Specifications that the limits are of, such as ``FOG-70-B``.
-    limits: Limits that live estimators can judge.
     planned_s: Planned duration of what is judged, seconds.
     unit: Unit that they apply to; every unit of the run where it is left out.
     since_ns: Start of the record that is judged, which lasts `planned_s`; the whole run where it is left out.

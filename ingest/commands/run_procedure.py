@@ -140,7 +140,7 @@ def run_procedure(asked: ProcedureRun, destination: Destination, *, as_json: boo
             operator=asked.operator or _common(job.entries, "operator"),
             lot=asked.lot or _common(job.entries, "lot"),
             at=resume_index(job.steps, log.state.step),
-            warnings=(*found.warnings, *limits.remarks),
+            warnings=found.warnings,
             limits=limits,
         )
         for warning in other_unfinished(destination.spools, job.procedure.name, run):

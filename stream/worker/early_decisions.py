@@ -73,21 +73,13 @@ class EarlyDecisions:
     """Early decisions on the limits that a run sets one signal.
 
     Limits on the Allan deviation and on the angle random walk (at 1 s) are decided at any averaging time of at least 96
-    sample intervals, and at any multiple of 16, of means over a sixteenth of it; where such a mean is no whole number
-    of samples, some hold one more than others, which raises the deviation by less than 0.3 %. Shorter ones are
-    decided where they are an octave of the interval, limits on the bias stability where it is estimated.
+    sample intervals, and at any multiple of 16, from means over a sixteenth of it; where such a mean is no whole number
+    of samples, some have one sample more than others, which raises the deviation by less than 0.3 %. At shorter times
+    they are decided if these are an octave of the interval. Limits on the bias stability are decided where it is
+    estimated.
 
-    Limits on one record of the run (`LimitsApplied.since_ns`) have estimators of their own, which see the samples of
-    that record only. A record that is begun again replaces the one before it.
-
-    Parameters
-    ----------
-    signal: Which signal.
-
-    Attributes
-    ----------
-    since_ns: Start of the record that the limits are on; None for the whole run.
-    estimators: Those of the record; none for the whole run.
+    Limits on one record of the run (`LimitsApplied.since_ns`) have `estimators` of their own, which see the samples of
+    that record only, from `since_ns` on. A record that is begun again replaces the one before it.
     """
 
     def __init__(self, signal: str) -> None:
@@ -102,10 +94,7 @@ class EarlyDecisions:
         self.estimators: list[PointEstimator] = []
 
     def apply(self, limits: LimitsApplied) -> None:
-        """Take limits of the run; they do nothing without a planned duration.
-
-        The first ones on the whole run stand; those on a record count from its first sample on.
-        """
+        """Set limits with a planned duration: the first on the whole run, or those on a record from its start on."""
         if limits.planned_s is None:
             return
         if limits.since_ns is not None:
@@ -121,18 +110,22 @@ class EarlyDecisions:
         self._limits, self.since_ns = limits, since_ns
         self._tests, self._plans = {}, {}
         self._exact = {i: _ExactTau(_tau_s(limit)) for i, limit in enumerate(limits) if _is_allan(limit)}
-        self.estimators = []
-        if since_ns is not None:
-            keys = {estimator_key(limit): limit for limit in limits}
-            self.estimators = [
-                AllanDeviation() if _is_allan(limit) else BiasStability(_tau_s(limit)) for limit in keys.values()
-            ]
+        of_record = {} if since_ns is None else {estimator_key(limit): limit for limit in limits}
+        self.estimators = [
+            AllanDeviation() if _is_allan(limit) else BiasStability(_tau_s(limit)) for limit in of_record.values()
+        ]
+
+    def update(self, batch: SampleBatch) -> None:
+        """Take in the next batch of the signal."""
+        for part in self._of_record(batch) if self._limits or self._next else ():
+            for estimator in self.estimators:
+                estimator.update(part)
+            self._update_exact(part)
 
     def _of_record(self, batch: SampleBatch) -> Iterator[SampleBatch]:
         """The samples of a batch that belong to the record that the limits are on."""
-        first_ns, last_ns = batch.t0_ns, batch.last_ns
         following = self._next
-        if following is not None and following.since_ns is not None and last_ns >= following.since_ns:
+        if following is not None and following.since_ns is not None and batch.last_ns >= following.since_ns:
             self._next, self._planned_s = None, following.planned_s
             self._set(self._own(following), following.since_ns)
         if self.since_ns is None:
@@ -140,25 +133,10 @@ class EarlyDecisions:
             return
         assert self._planned_s is not None
         until_ns = self.since_ns + round(self._planned_s * 1e9)
-        if self.since_ns <= first_ns and last_ns < until_ns:
-            yield batch
-            return
         times_ns = batch.time_array
         inside = np.flatnonzero((times_ns >= self.since_ns) & (times_ns < until_ns))
         if len(inside):
             yield batch.part(int(inside[0]), int(inside[-1]) + 1)
-
-    def update(self, batch: SampleBatch) -> None:
-        """Take in the next batch of the signal.
-
-        Raises
-        ------
-        GyrofleetError: If an estimator refuses it.
-        """
-        for part in self._of_record(batch) if self._limits or self._next else ():
-            for estimator in self.estimators:
-                estimator.update(part)
-            self._update_exact(part)
 
     def _update_exact(self, batch: SampleBatch) -> None:
         for number, exact in list(self._exact.items()):
@@ -167,7 +145,7 @@ class EarlyDecisions:
             is_uneven = samples < 1.0 - _SAME or abs(samples - round(samples)) > _SAME * samples
             is_done = self.since_ns is None and self._decided(number) is not None
             if (samples < _EVEN and is_uneven) or is_done:
-                del self._exact[number]  # it is one of the octaves, or none; or nothing is left to be known
+                del self._exact[number]  # an octave, not possible, or already decided
             else:
                 exact.update(batch)
 
@@ -265,7 +243,7 @@ class EarlyDecisions:
         decisions._planned_s = state["planned_s"]
         decisions._set(tuple(msgspec.convert(limit, Limit) for limit in state["limits"]), state.get("since_ns"))
         restored = [restore(snapshot) for snapshot in state.get("estimators", ())]
-        decisions.estimators = [each for each in restored if isinstance(each, AllanDeviation | BiasStability)]
+        decisions.estimators = [each for each in restored if each.has_points]
         following = state.get("next")
         decisions._next = None if following is None else msgspec.json.decode(following, type=LimitsApplied)
         for number, saved in state["tests"].items():

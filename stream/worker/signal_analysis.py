@@ -46,10 +46,6 @@ class SignalAnalysis:
     Documents are due whenever the signal's own time passes a multiple of the interval, counted from its first sample,
     and when its run ends. Their content and times are a function of the samples alone, not of the batches in which they
     came, nor of when they came. `name` is unit, signal and run.
-
-    Attributes
-    ----------
-    judged: Once it is finished: the final estimates that limits are compared with.
     """
 
     def __init__(
@@ -64,7 +60,7 @@ class SignalAnalysis:
         self._refusal: str | None = None
         self._first_ns: int | None = None
         self._last_ns = 0
-        self.judged: tuple[EstimatePublished, ...] = ()
+        self.judged: tuple[EstimatePublished, ...] = ()  # once finished: the estimates that limits are compared with
 
     def apply_limits(self, limits: LimitsApplied) -> None:
         """Decide early on those limits of the run that are on this signal."""
