@@ -11,6 +11,7 @@ import importlib
 import importlib.util
 import io
 import os
+import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -96,7 +97,7 @@ def _add_commands() -> None:
     from ingest.commands.import_files import import_files
     from ingest.commands.procedure import procedure
     from ingest.commands.replay import replay
-    from ingest.commands.run import run
+    from ingest.commands.run import run, run_simulated
     from ingest.commands.simulate import simulate
     from storage.commands.estimate import estimate
     from storage.commands.lake import lake, rebuild, retain
@@ -105,7 +106,7 @@ def _add_commands() -> None:
     from storage.commands.verify import recover, verify
     from stream.completion import completion
 
-    main.add_section("Bring data in", demo, import_files, can, procedure, run, simulate, check)
+    main.add_section("Bring data in", demo, import_files, can, procedure, run, simulate, run_simulated, check)
     main.add_section("Record and estimate", record, router, estimate, replay)
     main.add_section("Ask", sql, allan, spectrum, metrics, trend, limits, verdicts)
     main.add_section("Close the loop", diagnose, model, compensate)
@@ -117,10 +118,12 @@ _add_commands()
 
 
 def front_door() -> NoReturn:
-    """Run the command line, and end the process with its exit code.
+    """Run the command line, and end the process with its exit code; with that of SIGPIPE if the output pipe closes.
 
     Libraries are not unloaded: a library's thread that still runs then aborts the process (exit code -6).
     """
+    from stream.console import output_is_closed
+
     for stream in (sys.stdout, sys.stderr):  # a terminal without a degree sign shows a question mark
         if isinstance(stream, io.TextIOWrapper) and stream.encoding.lower() != "utf-8":
             stream.reconfigure(errors="replace")
@@ -129,8 +132,10 @@ def front_door() -> NoReturn:
         main()
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else int(end.code is not None)
-    with suppress(OSError):  # whoever read the output has gone
-        atexit._run_exitfuncs()  # noqa: SLF001  what Python does before it takes the libraries down
+        if code == 1 and output_is_closed():  # click's code for a broken pipe
+            code = 128 + signal.SIGPIPE
+    with suppress(OSError):
+        atexit._run_exitfuncs()  # noqa: SLF001  what Python does before it unloads the libraries
         sys.stdout.flush()
         sys.stderr.flush()
     os._exit(code)

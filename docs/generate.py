@@ -21,12 +21,12 @@ def write_reference(folder: Path) -> None:
 
 def _tables() -> str:
     from storage.sql.catalog import Catalog
-    from storage.sql.tables import columns_of, examples, told_tables
+    from storage.sql.tables import columns_of, described_tables, examples
     from storage.store import Store
 
     parts = ["# Tables in SQL", "What `gyrofleet sql` and `open_store(...).sql(...)` can ask."]
     with tempfile.TemporaryDirectory() as folder, Catalog(Store.create(Path(folder) / "store")) as catalog:
-        for table in told_tables(catalog):
+        for table in described_tables(catalog):
             rows = [
                 (f"`{row['column']}`", f"`{row['type']}`", row["what"])
                 for row in columns_of(catalog, str(table["table"]))

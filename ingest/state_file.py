@@ -1,12 +1,11 @@
 """Small files that say how far something is: there whole or not at all."""
 
-import os
 from pathlib import Path
 from typing import TypeVar
 
 import msgspec
 
-from storage.store import sync_folder
+from stream.atomic_file import write_durably
 from stream.errors import StoreError
 
 State = TypeVar("State", bound=msgspec.Struct)
@@ -58,13 +57,7 @@ def replace_file(path: Path, content: bytes) -> None:
     ------
     StoreError: If it cannot be written; the one before is then still there.
     """
-    fresh = path.with_name(path.name + ".part")
     try:
-        with fresh.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.replace(path)
-        sync_folder(path.parent)
+        write_durably(path, content)
     except OSError as error:
         raise StoreError(f"{path} cannot be written: {error}; free space or mend the disk, and start again") from error

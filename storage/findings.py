@@ -1,35 +1,34 @@
-"""What `gyrofleet verify` has to say: where something is not as it should be, and what would be done about it."""
+"""Findings of `gyrofleet verify`."""
 
 from enum import StrEnum
 
 import msgspec
 
 KEPT_DAMAGED = "kept_damaged"
-"""Kind of a finding of a file that a layer keeps; `gyrofleet recover` moves it aside, since it is derived."""
+"""Kind of a damaged file that a catalogue layer keeps; derived, so that `gyrofleet recover` quarantines it."""
 
 
 class Severity(StrEnum):
-    """How bad it is."""
+    """How severe a finding is."""
 
     DAMAGE = "damage"
-    """Something is not what was written, or is missing."""
+    """Something differs from what was written, or is missing."""
     LOSS = "loss"
-    """Samples or documents are not there, and nothing in the log says so."""
+    """Samples or documents are missing, and the log does not document it."""
     UNFINISHED = "unfinished"
-    """An interrupted process left something to do; nothing is lost."""
+    """An interrupted process left work to finish; nothing is lost."""
     NOTE = "note"
-    """To know; the store is sound with it."""
+    """For information; the store is sound."""
 
 
 class Finding(msgspec.Struct, frozen=True):
-    """One thing that was found.
+    """One finding.
 
     Parameters
     ----------
-    kind: What it is in one word, for programs.
-    severity: How bad it is.
+    kind: For programs, in one word.
     where: File or stream.
-    what: What it is, in a sentence.
+    what: For people, in a sentence.
     remedy: What `gyrofleet recover` would do, or a person should.
     """
 
@@ -41,7 +40,7 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 class Verification(msgspec.Struct, frozen=True):
-    """What a verification looked at and found."""
+    """Result of a verification."""
 
     store: str
     segments: int
@@ -54,5 +53,5 @@ class Verification(msgspec.Struct, frozen=True):
 
     @property
     def is_sound(self) -> bool:
-        """Whether nothing needs to be done."""
+        """Whether nothing needs to be repaired."""
         return all(finding.severity is Severity.NOTE for finding in self.findings)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Self
 from uuid import uuid4
 
+from storage.segments.disk import DISK
 from storage.store_marker import (
     MARKER,
     alone_in,
@@ -20,22 +21,18 @@ from storage.store_marker import (
     read_marker,
     write_markers,
 )
-from stream.errors import StoreError
+from stream.errors import BadInput, StoreError
 
 _LOCK = "writer.lock"
 _LOCK_ATTEMPTS = 5
+_OUTPUT_FOLDERS = {"plots", "reports"}  # within a store, for files that commands write for people
 
 
 class Store:
-    """The folders of a store.
+    """The folders of a store, and its identity, which does not depend on the folder's name.
 
-    ``store.json`` marks it; ``log/`` holds MCAP segments (the record), ``lake/`` one folder of Parquet files for
-    each sealed segment (derived, can be rebuilt), ``tmp/`` what is being written.
-
-    Parameters
-    ----------
-    folder: Where it is.
-    identity: Its own, whatever the folder is called.
+    ``store.json`` marks it; ``log/`` holds MCAP segments (the record), ``lake/`` Parquet files derived from them,
+    ``tmp/`` what is being written.
     """
 
     def __init__(self, folder: Path, identity: str) -> None:
@@ -48,11 +45,11 @@ class Store:
 
     @classmethod
     def open(cls, folder: Path) -> Self:
-        """Open a store that exists.
+        """Open an existing store.
 
         Raises
         ------
-        StoreError: If the folder is missing, is no store, or was made by a newer gyrofleet.
+        StoreError: If the folder is missing, is not a store, or was written by a newer gyrofleet.
         """
         marker = folder / MARKER
         try:
@@ -64,7 +61,7 @@ class Store:
             if is_repairable(folder):
                 raise StoreError(
                     f"{marker} is {'missing' if is_missing else f'damaged ({error})'}, but the store's log is there: "
-                    f"`gyrofleet recover --store {folder}` makes it anew"
+                    f"`gyrofleet recover --store {folder}` rebuilds it"
                 ) from error
             if not is_missing:
                 raise StoreError(f"{marker} cannot be read ({error}); is {folder} a gyrofleet store?") from error
@@ -77,11 +74,11 @@ class Store:
 
     @classmethod
     def create(cls, folder: Path) -> Self:
-        """Open a store for writing, made now if the folder is empty or missing, or if its making was cut short.
+        """Open a store for writing; create it if the folder is empty or missing, or its creation was interrupted.
 
         Raises
         ------
-        StoreError: If the folder holds other things, or cannot be written.
+        StoreError: If the folder holds other files, or cannot be written.
         """
         marker = folder / MARKER
         try:
@@ -109,14 +106,10 @@ class Store:
 
     @classmethod
     def open_or_repair(cls, folder: Path) -> tuple[Self, str | None]:
-        """Open a store; if its ``store.json`` is missing or damaged it is rebuilt, and what was done is told.
+        """Open a store, and rebuild its ``store.json`` if that is missing or damaged; returns what was done.
 
-        Its identity comes from the copy in the log. Where that is gone as well the store gets another: its log is as
-        good as before, but sources that had begun to send to it will not go on by themselves.
-
-        Raises
-        ------
-        StoreError: If there is nothing to make it anew from, or it cannot be written.
+        The identity comes from the copy in the log, else from its segments. If both are lost the store gets a new
+        one: its log stays valid, but sources that were sending to it do not resume by themselves.
         """
         marker = folder / MARKER
         try:
@@ -125,18 +118,18 @@ class Store:
             if is_repairable(folder):
                 return cls._repaired(folder, "it was missing" if not marker.exists() else f"it was damaged: {error}")
         except OSError:
-            pass  # said by `open`
+            pass  # reported by `open`
         return cls.open(folder), None
 
     @classmethod
     def _repaired(cls, folder: Path, why: str) -> tuple[Self, str]:
         marker, identity = folder / MARKER, identity_of_copy(folder) or identity_of_segments(folder)
-        told = f"written anew, {why}"
+        text = f"rebuilt, {why}"
         if identity is None:
             if writer_is_active(folder):
                 raise StoreError(f"a process writes {folder}, whose identity cannot be read any more; stop it first")
             identity = uuid4().hex
-            told += f"; its identity could not be saved, it is now {identity}"
+            text += f"; its identity could not be recovered, it is now {identity}"
         store = cls(folder, identity)
         try:
             with alone_in(folder):
@@ -145,27 +138,20 @@ class Store:
                 if marker.exists():
                     aside = store.aside / f"{MARKER}.{time.time_ns()}"
                     marker.rename(aside)
-                    told += f"; as it was: {aside}"
+                    text += f"; the old file: {aside}"
                 write_markers(folder, identity)
         except OSError as error:
-            raise StoreError(f"{marker} cannot be rebuilt: {error}; mend the disk and try again") from error
-        return store, told
+            raise StoreError(f"{marker} cannot be rebuilt: {error}; repair the disk and try again") from error
+        return store, text
 
 
 class WriterLock:
-    """Held by the one process that writes a store: on ``writer.lock``, and on the folder of the log.
-
-    The file says who writes. Whoever removes it lets nobody else write.
+    """Lock of the one process that writes a store: on ``writer.lock``, which names the holder, and on the log folder.
 
     Parameters
     ----------
-    store: Which store.
-    role: Who writes, for the message that others get.
-    endpoint: Where the writer listens, if it does.
-
-    Raises
-    ------
-    StoreError: If another process holds it; the message names it.
+    role: Who writes, for the error message of other processes.
+    endpoint: Where the writer listens; empty if it does not.
     """
 
     def __init__(self, store: Store, role: str, endpoint: str = "") -> None:
@@ -194,7 +180,7 @@ class WriterLock:
 
     def _write(self, holder: dict[str, object]) -> None:
         content = (json.dumps({**holder, "last_endpoint": self._last_endpoint}) + "\n").encode()
-        os.pwrite(self._file.fileno(), content, 0)  # in one go: whoever is killed here leaves the one or the other
+        os.pwrite(self._file.fileno(), content, 0)  # one call: a kill leaves the old or the new content
         self._file.truncate(len(content))
 
     def __enter__(self) -> Self:
@@ -206,12 +192,7 @@ class WriterLock:
 
 @contextmanager
 def only_one(path: Path, what: str) -> Iterator[None]:
-    """Hold a lock file for as long as the context lasts; the system frees it if the process is killed.
-
-    Raises
-    ------
-    StoreError: If another process holds it.
-    """
+    """Hold a lock file; the system frees it if the process is killed."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("a")
@@ -226,7 +207,7 @@ def only_one(path: Path, what: str) -> Iterator[None]:
 
 
 def writer_is_active(folder: Path) -> bool:
-    """Whether a process writes the store in `folder` now."""
+    """Whether a process writes the store now."""
     return any(_is_locked(path) for path in (folder / _LOCK, folder / "log"))
 
 
@@ -247,19 +228,19 @@ def _is_locked(path: Path) -> bool:
 
 
 def writer_endpoint(folder: Path) -> str | None:
-    """Where the process listens that writes the store in `folder` now; None if there is none."""
+    """Endpoint of the process that writes the store now; None if there is none."""
     return (_holder(folder).get("endpoint") or None) if writer_is_active(folder) else None
 
 
 def recorder_endpoint(folder: Path) -> str | None:
-    """Like `writer_endpoint`; where no process writes the store now, where the last one listened that did."""
+    """Endpoint of the process that writes the store now, else of the last one that did."""
     if writer_is_active(folder):
         return writer_endpoint(folder)
     return _holder(folder).get("last_endpoint") or None
 
 
 def _locked(descriptor: int) -> bool:
-    """Take a lock; who only looks whether it is held (`writer_is_active`) holds it for a moment."""
+    """Take a lock; retried, since a process that only looks (`writer_is_active`) holds it for a moment."""
     for attempt in range(_LOCK_ATTEMPTS):
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -277,10 +258,15 @@ def _holder(folder: Path) -> dict[str, str]:
         return {}
 
 
+def check_outside(store: Store, path: Path) -> None:
+    """Refuse an output file that would lie among a store's own files."""
+    folder, target = store.folder.resolve(), path.resolve()
+    if target.is_relative_to(folder):
+        inside = target.relative_to(folder).parts
+        if len(inside) < 2 or inside[0] not in _OUTPUT_FOLDERS:
+            raise BadInput(f"{path} would lie among the files of the store {store.folder}; give a file elsewhere")
+
+
 def sync_folder(folder: Path) -> None:
     """Make the names in a folder durable."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    DISK.sync_folder(folder)

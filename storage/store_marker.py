@@ -1,4 +1,4 @@
-"""``store.json``: what makes a folder a store and gives it its identity, with a copy of it in the log."""
+"""``store.json``: the marker of a store with its identity, and a copy of it in the log."""
 
 import fcntl
 import hashlib
@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from storage.segments.disk import DISK
+from stream.atomic_file import write_durably
 from stream.errors import StoreError
 
 STORE_FORMAT = 1
@@ -19,24 +20,17 @@ MARKER = "store.json"
 _SEGMENT = re.compile(r"\d{8}\.mcap(\..*)?")
 _IDENTITY = re.compile(r"[0-9a-f]{32}")
 _CHECKSUM = "sha256"
-_WITHOUT_CHECKSUM = {"format", "id", "created_ns"}  # as stores were first made
+_WITHOUT_CHECKSUM = {"format", "id", "created_ns"}  # of the oldest stores
 
 
 def read_marker(marker: Path) -> str:
-    """Identity of a store.
-
-    Raises
-    ------
-    OSError: If it cannot be read.
-    ValueError: If it is not what was written.
-    StoreError: If it was written by a newer gyrofleet.
-    """
+    """Identity of a store."""
     written = json.loads(marker.read_text())
     if not isinstance(written, dict):
-        raise ValueError("it holds no object")
+        raise ValueError("it is not a JSON object")
     checksum = written.pop(_CHECKSUM, None)
     if checksum is not None and checksum != _checksum(written):
-        raise ValueError("its checksum is not that of its content")
+        raise ValueError("its checksum does not match")
     found, identity = written.get("format"), written.get("id")
     if isinstance(found, int) and found > STORE_FORMAT:
         raise StoreError(
@@ -45,38 +39,33 @@ def read_marker(marker: Path) -> str:
     if checksum is None and written.keys() != _WITHOUT_CHECKSUM:
         raise ValueError("it has no checksum")
     if found != STORE_FORMAT or not isinstance(identity, str) or _IDENTITY.fullmatch(identity) is None:
-        raise ValueError("it holds no format and no identity")
+        raise ValueError("format or identity is missing")
     return identity
 
 
 def write_markers(folder: Path, identity: str) -> None:
-    """Write a store's marker if it is missing, and its copy in the log if it is not the same; both are durable then."""
+    """Write a store's marker if it is missing, and its copy in the log if it differs; both durably."""
     marker = folder / MARKER
     if not marker.exists():
         content: dict[str, object] = {"format": STORE_FORMAT, "id": identity, "created_ns": time.time_ns()}
         line = json.dumps(content | {_CHECKSUM: _checksum(content)}) + "\n"
-        _write(folder / "tmp" / MARKER, marker, line.encode())
+        write_durably(marker, line.encode(), fresh=folder / "tmp" / MARKER)
         DISK.sync_folder(folder.parent)
-    copy, content_now = copy_of(folder), marker.read_bytes()
+    copy, content_now = folder / "log" / MARKER, marker.read_bytes()
     if (not copy.exists() or copy.read_bytes() != content_now) and os.access(copy.parent, os.W_OK):
-        _write(folder / "tmp" / MARKER, copy, content_now)
-
-
-def copy_of(folder: Path) -> Path:
-    """Where the copy of a store's marker is."""
-    return folder / "log" / MARKER
+        write_durably(copy, content_now, fresh=folder / "tmp" / MARKER)
 
 
 def identity_of_copy(folder: Path) -> str | None:
-    """Identity of a store as the copy has it; None where that is missing or damaged."""
+    """Identity in the copy of the marker; None if that is missing or damaged."""
     try:
-        return read_marker(copy_of(folder))
+        return read_marker(folder / "log" / MARKER)
     except (OSError, ValueError):
         return None
 
 
 def identity_of_segments(folder: Path) -> str | None:
-    """Identity of a store as most segments of its log say; None where none says one."""
+    """Identity that most segments of the log name; None if none does."""
     from storage.segments.reader import read_origin
 
     found = Counter(origin[0] for path in (folder / "log").glob("*.mcap") if (origin := read_origin(path)) is not None)
@@ -84,7 +73,7 @@ def identity_of_segments(folder: Path) -> str | None:
 
 
 def is_repairable(folder: Path) -> bool:
-    """Whether a folder without a sound marker is a store all the same."""
+    """Whether a folder without a valid marker holds a store's log."""
     try:
         return identity_of_copy(folder) is not None or any(
             _SEGMENT.fullmatch(path.name) for path in (folder / "log").iterdir()
@@ -94,14 +83,14 @@ def is_repairable(folder: Path) -> bool:
 
 
 def is_unfinished(folder: Path) -> bool:
-    """Whether a folder holds nothing but what the making of a store, cut short, leaves there."""
+    """Whether a folder is empty, or holds only what an interrupted creation of a store leaves."""
     left = {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
     return left <= {"log", "lake", "tmp", f"tmp/{MARKER}"}
 
 
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """One process at a time makes a store of a folder; it leaves no file there."""
+    """Lock a folder while a store is created in it; leaves no file."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
@@ -112,12 +101,3 @@ def alone_in(folder: Path) -> Iterator[None]:
 
 def _checksum(content: dict[str, object]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def _write(fresh: Path, path: Path, content: bytes) -> None:
-    with fresh.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    fresh.replace(path)
-    DISK.sync_folder(path.parent)

@@ -1,8 +1,8 @@
-"""A batch of consecutive samples of one signal: what travels, is kept and is estimated from."""
+"""A batch of consecutive samples of one signal: the unit of transport, storage and estimation."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import isfinite
+from math import isfinite, nan
 from typing import Any, TypeVar
 from uuid import UUID
 
@@ -30,17 +30,15 @@ class SampleBatch:
 
     Parameters
     ----------
-    unit, signal, run: Whose samples these are.
     epoch: Power-on of the source; `seq` counts within it.
     seq: Number of the first sample within the epoch.
     t0_ns: Time of the first sample, nanoseconds UTC (from 1970, or from the run's start where the date is unknown).
     dt_ns: Nominal sample interval in nanoseconds, at least 1.
     unit_of_measure: Unit of the values.
-    counts: shape (n,); what the device gave, where it gives counts: value = counts * scale + offset.
+    counts: shape (n,); raw counts of the device: value = counts * scale + offset.
     values: shape (n,); the values, where the device gives no counts. Exactly one of `counts` and `values` is set.
     times_ns: shape (n,); true times; None where sample i is at exactly t0_ns + i * dt_ns.
     irregular: True where the samples do not lie within a tenth of an interval of a grid of `dt_ns`.
-    scale, offset: From counts to values.
     flags: shape (n,); set only where a sample of the batch has one.
 
     Raises
@@ -75,22 +73,22 @@ class SampleBatch:
     def __post_init__(self) -> None:
         """Check that the parts fit together."""
         if (self.counts is None) == (self.values is None):
-            raise BadInput(f"{self._who}: a batch holds either counts or values, exactly one of them")
+            raise BadInput(f"{self.label}: a batch holds either counts or values, exactly one of them")
         n = len(self)
         if n == 0:
-            raise BadInput(f"{self._who}: a batch holds at least one sample")
+            raise BadInput(f"{self.label}: a batch holds at least one sample")
         for name in ("times_ns", "flags"):
             array = getattr(self, name)
             if array is not None and len(array) != n:
-                raise BadInput(f"{self._who}: {len(array)} {name} for {n} samples")
+                raise BadInput(f"{self.label}: {len(array)} {name} for {n} samples")
         if not (isfinite(self.scale) and isfinite(self.offset)):
-            raise BadInput(f"{self._who}: scale {self.scale} or offset {self.offset} is not a finite number")
+            raise BadInput(f"{self.label}: scale {self.scale} or offset {self.offset} is not a finite number")
         if not 1 <= self.dt_ns <= MAX_INTERVAL_NS or not 0 <= self.seq <= MAX_SEQ - n:
-            raise BadInput(f"{self._who}: dt_ns {self.dt_ns} or seq {self.seq} is outside its range")
+            raise BadInput(f"{self.label}: dt_ns {self.dt_ns} or seq {self.seq} is outside its range")
         if not (is_moment(self.t0_ns) and is_moment(self.last_ns)) or not are_moments(self.times_ns):
-            raise BadInput(f"{self._who}: times from {self.t0_ns} ns on are not between 1897 and 2116")
+            raise BadInput(f"{self.label}: times from {self.t0_ns} ns on are not between 1897 and 2116")
         if len(self.run) > MAX_NAME_CHARS or len(self.unit_of_measure) > MAX_NAME_CHARS:
-            raise BadInput(f"{self._who[:300]}: run or unit of measure has more than {MAX_NAME_CHARS} characters")
+            raise BadInput(f"{self.label[:300]}: run or unit of measure has more than {MAX_NAME_CHARS} characters")
 
     def __len__(self) -> int:
         data = self.counts if self.counts is not None else self.values
@@ -105,7 +103,8 @@ class SampleBatch:
     __hash__ = None  # type: ignore[assignment]
 
     @property
-    def _who(self) -> str:
+    def label(self) -> str:
+        """Run, unit and signal, for messages."""
         return f"run {self.run}, unit {self.unit}, signal {self.signal}"
 
     @property
@@ -142,7 +141,7 @@ class SampleBatch:
 
     @cached_property
     def own_values(self) -> FloatArray:
-        """The values as machine code takes them, see `writable`."""
+        """The values, writeable, for machine code; see `writable`."""
         return writable(self.value_array)
 
     @cached_property
@@ -172,12 +171,12 @@ def is_moment(t_ns: int) -> bool:
 
 
 def are_moments(times_ns: IntArray | None) -> bool:
-    """Whether all times are; True where there are none."""
+    """Whether all times are between 1897 and 2116."""
     return times_ns is None or (is_moment(int(times_ns.min())) and is_moment(int(times_ns.max())))
 
 
-def checked_batch(parts: dict[str, Any]) -> SampleBatch:
-    """Make a batch of all its parts by name, which fit together: who has ensured it need not have it checked again."""
+def checked_batch(**parts: Any) -> SampleBatch:
+    """A batch of parts that the caller has checked; omitted ones have their defaults."""
     batch = object.__new__(SampleBatch)
     vars(batch).update(parts)
     return batch
@@ -186,10 +185,16 @@ def checked_batch(parts: dict[str, Any]) -> SampleBatch:
 def writable(array: npt.NDArray[Number]) -> npt.NDArray[Number]:
     """The array, copied unless it is contiguous and writeable.
 
-    Arrays off the wire are read-only, which numba takes for another type and would compile its code for once more.
+    Arrays from the wire are read-only: another type to numba, which would compile its code once more.
     """
     flags = array.flags
     return array if flags.c_contiguous and flags.writeable else array.copy()
+
+
+def first_finite(values: FloatArray) -> float:
+    """The first finite value, NaN where there is none."""
+    finite = np.flatnonzero(np.isfinite(values))
+    return float(values[finite[0]]) if len(finite) else nan
 
 
 @njit(cache=True, nogil=True)

@@ -1,7 +1,6 @@
-"""Bounds of every number, name, key and message that travels; a source refuses to send, and a recorder to take, more.
+"""Bounds of every number, name, key and message on the wire; sources and recorders refuse more.
 
-Within them the difference of two times, and an interval beside it, fit 64 bits: no compiled loop and no SQL view meets
-a number that wraps.
+Within them the difference of two times, and an interval added, fit 64 bits: no compiled loop or SQL view overflows.
 """
 
 from functools import cache
@@ -26,7 +25,7 @@ _NAMES = ("run", "unit", "signal")
 
 
 def beyond_bounds(document: msgspec.Struct) -> str | None:
-    """What in a document is beyond its bounds, as a phrase; None where nothing is.
+    """What is out of bounds in a document, as a phrase; None if nothing is.
 
     Examples
     --------
@@ -57,7 +56,7 @@ def _of_fields(value: msgspec.Struct, path: str, depth: int) -> str | None:
 
 @cache
 def _fields(kind: type[msgspec.Struct]) -> tuple[str, ...]:
-    """Fields that are bounded: those that may hold an integer, and some times."""
+    """Fields that are checked: those that may hold an integer, and some times."""
     fields = msgspec.structs.fields(kind)
     return tuple(field.name for field in fields if field.type not in _PLAIN or field.name in _SECONDS)
 

@@ -1,4 +1,4 @@
-"""Time and gaps: where the samples of one signal lie on a grid of its nominal interval."""
+"""Time and gaps: the place of the samples of one signal on a grid of its nominal interval."""
 
 from typing import NamedTuple
 
@@ -9,6 +9,7 @@ from stream.errors import EstimatorError
 
 INTERVAL_TOLERANCE = 1e-3
 MAX_SPAN_NS = 2**62
+_JOINED_SPAN = 8
 
 
 class Piece(NamedTuple):
@@ -23,22 +24,17 @@ class GridTracker:
     """Places the samples of successive batches of one signal on the slots of a grid.
 
     The first sample has slot 0. Each further one advances by ``max(1, round((t - t_previous) / dt))`` slots: a clock
-    that is slow or fast by a little never adds up to holes, and a gap takes its true place in time.
-    A sample whose time is not after the last one placed is left out.
+    that is slightly slow or fast never causes holes, and a gap takes its true place in time.
+    A sample whose time is not after that of the last one placed is left out.
 
     Attributes
     ----------
     samples: Samples placed that hold a finite value.
     missing: Slots up to the last one without a finite value: never sent, or NaN.
     late: Samples left out because their time was not after that of the last one placed.
-    start_slot, start_ns: Where it began: the next slot and the last time of the tracker that it is the successor of,
-        else 0.
-    irregular: True once a batch has come that lies on no grid. From then on every sample takes one slot and slots say
-        nothing of time; a slot that no sample was sent for cannot be told.
-
-    Notes
-    -----
-    A batch of exact times costs no array operation but one check for NaN.
+    start_slot, start_ns: Of a continuation, the next slot and the last time of the tracker before it; else 0.
+    irregular: True once a batch on no grid has come. From then on every sample takes one slot, slots are unrelated to
+        time, and samples that were not sent are not detected.
 
     Examples
     --------
@@ -72,41 +68,36 @@ class GridTracker:
         return self.dt_ns / 1e9
 
     def export_state(self) -> dict[str, int]:
-        """Everything that is kept, by name."""
+        """The state by name."""
         return {name: int(value) for name, value in vars(self).items()}
 
     def import_state(self, state: dict[str, int]) -> None:
-        """Take over what another tracker has exported."""
+        """Take over the state of another tracker."""
         for name, value in state.items():
             setattr(self, name, bool(value) if name == "irregular" else value)
 
-    def successor(self) -> "GridTracker":
-        """A tracker that goes on where this one stands, and counts anew."""
+    def continuation(self) -> "GridTracker":
+        """A tracker for the samples that follow, with counts of its own."""
         later = GridTracker()
         later.import_state(self.export_state() | {"samples": 0, "missing": 0, "late": 0})
         later.start_ns, later.start_slot = self.last_ns, self.next_slot
         return later
 
     def merge(self, later: "GridTracker") -> None:
-        """Become the tracker of both parts, `later` having gone on from here.
-
-        Raises
-        ------
-        EstimatorError: If `later` was not begun as the successor of what this one is now.
-        """
+        """Become the tracker of both parts; `later` must be a `continuation` of this one as it is now."""
         if (later.start_slot, later.start_ns) != (self.next_slot, self.last_ns):
             raise EstimatorError(
                 f"the later part begins at slot {later.start_slot}, the earlier one ends at slot {self.next_slot}: "
-                "only neighbours can be merged; begin the later part with successor() of the earlier one"
+                "only neighbours can be merged; begin the later part with continuation() of the earlier one"
             )
         counts = {name: getattr(self, name) + getattr(later, name) for name in ("samples", "missing", "late")}
         start = {"start_ns": self.start_ns, "start_slot": self.start_slot}
         self.import_state(later.export_state() | counts | start)
 
-    def follow(self, batch: SampleBatch, n: int) -> int:
-        """Place a batch of n samples that goes on exactly where the last one ended, as nearly all do: its first slot.
+    def place_next(self, batch: SampleBatch, n: int) -> int:
+        """Place a batch of n samples that continues exactly where the last one ended, as nearly all do.
 
-        -1 where it does not, and nothing is placed.
+        Returns its first slot; -1 if it does not, and nothing is placed.
         """
         dt_ns, first_slot = self.dt_ns, self.next_slot
         last_ns = self.last_ns + n * dt_ns
@@ -127,7 +118,7 @@ class GridTracker:
         return first_slot
 
     def place(self, batch: SampleBatch) -> list[Piece]:
-        """Slots of the samples of `batch`, as pieces without holes; samples that are late are in none of them.
+        """Slots of the samples of `batch` that are not late, as pieces without holes.
 
         Raises
         ------
@@ -160,7 +151,7 @@ class GridTracker:
             self.first_ns = batch.t0_ns if batch.times_ns is None else int(batch.times_ns[0])
         elif abs(batch.dt_ns - self.dt_ns) > INTERVAL_TOLERANCE * self.dt_ns:
             raise EstimatorError(
-                f"{_who(batch)}: the nominal sample interval changes from {self.dt_ns / 1e9:g} s to "
+                f"{batch.label}: the nominal sample interval changes from {self.dt_ns / 1e9:g} s to "
                 f"{batch.dt_ns / 1e9:g} s in mid-stream; begin a new run or a new signal for the new interval"
             )
 
@@ -199,7 +190,7 @@ class GridTracker:
     def _check_span(self, batch: SampleBatch, last_ns: int) -> None:
         if last_ns - self.first_ns > MAX_SPAN_NS:
             raise EstimatorError(
-                f"{_who(batch)}: a sample at {last_ns} ns lies more than 146 years after the first; check the clock"
+                f"{batch.label}: a sample at {last_ns} ns lies more than 146 years after the first; check the clock"
             )
 
     def _count(self, n: int, values: FloatArray | None) -> None:
@@ -207,5 +198,20 @@ class GridTracker:
         self.missing = self.next_slot - self.start_slot - self.samples
 
 
-def _who(batch: SampleBatch) -> str:
-    return f"run {batch.run}, unit {batch.unit}, signal {batch.signal}"
+def contiguous_runs(batch: SampleBatch, pieces: list[Piece]) -> list[tuple[int, FloatArray]]:
+    """Values of the pieces, each with the slot of its first.
+
+    Pieces that lie close together come as one, NaN between them: a call for each would cost more than the NaN.
+    """
+    values = batch.own_values
+    if len(pieces) == 1:
+        first_slot, start, stop = pieces[0]
+        return [(first_slot, values if stop - start == len(values) else values[start:stop])]
+    origin, last = pieces[0].first_slot, pieces[-1]
+    span = last.first_slot + last.stop - last.start - origin
+    if span > _JOINED_SPAN * len(values):
+        return [(slot, values[start:stop]) for slot, start, stop in pieces]
+    joined = np.full(span, np.nan)
+    for slot, start, stop in pieces:
+        joined[slot - origin : slot - origin + stop - start] = values[start:stop]
+    return [(origin, joined)]

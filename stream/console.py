@@ -4,11 +4,12 @@ import errno
 import functools
 import os
 import re
+import select
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import Any, ParamSpec, TypeVar
@@ -63,6 +64,11 @@ class PlainConsole(Console):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(highlight=False, emoji=False, markup=False, **options)
+
+    def on_broken_pipe(self) -> None:
+        """Ignore a closed standard error; a closed standard output raises, and ends the command."""
+        if not self.stderr:
+            raise  # noqa: PLE0704  rich calls this while it handles the error
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Text for the terminal."""
@@ -165,10 +171,6 @@ def reporting(command: Callable[P, R]) -> Callable[..., R]:
         except KeyboardInterrupt:
             _report_error("Interrupted", _INTERRUPTED, as_json=kwargs.get("as_json", False))
             sys.exit(130)
-        except BrokenPipeError:
-            # the reader of our output has gone, as `head` does
-            sys.stderr.close()
-            sys.exit(0)
 
     return run
 
@@ -177,7 +179,15 @@ def _report_error(kind: str, message: str, *, as_json: bool) -> None:
     if as_json:
         print_json({"error": {"kind": kind, "message": message}})
     else:
-        click.secho(f"error: {shown_text(message)}", err=True, fg="red")
+        with suppress(BrokenPipeError):
+            click.secho(f"error: {shown_text(message)}", err=True, fg="red")
+
+
+def output_is_closed() -> bool:
+    """Whether standard output is a pipe whose reader has gone, as after `| head`."""
+    poll = select.poll()
+    poll.register(1, 0)
+    return any(events & select.POLLERR for _, events in poll.poll(0))
 
 
 @contextmanager

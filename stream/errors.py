@@ -1,4 +1,4 @@
-"""The one tree of errors.
+"""All errors of gyrofleet.
 
 Every message is a sentence a test engineer can act on: what happened (unit, run, file, line), what was
 expected, and what to do next.
@@ -6,14 +6,14 @@ expected, and what to do next.
 
 
 class GyrofleetError(Exception):
-    """Root of all errors that gyrofleet raises on purpose; its text is meant for people."""
+    """Base class of all errors that gyrofleet raises on purpose; the text is for people."""
 
     exit_code = 1
-    """Of a command that ends with it."""
+    """Exit code of a command that fails with it."""
 
 
 class BadInput(GyrofleetError):
-    """A file, column, cell or option that does not keep the import contract."""
+    """A file, column, cell or option that violates the import contract."""
 
 
 class UnknownUnit(BadInput):
@@ -29,7 +29,7 @@ class NotEnoughData(GyrofleetError):
 
 
 class QueryError(GyrofleetError):
-    """A SQL statement that is refused, fails, or takes more than it may."""
+    """A SQL statement that is refused, fails, or exceeds its limits."""
 
     exit_code = 2
 
@@ -39,7 +39,7 @@ class StoreError(GyrofleetError):
 
 
 class OutOfMemory(GyrofleetError):
-    """Something that does not fit into the memory there is, and may be sound."""
+    """Valid data that does not fit into the available memory."""
 
 
 class WireError(GyrofleetError):
@@ -59,16 +59,16 @@ class DeliveryError(GyrofleetError):
 
 
 class InstrumentError(GyrofleetError):
-    """An instrument or bus that cannot be reached, refuses, or answers what makes no sense."""
+    """An instrument or bus that cannot be reached, refuses, or answers nonsense."""
 
 
 class RunAborted(GyrofleetError):
-    """A run that an operator or a fault has ended before its time."""
+    """A run ended early by an operator or a fault."""
 
 
 class EstimatorError(GyrofleetError):
-    """An estimator that is given what it cannot use."""
+    """Invalid input of an estimator."""
 
 
 class CheckpointDamaged(EstimatorError):
-    """A checkpoint that cannot be gone on from; the one before it, or the log, can."""
+    """A checkpoint that cannot be resumed from; the one before it, or the log, can."""

@@ -1,6 +1,6 @@
-"""Run documents: what happens around the samples, in the manner of an event model.
+"""Run documents: the events of a run, in the manner of Bluesky's event model.
 
-Each is JSON with a ``kind``; it travels and is kept beside the samples. Times are int64 nanoseconds on the
+Each is JSON with a ``kind``, transported and stored beside the samples. Times are int64 nanoseconds on the
 source's clock. A document is identified by its ``uid``: sent twice, it is the same document.
 """
 
@@ -13,8 +13,8 @@ import msgspec
 from stream.errors import NewerSchema, WireError
 
 EVENT_SCHEMA = 1
-RAW_ROWS_RESTORED = "raw_rows_restored"  # and which of those documents count no more
-RAW_ROWS_DROPPED = "raw_rows_dropped"  # what a StoreNoted says of which raw rows the lake has let go of
+RAW_ROWS_DROPPED = "raw_rows_dropped"  # `what` of a StoreNoted: raw rows that the lake no longer has
+RAW_ROWS_RESTORED = "raw_rows_restored"  # and: raw rows that were restored, with the documents that this cancels
 
 Moment = Annotated[int, msgspec.Meta(ge=-(2**63) + 1, le=2**63 - 1)]
 
@@ -30,19 +30,12 @@ class Verdict(StrEnum):
 
 
 def new_uid() -> str:
-    """A fresh identity for a document."""
+    """A new identity of a document."""
     return uuid4().hex
 
 
 class Document(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", omit_defaults=True):
-    """What every document carries.
-
-    Parameters
-    ----------
-    run: The run it belongs to.
-    t_ns: When, on the source's clock, nanoseconds.
-    uid: Identity of the document.
-    """
+    """Base class of documents: their run, their time on the source's clock, and their identity."""
 
     run: str
     t_ns: Moment
@@ -63,7 +56,7 @@ class RunStarted(Document, frozen=True, kw_only=True, tag=True):
 
 
 class StepWords(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What was commanded in a step, in the words that files, events and SQL share."""
+    """Commanded values of a step, in the words that files, events and SQL share."""
 
     procedure: str | None = None
     step: str | None = None
@@ -89,7 +82,7 @@ class StepStarted(Document, frozen=True, kw_only=True, tag=True):
 class StepEnded(Document, frozen=True, kw_only=True, tag=True):
     """The step whose StepStarted has uid `step_uid` ends at its last sample.
 
-    One whose outcome is not ``completed`` counts for nothing; an ``interrupted`` one is measured again.
+    It counts only if its outcome is ``completed``; an ``interrupted`` one is measured again.
     """
 
     unit: str
@@ -113,7 +106,7 @@ class PowerOff(Document, frozen=True, kw_only=True, tag=True):
 
 
 class UnitMounted(Document, frozen=True, kw_only=True, tag=True):
-    """A unit stands in a slot of the station: which one it is, and what belongs to it; `details` are free."""
+    """A unit is mounted in a slot of the station; `details` are free."""
 
     unit: str
     product: str | None = None
@@ -126,7 +119,7 @@ class UnitMounted(Document, frozen=True, kw_only=True, tag=True):
 
 
 class NoteAdded(Document, frozen=True, kw_only=True, tag=True):
-    """Something a person or a program wants remembered."""
+    """A note of a person or a program."""
 
     text: str
     author: str = ""
@@ -134,15 +127,15 @@ class NoteAdded(Document, frozen=True, kw_only=True, tag=True):
 
 
 class StationStated(Document, frozen=True, kw_only=True, tag=True):
-    """What is stated later of the station of a run, in the words of its `RunStarted`'s details; the last one holds."""
+    """Later details of the station of a run, in the words of the details of its `RunStarted`; the last one counts."""
 
     details: dict[str, str] = {}
 
 
 class CheckEntered(Document, frozen=True, kw_only=True, tag=True):
-    """What a person found of a unit without an instrument of the station, and how it was judged (GJB 2426A 5.2, 5.3).
+    """A manual check of a unit without an instrument of the station, with its verdict (GJB 2426A 5.2, 5.3).
 
-    `run` is empty where it belongs to none. `item` is ``visual``, ``electrical``, or what else was checked.
+    `run` is empty where it belongs to none. `item` is ``visual``, ``electrical``, or another check.
     """
 
     unit: str
@@ -157,7 +150,7 @@ class CheckEntered(Document, frozen=True, kw_only=True, tag=True):
 
 
 class SpecificationAction(StrEnum):
-    """What a document does to the product specifications of a store."""
+    """Change that a document makes to the product specifications of a store."""
 
     ADDED = "added"
     REVISED = "revised"
@@ -171,14 +164,12 @@ class SpecificationEntered(Document, frozen=True, kw_only=True, tag=True):
 
     Parameters
     ----------
-    action: What is done; ``revised`` adds a revision of a name that is there.
-    name, revision: Which revision.
+    action: The change; ``revised`` adds a revision of an existing name.
     content: The TOML; empty where it is withdrawn.
-    by, reason: Who does it, and why.
     previous: SHA-256 of the specification document before it in the store; empty in the first.
-    rejudges: Whether what was recorded before is judged anew.
-    settles: Hashes of documents at which the chain is broken, and a person accepts that.
-    store, seal: Identity of the store that it is for, and its seal: recorders of several stores may hear one bus.
+    rejudges: Whether earlier records are judged again.
+    settles: Hashes of documents at which the chain is broken, which a person accepts.
+    store, seal: Identity of its store, and the seal: recorders of several stores may share one bus.
     """
 
     action: SpecificationAction
@@ -205,18 +196,29 @@ class Limit(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LimitsApplied(Document, frozen=True, kw_only=True, tag=True):
-    """The limits that the run is judged by; with the duration that is planned it can be decided early."""
+    """The limits that a run is judged by while it goes on; with the planned duration it can be decided early.
+
+    Parameters
+    ----------
+    revision: Specifications that the limits are of, such as ``FOG-70-B``.
+    limits: Limits that live estimators can judge.
+    planned_s: Planned duration of what is judged, seconds.
+    unit: Unit that they apply to; every unit of the run where it is left out.
+    since_ns: Start of the record that is judged, which lasts `planned_s`; the whole run where it is left out.
+    """
 
     revision: str
     limits: tuple[Limit, ...]
     planned_s: float | None = None
+    unit: str | None = None
+    since_ns: Moment | None = None
 
 
 class EstimatePoint(msgspec.Struct, frozen=True, kw_only=True):
-    """One value with its limits; `edf` are degrees of freedom, `n` the averages or windows behind it.
+    """One value with its confidence bounds; `edf` are degrees of freedom, `n` the number of averages or windows.
 
-    `plausible` are the exponents alpha of the noises S_y(f) ~ f**alpha that the record leaves possible at this tau, and
-    whose least degrees of freedom `edf` are; empty where that was not asked.
+    `plausible` are the exponents alpha of the noises S_y(f) ~ f**alpha that are possible at this tau, and whose least
+    degrees of freedom `edf` are; empty where not determined.
     """
 
     tau_s: float
@@ -229,9 +231,9 @@ class EstimatePoint(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class EstimatePublished(Document, frozen=True, kw_only=True, tag=True):
-    """What an estimator says of a signal at `t_ns`: points, or a reason why there are none.
+    """Estimates of a signal at `t_ns`: points, or a reason why there are none.
 
-    Such documents come every `every_ns` of the signal's time; 0 where that is not known.
+    They are published every `every_ns` of the signal's time, 0 if unknown.
     """
 
     unit: str
@@ -260,7 +262,7 @@ class NoiseFitted(Document, frozen=True, kw_only=True, tag=True):
 class SpectralLinesFound(Document, frozen=True, kw_only=True, tag=True):
     """The sinusoids in the spectrum of a finished run, or a reason why there was no spectrum.
 
-    Searched was from `searched_lo_hz` to `searched_hi_hz`, in bins of `bin_width_hz` of so many segments.
+    The search covers `searched_lo_hz` to `searched_hi_hz`, in bins of `bin_width_hz`.
     """
 
     unit: str
@@ -275,7 +277,7 @@ class SpectralLinesFound(Document, frozen=True, kw_only=True, tag=True):
 
 
 class EarlyDecision(Document, frozen=True, kw_only=True, tag=True):
-    """A look at one limit while the run goes on: PASS, FAIL or UNDECIDED, what it rests on, and when to expect it."""
+    """A look at one limit during the run: PASS, FAIL or UNDECIDED, its rule, and the forecast of the decision."""
 
     unit: str
     signal: str
@@ -302,7 +304,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class VerdictGiven(Document, frozen=True, kw_only=True, tag=True):
-    """A unit's verdict with the checks behind it."""
+    """A unit's verdict with its checks."""
 
     unit: str
     verdict: Verdict
@@ -310,9 +312,9 @@ class VerdictGiven(Document, frozen=True, kw_only=True, tag=True):
 
 
 class ModelActivated(Document, frozen=True, kw_only=True, tag=True):
-    """A version of the error model of a unit's signal is put to use, or taken out of it.
+    """A version of the error model of a unit's signal is activated or deactivated.
 
-    `model` is the hash of the version. `stage` is ``live``, ``shadow`` (only watched) or ``off``. `run` is empty.
+    `model` is the hash of the version. `stage` is ``live``, ``shadow`` (only monitored) or ``off``. `run` is empty.
     """
 
     unit: str
@@ -341,11 +343,11 @@ class CompensationStarted(Document, frozen=True, kw_only=True, tag=True):
 
 
 class ResidualWatched(Document, frozen=True, kw_only=True, tag=True):
-    """What a stretch of a run says of a version of an error model, against the model that it took the place of.
+    """Comparison of a version of an error model with the one that it replaced, over a stretch of a run.
 
-    `gain` is the whitened log-likelihood of the version less that of the other, or None for a `reason`; `cusum` the sum
-    of what is lost, not below 0, over the stretches since the document `activation` put it to use. Beyond `threshold`
-    the version is refused (`is_refused`), and what is in the residual has to be traced anew.
+    `gain` is the whitened log-likelihood of the version less that of the other, or None for a `reason`; `cusum` the
+    cumulative loss, not below 0, over the stretches since the document `activation` activated it. Above `threshold`
+    the version is refused (`is_refused`), and the residual must be traced again.
     """
 
     unit: str
@@ -363,16 +365,16 @@ class ResidualWatched(Document, frozen=True, kw_only=True, tag=True):
 
 
 class RunResumed(Document, frozen=True, kw_only=True, tag=True):
-    """A run goes on under its id after an interruption that lasted `gap_ns`."""
+    """A run continues under its id after an interruption of `gap_ns`."""
 
     gap_ns: int
     reason: str = ""
 
 
 class StoreNoted(Document, frozen=True, kw_only=True, tag=True):
-    """Something that a store did or suffered: what it was in one word, in a sentence, and in numbers.
+    """An event of a store, in one word, in a sentence, and in numbers.
 
-    It belongs to no run; `run` is empty. Its details name the store, since recorders of several may hear one bus.
+    `run` is empty. The details name the store, since recorders of several may share one bus.
     """
 
     what: str
@@ -381,7 +383,7 @@ class StoreNoted(Document, frozen=True, kw_only=True, tag=True):
 
 
 class StreamTotal(msgspec.Struct, frozen=True, kw_only=True):
-    """How many samples of one signal and epoch were sent in all."""
+    """Total number of samples of one signal and epoch."""
 
     unit: str
     signal: str
@@ -390,7 +392,7 @@ class StreamTotal(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RunEnded(Document, frozen=True, kw_only=True, tag=True):
-    """A run ends; `totals` say what a complete record of it holds."""
+    """A run ends; `totals` are the contents of its complete record."""
 
     outcome: str = "completed"
     totals: tuple[StreamTotal, ...] = ()
@@ -423,7 +425,7 @@ AnyDocument = (
 
 
 class EventMessage(msgspec.Struct, frozen=True, kw_only=True):
-    """A document on the wire, numbered by its source like samples are."""
+    """A document on the wire, numbered by its source like samples."""
 
     schema: int
     epoch: str
@@ -441,7 +443,7 @@ _head_decoder = msgspec.json.Decoder(_Head)
 
 
 def encode_event(document: AnyDocument, epoch: str, seq: int) -> bytes:
-    """Put a document into its wire form (JSON)."""
+    """The wire form (JSON) of a document."""
     return _encoder.encode(EventMessage(schema=EVENT_SCHEMA, epoch=epoch, seq=seq, document=document))
 
 
@@ -471,5 +473,5 @@ def decode_event(payload: bytes) -> EventMessage:
 
 
 def document_schema() -> dict[str, Any]:
-    """JSON schema of the documents, as it is embedded in every log segment."""
+    """JSON schema of the documents, embedded in every log segment."""
     return msgspec.json.schema(EventMessage)

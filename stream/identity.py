@@ -1,4 +1,4 @@
-"""Names of units, signals and runs, and the key expressions they travel under.
+"""Names of units, signals and runs, and the key expressions of their messages.
 
 Samples     ``gyrofleet/<site>/<station>/<unit>/<signal>``
 Estimates   ``gyrofleet/<site>/<station>/<unit>/<signal>/estimate/<estimator>``
@@ -16,12 +16,12 @@ ROOT = "gyrofleet"
 EVERYTHING = f"{ROOT}/**"
 ACKNOWLEDGEMENT_KEY = f"{ROOT}/@acknowledgement"
 
-# A chunk of a Zenoh key expression holds none of / * $ ? #; white space and a leading @ or . confuse people.
+# A chunk of a Zenoh key expression contains none of / * $ ? #; white space and a leading @ or . confuse people.
 _NAME = re.compile(rf"[^\s/*$?#@.\x00-\x1f][^\s/*$?#\x00-\x1f]{{0,{MAX_NAME_CHARS - 1}}}")
 
 
 class Place(NamedTuple):
-    """Where samples come from: a site and one of its stations."""
+    """Origin of samples: a site and one of its stations."""
 
     site: str
     station: str
@@ -51,12 +51,7 @@ class EventKey(NamedTuple):
 
 
 def check_name(kind: str, name: str) -> str:
-    """Return `name` if it can stand in a key expression.
-
-    Parameters
-    ----------
-    kind: What is named, for the message: ``unit``, ``signal``, ``run``, ...
-    name: The name itself.
+    """Return `name` if it can be part of a key expression; `kind`, such as ``unit``, is for the message.
 
     Raises
     ------
@@ -97,11 +92,7 @@ def event_key(place: Place) -> str:
 
 
 def parse_key(key: str) -> SampleKey | EstimateKey | EventKey:
-    """Take a key expression apart.
-
-    Raises
-    ------
-    BadInput: If the key is none of the three forms above.
+    """The parts of a key expression; a BadInput if it is none of the three forms above.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Units of measure: read at the border, kept as the source wrote them, reported as the standards ask."""
+"""Units of measure: parsed at the border, stored as the source wrote them, reported as the standards require."""
 
 import difflib
 import re
@@ -30,11 +30,11 @@ def _registry() -> "pint.UnitRegistry[float]":
 
 @cache
 def check_unit(text: str) -> str:
-    """Return `text` if it is a unit of measure that pint can read; an empty text means dimensionless, ``1``.
+    """Return `text` if it is a unit of measure that pint can parse; an empty text means dimensionless, ``1``.
 
     Raises
     ------
-    UnknownUnit: If it is none; the message names units that look alike.
+    UnknownUnit: If it is none; the message names similar units.
 
     Examples
     --------
@@ -47,18 +47,14 @@ def check_unit(text: str) -> str:
         _registry().parse_units(text)
     except Exception as error:
         near = difflib.get_close_matches(text, _COMMON, n=3, cutoff=0.5)
-        hint = f"did you mean {', '.join(near)}?" if near else f"some that are known: {', '.join(_COMMON[:8])}"
+        hint = f"did you mean {', '.join(near)}?" if near else f"known units are: {', '.join(_COMMON[:8])}"
         raise UnknownUnit(f"unit of measure {text!r} is not known; {hint}") from error
     return text
 
 
 @cache
 def conversion(source: str, target: str) -> tuple[float, float]:
-    """Factor and offset that turn a value in `source` units into one in `target` units.
-
-    Raises
-    ------
-    UnknownUnit: If one cannot be turned into the other.
+    """Factor and offset that convert a value from `source` to `target` units; an UnknownUnit if it is not possible.
 
     Examples
     --------
@@ -72,7 +68,7 @@ def conversion(source: str, target: str) -> tuple[float, float]:
         zero = quantity(0.0, _unit(source)).to(_unit(target)).magnitude
         one = quantity(1.0, _unit(source)).to(_unit(target)).magnitude
     except pint.errors.DimensionalityError as error:
-        raise UnknownUnit(f"{source!r} cannot be turned into {target!r}: they measure different quantities") from error
+        raise UnknownUnit(f"{source!r} cannot be converted to {target!r}: they measure different quantities") from error
     factor = float(one - zero)
     # a factor of exactly 3600 comes out of pint as 3599.9999999999995
     return (float(round(factor)) if abs(factor - round(factor)) < 1e-12 * abs(factor) else factor), float(zero)
@@ -82,7 +78,7 @@ def conversion(source: str, target: str) -> tuple[float, float]:
 def is_angular_rate(text: str) -> bool:
     """Whether `text` measures an angle per time.
 
-    pint counts angles as dimensionless, so that deg/s and Hz have one dimension: the angle is looked for by name.
+    To pint angles are dimensionless, so that deg/s and Hz have one dimension: angles are recognised by name.
 
     Examples
     --------
@@ -98,10 +94,9 @@ def is_angular_rate(text: str) -> bool:
 
 @cache
 def report_unit(text: str) -> tuple[str, float]:
-    """Unit in which results on a signal in `text` are reported, and the factor to it.
+    """Unit in which results on a signal in `text` are reported, and the factor to it, without offset.
 
-    Angular rates are reported in deg/h, everything else in its own unit. The factor is for differences and
-    deviations (no offset).
+    Angular rates are reported in deg/h, everything else in its own unit.
 
     Examples
     --------
@@ -115,13 +110,9 @@ def report_unit(text: str) -> tuple[str, float]:
 
 @cache
 def result_factor(source: str, target: str) -> float:
-    """Factor between two units of results, such as ``deg/sqrt(h)`` and ``ppm/degC``.
+    """Factor between two units of results, such as ``deg/sqrt(h)`` and ``ppm/degC``; an UnknownUnit if there is none.
 
-    Here an angle is a quantity of its own: Hz is no deg/h, and ppm no arcsec.
-
-    Raises
-    ------
-    UnknownUnit: If one cannot be turned into the other by a factor.
+    Here an angle has a dimension: Hz is not deg/h, and ppm not arcsec.
 
     Examples
     --------
@@ -129,23 +120,19 @@ def result_factor(source: str, target: str) -> float:
     1.0
     >>> result_factor("deg/h", "Hz")
     Traceback (most recent call last):
-    stream.errors.UnknownUnit: 'deg/h' cannot be turned into 'Hz': they measure different quantities
+    stream.errors.UnknownUnit: 'deg/h' cannot be converted to 'Hz': they measure different quantities
     """
     if source == target:
         return 1.0
     plain = [_ROOT.sub(r"(\1)**0.5", check_result_unit(text)) for text in (source, target)]
     factor, offset = conversion(plain[0], plain[1])
     if offset != 0.0 or _angles(plain[0]) != _angles(plain[1]):
-        raise UnknownUnit(f"{source!r} cannot be turned into {target!r}: they measure different quantities")
+        raise UnknownUnit(f"{source!r} cannot be converted to {target!r}: they measure different quantities")
     return factor
 
 
 def check_result_unit(text: str) -> str:
-    """Return `text` if it is a unit of a result: like `check_unit`, and ``sqrt(h)`` may stand in it.
-
-    Raises
-    ------
-    UnknownUnit: If it is none.
+    """Return `text` if it is a unit of a result: like `check_unit`, and ``sqrt(h)`` is allowed.
 
     Examples
     --------
@@ -157,13 +144,13 @@ def check_result_unit(text: str) -> str:
 
 
 def _angles(text: str) -> float:
-    """The power in which angles stand in a unit."""
+    """The power of angles in a unit."""
     powers = _powers(text)
     return float(sum(power for name, power in powers.items() if name in _ANGLES or name in _ROTATIONS))
 
 
 def _powers(text: str) -> dict[str, float]:
-    """The parts of a unit without their prefixes (milli of mdps, m of mdeg/s), and their powers."""
+    """The parts of a unit without prefixes, such as milli in mdps, and their powers."""
     # pint has no public way to the parts of a unit
     powers = cast("dict[str, float]", dict(_unit(text)._units))  # noqa: SLF001
     found: dict[str, float] = {}

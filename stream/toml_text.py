@@ -1,4 +1,4 @@
-"""TOML that anybody may have written: whatever is wrong with it is one kind of error."""
+"""Untrusted TOML: every fault is one kind of error."""
 
 import re
 from typing import TypeVar
@@ -10,12 +10,7 @@ _LONG_KEY = re.compile(r"(?:[\w\"'-]{1,64}+[ \t]{0,4}+\.[ \t]{0,4}+){200}")
 
 
 def decode_toml(text: str | bytes, kind: type[T]) -> T:
-    """Read TOML as `kind`.
-
-    Raises
-    ------
-    msgspec.DecodeError: If it is no such text, or one that no person has written: nested too deeply, numbers of
-        thousands of digits.
+    """Read TOML as `kind`; a msgspec.DecodeError if it is invalid, nested too deeply, or has numbers too long.
 
     Examples
     --------
@@ -24,11 +19,11 @@ def decode_toml(text: str | bytes, kind: type[T]) -> T:
     msgspec.DecodeError: tables or lists are nested too deeply
     """
     written = text if isinstance(text, str) else text.decode(errors="replace")
-    if _LONG_KEY.search(written):  # the parser takes memory by the square of it
+    if _LONG_KEY.search(written):  # the parser needs memory quadratic in it
         raise msgspec.DecodeError("a key has more than 200 parts")
     try:
         return msgspec.toml.decode(text, type=kind)
     except RecursionError:
         raise msgspec.DecodeError("tables or lists are nested too deeply") from None
-    except ValueError as error:  # of numbers that are too long, and of bytes that are no UTF-8
+    except ValueError as error:  # numbers that are too long, invalid UTF-8
         raise msgspec.DecodeError(str(error)) from None

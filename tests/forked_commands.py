@@ -122,7 +122,7 @@ class ForkedProcess(subprocess.Popen[str]):
 
 def _serve(path: str) -> None:
     from gyrofleet import front_door
-    from stream.estimators.warm_up import warm_up
+    from stream.worker.compile_kernels import warm_up
 
     for name in _WANTED:
         importlib.import_module(name)

@@ -54,7 +54,9 @@ _DEVIATIONS = ("adev", "oadev", "mdev", "hdev", "ohdev")
 @click.option(
     "--compare", multiple=True, metavar="UNIT", help="Draw this unit beside it, lightly; 'all' for every one."
 )
-@click.option("--limits", "limits_path", type=click.Path(path_type=Path), help="Draw the limits of this TOML file in.")
+@click.option(
+    "--limits", "limits_path", type=click.Path(path_type=Path), help="Draw the limits of this specification file."
+)
 @click.option("--fit", is_flag=True, help="Fit the noise coefficients of IEEE 952 to the curve; drawn in with --plot.")
 @click.option("--rolling", "window_h", type=float, metavar="HOURS", help="The same over a window that rolls along.")
 @click.option("--step", "step_h", type=float, metavar="HOURS", help="By how much it rolls; an eighth if left out.")
@@ -79,10 +81,11 @@ def allan(
 ) -> None:
     """Allan deviation of a recorded signal, or another deviation, with 95 % confidence limits.
 
-    Limits are those of a screening: [[limit]] tables with characteristic, signal, tau_s, upper, unit_of_measure.
+    Drawn limits are those of a specification (`gyrofleet limits --help`) on allan_deviation and angle_random_walk.
     """
     from analytics.curves.allan_curve import allan_curve
-    from analytics.curves.limits import read_limits
+    from storage.specifications.live_limits import live_limits
+    from storage.specifications.specification import parse_specification, read_specification
     from storage.sql.catalog import Catalog
     from storage.store import Store
     from stream.estimators.full_overlap.deviation_forms import Deviation
@@ -99,7 +102,10 @@ def allan(
             raise BadInput("--rolling goes with --step, --points-per-octave and --plot only")
         _rolling(folder, (unit, signal, run), (window_h, step_h), int(points_per_octave), plot_path, as_json=as_json)
         return
-    limits = () if limits_path is None else read_limits(limits_path).limits
+    limits = []
+    if limits_path is not None:
+        specified = parse_specification(read_specification(limits_path), str(limits_path)).limits
+        limits = [each for limit in specified for each in live_limits(limit, [signal])]
     with _working(as_json=as_json), Catalog(Store.open(folder)) as catalog:
 
         def curve_of(unit: str, run: str | None) -> "AllanCurve":

@@ -68,7 +68,7 @@ def demo(folder: Path, hours: float, seed: int, *, as_json: bool) -> None:
         raise NotFound(f"run {state.run}: {sent} samples were sent, the lake holds {in_lake[0][0]}")
     plot = folder / "plots" / f"{state.run}-allan.png"
     plot.parent.mkdir(exist_ok=True)
-    plot_allan(curves, plot, title=f"Simulated fleet, run {state.run}", limits=state.limits.limits)
+    plot_allan(curves, plot, title=f"Simulated fleet, run {state.run}", limits=state.limits.live)
     if as_json:
         print_json(_summary(state, folder, plot))
         return

@@ -11,9 +11,9 @@ from stream.command_group import CommandGroup
 from stream.console import counted, notes, print_json, reporting, results, store_option
 
 if TYPE_CHECKING:
-    from analytics.specifications.periods import Period
-    from analytics.specifications.specification import SpecificationLimit
     from storage.specifications.chain import Chain
+    from storage.specifications.specification import SpecificationLimit
+    from storage.specifications.validity import Period
     from storage.store import Store
     from stream.events import SpecificationEntered
 
@@ -45,7 +45,7 @@ def limits() -> None:
     upper = 0.05                         # and, or lower
     unit_of_measure = "deg/h"
 
-    (`gyrofleet allan --limits` takes files of another kind: limits of Allan deviations and of angle random walk.)
+    Limits on bias_stability_averaged, allan_deviation and angle_random_walk are also judged while a run goes on.
     """  # noqa: D301  click's mark for lines that are not to be joined
 
 
@@ -116,8 +116,8 @@ def settle(folder: Path, reason: str, by: str | None, *, as_json: bool) -> None:
 @reporting
 def history(folder: Path, *, as_json: bool) -> None:
     """Who added, revised or withdrew which specification, when and why."""
-    from analytics.specifications.dates import told_moment
     from storage.specifications.chain import read_chain
+    from storage.specifications.validity import format_moment
     from storage.store import Store
 
     links = read_chain(Store.open(folder)).links
@@ -131,7 +131,7 @@ def history(folder: Path, *, as_json: bool) -> None:
         each = link.document
         what = link.label if each.name else ""
         rejudged = "judged anew" if each.rejudges else "keep their verdicts"
-        words = (told_moment(each.t_ns) or "", each.action.value, what, each.by, each.reason, rejudged)
+        words = (format_moment(each.t_ns) or "", each.action.value, what, each.by, each.reason, rejudged)
         table.add_row(*words)
     results().print(table if links else _NONE)
 
@@ -141,8 +141,8 @@ def history(folder: Path, *, as_json: bool) -> None:
 @reporting
 def list_all(folder: Path, *, as_json: bool) -> None:
     """List the specifications of a store."""
-    from analytics.specifications.periods import in_force, ordered_periods
     from storage.specifications.chain import read_chain
+    from storage.specifications.validity import in_force, ordered_periods
     from storage.store import Store
 
     store = Store.open(folder)
@@ -158,7 +158,7 @@ def list_all(folder: Path, *, as_json: bool) -> None:
         for each in periods:
             found, entry = each.specification, _entry(entered[each.specification.label])
             counts = (str(len(found.limits)), ", ".join(found.products))
-            words = (found.name, found.revision, each.told, *counts, entry["entered"], entry["by"])
+            words = (found.name, found.revision, each.text, *counts, entry["entered"], entry["by"])
             table.add_row(*words)
         results().print(table if periods else _NONE)
     warn_of_copies(store, chain)
@@ -173,18 +173,18 @@ def list_all(folder: Path, *, as_json: bool) -> None:
 def show(name: str, folder: Path, language: str, *, as_toml: bool, as_json: bool) -> None:
     """Show the limits of a specification."""
     from analytics.evaluation.table import name_of
-    from analytics.specifications.entering import specification_named
+    from storage.specifications.validity import specification_named
     from storage.store import Store
 
     period, content = specification_named(Store.open(folder), name)
     found = period.specification
     if as_toml:
-        click.echo(content.decode(), nl=False)
+        click.echo(content, nl=False)
         return
     if as_json:
         print_json({**_told(period), "limits": [_told_limit(each) for each in found.limits]})
         return
-    table = Table(title=f"{found.label}, {period.told}", title_justify="left", header_style="bold")
+    table = Table(title=f"{found.label}, {period.text}", title_justify="left", header_style="bold")
     titles = ("特性", "限定", "产品", "下限", "上限", "单位")
     for title in (
         titles if language == "zh" else ("characteristic", "of", "product", "lower", "upper", "unit of measure")
@@ -210,7 +210,8 @@ def warn_of_copies(store: "Store", chain: "Chain | None" = None) -> None:
 def _enter(
     file: Path, folder: Path, reason: str, by: str | None, *, is_revision: bool, rejudges: bool, as_json: bool
 ) -> None:
-    from analytics.specifications.entering import add_specification, stored_specifications
+    from analytics.specifications.entering import add_specification
+    from storage.specifications.validity import stored_specifications
     from storage.store import Store
 
     store = Store.create(folder)
@@ -242,21 +243,20 @@ def _who(by: str | None) -> str:
 
 
 def _entry(document: "SpecificationEntered") -> dict[str, str]:
-    from analytics.specifications.dates import told_moment
+    from storage.specifications.validity import format_moment
 
-    return {"entered": told_moment(document.t_ns) or "", "by": document.by, "reason": document.reason}
+    return {"entered": format_moment(document.t_ns) or "", "by": document.by, "reason": document.reason}
 
 
 def _told(period: "Period") -> dict[str, object]:
-    from analytics.specifications.dates import told_moment
-    from analytics.specifications.periods import EVER, NEVER
+    from storage.specifications.validity import EVER, NEVER, format_moment
 
     found = period.specification
     return {
         "specification": found.name,
         "revision": found.revision,
-        "valid_from": told_moment(None if period.from_ns == EVER else period.from_ns),
-        "valid_until": told_moment(None if period.until_ns == NEVER else period.until_ns),
+        "valid_from": format_moment(None if period.from_ns == EVER else period.from_ns),
+        "valid_until": format_moment(None if period.until_ns == NEVER else period.until_ns),
         "products": list(found.products),
         "limit_count": len(found.limits),
     }

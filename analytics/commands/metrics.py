@@ -119,7 +119,7 @@ def opened_catalog(folder: Path, *, quiet: bool) -> "Iterator[Catalog]":
         def told(done: int, total: int) -> None:
             progress.update(task, completed=done, total=total, visible=done < total)
 
-        with Catalog(Store.open(folder), told=told) as catalog:
+        with Catalog(Store.open(folder), progress=told) as catalog:
             warn_of_copies(catalog.store, read_chain(catalog.store, catalog))
             yield catalog
 

@@ -11,7 +11,7 @@ from analytics.curves.allan_curve import AllanCurve
 from analytics.curves.isolated_outliers import IsolatedOutliers
 from stream.batch import FloatArray
 from stream.estimators.base import NoEstimate
-from stream.estimators.noise.noise_fit import Coefficient, NoiseFit, fit_noise
+from stream.estimators.noise.noise_fit import NoiseCoefficient, NoiseFit, fit_noise
 from stream.estimators.noise.noise_model import (
     ANGLE_RANDOM_WALK,
     MARKOV_NOISE,
@@ -39,7 +39,7 @@ class FittedTerm:
     """
 
     term: Term
-    coefficient: Coefficient
+    coefficient: NoiseCoefficient
     correlation_s: float | None = None
 
     def variance(self, taus_s: FloatArray) -> FloatArray:
@@ -63,7 +63,7 @@ class NoiseCoefficients:
     """
 
     fit: NoiseFit
-    normalised: Coefficient | NoEstimate
+    normalised: NoiseCoefficient | NoEstimate
 
     @property
     def terms(self) -> tuple[FittedTerm, ...]:
@@ -122,7 +122,7 @@ class NoiseCoefficients:
         return document
 
 
-def noise_coefficients(curve: AllanCurve, normalised: Coefficient | NoEstimate) -> NoiseCoefficients | NoEstimate:
+def noise_coefficients(curve: AllanCurve, normalised: NoiseCoefficient | NoEstimate) -> NoiseCoefficients | NoEstimate:
     """Fit the noise model of IEEE 952 to an Allan curve.
 
     Parameters

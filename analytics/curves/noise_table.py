@@ -5,7 +5,7 @@ from rich.table import Table
 from analytics.curves.allan_curve import AllanCurve
 from analytics.curves.noise_coefficients import CONFIDENCE, NoiseCoefficients
 from stream.estimators.base import NoEstimate
-from stream.estimators.noise.noise_fit import Coefficient
+from stream.estimators.noise.noise_fit import NoiseCoefficient
 
 _NOT_OBSERVABLE = "not observable (不可观测): at most"
 _NONE = "\N{EN DASH}"
@@ -72,7 +72,7 @@ def _agreement(found: NoiseCoefficients, curve: AllanCurve) -> str:
     )
 
 
-def _cells(coefficient: Coefficient) -> tuple[str, str, str, str, str]:
+def _cells(coefficient: NoiseCoefficient) -> tuple[str, str, str, str, str]:
     unit = coefficient.unit_of_measure
     if not coefficient.observable:
         return _NONE, _NONE, _NONE, unit, f"{_NOT_OBSERVABLE} {coefficient.hi:.3g}"

@@ -9,14 +9,16 @@ from storage.sql.reading import SignalRecord, read_signal
 from stream.batch import FloatArray
 from stream.clock import GridTracker
 from stream.estimators.base import NoEstimate
-from stream.estimators.noise.noise_fit import Coefficient
-from stream.estimators.random_walk_normalised import MOST_INTERVAL_S, angle_random_walk_normalised
+from stream.estimators.noise.noise_fit import NoiseCoefficient
+from stream.estimators.noise.normalised_random_walk import MOST_INTERVAL_S, angle_random_walk_normalised
 from stream.quantities import ANGULAR_RATE_UNIT, report_unit
 
 MOST_SLOTS = 2**24
 
 
-def normalised_walk(catalog: Catalog, record: SignalRecord, *, confidence: float = 0.95) -> Coefficient | NoEstimate:
+def normalised_walk(
+    catalog: Catalog, record: SignalRecord, *, confidence: float = 0.95
+) -> NoiseCoefficient | NoEstimate:
     """Angle random walk by the normalised method (GJB 2426A-2004 5.12.5.4.1), from the samples of a record.
 
     Parameters
@@ -27,7 +29,7 @@ def normalised_walk(catalog: Catalog, record: SignalRecord, *, confidence: float
 
     Returns
     -------
-    Coefficient or NoEstimate
+    NoiseCoefficient or NoEstimate
         In deg/sqrt(h); NoEstimate where the samples are no angular rate, lie on no grid or are too slow or too few.
 
     Notes

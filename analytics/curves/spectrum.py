@@ -14,9 +14,9 @@ from storage.sql.reading import SignalRecord, find_signal, read_signal
 from stream.batch import FloatArray
 from stream.errors import BadInput, NotFound
 from stream.estimators.base import NoEstimate
-from stream.estimators.confidence import deviation_limits
+from stream.estimators.confidence import deviation_bounds
 from stream.estimators.spectral_density import FEWEST_SAMPLES, FIRST_BIN, SpectralDensity
-from stream.estimators.spectrum.spectral_lines import GUARD_BINS, Line, background_edf, hann_response
+from stream.estimators.spectrum.spectral_lines import GUARD_BINS, SpectralLine, background_edf, hann_response
 
 CONFIDENCE = 0.95
 FALSE_ALARM_PROBABILITY = 0.01
@@ -86,7 +86,7 @@ class SignalSpectrum:
     false_alarm_probability: float
     searched_lo_hz: float
     searched_hi_hz: float
-    lines: tuple[Line, ...]
+    lines: tuple[SpectralLine, ...]
 
     def __post_init__(self) -> None:
         """Check that the columns fit together."""
@@ -130,7 +130,7 @@ class SignalSpectrum:
             if len(kept) == 0:
                 continue
             value = float(psd[kept].mean())
-            lo, hi = deviation_limits(1.0, self.edf * _independent(len(kept)), self.confidence)
+            lo, hi = deviation_bounds(1.0, self.edf * _independent(len(kept)), self.confidence)
             middle_hz = float(np.exp(np.log(frequency_hz[kept]).mean()))
             found.append(Level(middle_hz, value, value * lo**2, value * hi**2))
         return found

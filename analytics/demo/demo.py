@@ -4,21 +4,24 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from importlib.resources import files
 from pathlib import Path
 
-from analytics.curves.limits import LimitsTable, demo_limits, judge_unit
 from analytics.demo.demo_loop import cycle_names, send_cycle, trace_fleet
 from analytics.loop.unit_diagnosis import UnitsDiagnosis
 from ingest.run.pipeline import EmbeddedPipeline
 from ingest.simulator.demo_fleet import cycle_runs, cycles_last_s, demo_fleet
 from ingest.simulator.physics.plan import Plan
 from ingest.simulator.station import PowerCycle, SimulatedStation
+from storage.specifications.live_limits import UnitLimits, unit_limits
+from storage.specifications.specification import parse_specification
 from stream.batch import SampleBatch
 from stream.events import (
     AnyDocument,
     EarlyDecision,
     EstimatePublished,
     Limit,
+    LimitsApplied,
     PowerOn,
     RunEnded,
     RunStarted,
@@ -41,7 +44,7 @@ _AT_REST = StepWords(procedure="static_bias", position="IRA_east_west")
 
 @dataclass
 class UnitView:
-    """What the live view shows of one unit."""
+    """State of one unit in the live view."""
 
     unit: str
     samples: int = 0
@@ -54,11 +57,11 @@ class UnitView:
 
 @dataclass
 class DemoState:
-    """How far the demonstration is; written by the pipeline's threads, read by whoever draws it."""
+    """Progress of the demonstration; written by the pipeline's threads, read by the live view."""
 
     run: str
     duration_s: float
-    limits: LimitsTable
+    limits: UnitLimits
     units: dict[str, UnitView]
     began: float = field(default_factory=time.monotonic)
     simulated_s: float = 0.0
@@ -74,17 +77,26 @@ class DemoState:
         return self.samples / max(time.monotonic() - self.began, 1e-9)
 
 
+def demo_limits() -> UnitLimits:
+    """Limits of the demonstration's specification, which ships with the package.
+
+    Examples
+    --------
+    >>> [limit.characteristic for limit in demo_limits().live]
+    ['angle_random_walk', 'allan_deviation', 'bias_stability', 'bias_stability']
+    """
+    content = files("analytics.demo").joinpath("demo_limits.toml").read_bytes()
+    found = unit_limits([parse_specification(content, "demo_limits.toml")], None, ["rate"])
+    assert found is not None
+    return found
+
+
 def run_demo(
     folder: Path, *, hours: float, seed: int, on_progress: Callable[[DemoState], None] | None = None
 ) -> DemoState:
-    """Simulate the fleet, send it through bus, log, lake and estimators, and judge it.
+    """Simulate the fleet for so many hours, send it through bus, log, lake and estimators, and judge it.
 
-    Parameters
-    ----------
-    folder: The store.
-    hours: Simulated length of the run.
-    seed: Of the simulation: the same seed gives the same samples.
-    on_progress: Called now and then, in the caller's thread.
+    `on_progress` is called several times a second, in the caller's thread.
 
     Raises
     ------
@@ -96,17 +108,14 @@ def run_demo(
     t0_ns = (int(began.timestamp()) - round(duration_s)) * 10**9
     run = f"demo-{began:%Y%m%dT%H%M%SZ}"
     state = DemoState(run, duration_s, demo_limits(), {unit: UnitView(unit) for unit in fleet.units})
-    finals: list[EstimatePublished] = []
 
     def on_document(document: AnyDocument) -> None:
         if isinstance(document, EarlyDecision):
             state.units[document.unit].decisions[document.limit] = document
-        if not isinstance(document, EstimatePublished):
-            return
-        if document.signal == "rate":
+        elif isinstance(document, VerdictGiven):
+            state.units[document.unit].verdict = document
+        elif isinstance(document, EstimatePublished) and document.signal == "rate":
             state.units[document.unit].estimates[document.estimator] = document
-        if document.final:
-            finals.append(document)
 
     with EmbeddedPipeline(
         folder, "gyrofleet demo", estimate_every_s=ESTIMATE_EVERY_S, on_document=on_document
@@ -122,7 +131,10 @@ def run_demo(
             lot="DEMO-LOT-1",
         )
         pipeline.send_event(events, started)
-        pipeline.send_event(events, state.limits.applied(run, t0_ns, planned_s=duration_s))
+        limits = state.limits
+        pipeline.send_event(
+            events, LimitsApplied(run=run, t_ns=t0_ns, revision=limits.label, limits=limits.live, planned_s=duration_s)
+        )
         totals: dict[tuple[str, str], StreamTotal] = {}
         shown_at = 0.0
         end_ns = t0_ns + round(duration_s * 1e9)
@@ -145,10 +157,6 @@ def run_demo(
         state.phase = "completing the record"
         if on_progress is not None:
             on_progress(state)
-        pipeline.complete_estimates()
-        for view in state.units.values():
-            view.verdict = judge_unit(state.limits, finals, run=run, unit=view.unit, t_ns=end_ns)
-            pipeline.send_event(events, view.verdict)
         pipeline.finish()
     state.seconds = time.monotonic() - state.began
     _close_the_loop(folder, fleet, state, t0_ns, on_progress)
@@ -159,7 +167,7 @@ def run_demo(
 
 
 def _send_steps(pipeline: EmbeddedPipeline, units: tuple[str, ...], run: str, t0_ns: int, last_ns: int) -> None:
-    """Say that each unit was at rest throughout the run."""
+    """Send the step of each unit: at rest throughout the run."""
     for unit in units:
         step = StepStarted(run=run, t_ns=t0_ns, unit=unit, words=_AT_REST)
         pipeline.send_event(event_key(PLACE), step)
@@ -169,9 +177,9 @@ def _send_steps(pipeline: EmbeddedPipeline, units: tuple[str, ...], run: str, t0
 def _close_the_loop(
     folder: Path, fleet: Plan, state: DemoState, t0_ns: int, on_progress: Callable[[DemoState], None] | None
 ) -> None:
-    """Nine short runs with temperature cycles and rates, in the days before, and what each unit's model lacks."""
+    """Nine earlier short runs with temperature cycles and rates, and the diagnosis of each unit."""
 
-    def tell(phase: str) -> None:
+    def report(phase: str) -> None:
         state.phase = phase
         if on_progress is not None:
             on_progress(state)
@@ -180,10 +188,10 @@ def _close_the_loop(
     state.cycles = cycle_names(state.run, runs)
     with EmbeddedPipeline(folder, "gyrofleet demo", estimate_every_s=ESTIMATE_EVERY_S) as pipeline:
         for run, name in zip(runs, state.cycles, strict=True):
-            tell(f"short runs: {name}")
+            report(f"short runs: {name}")
             state.cycle_samples += send_cycle(pipeline, PLACE, fleet, run, name)
         pipeline.finish()
-    state.found = trace_fleet(folder, fleet.units, state.cycles, tell)
+    state.found = trace_fleet(folder, fleet.units, state.cycles, report)
 
 
 def _follow(state: DemoState, batch: SampleBatch, t0_ns: int) -> None:

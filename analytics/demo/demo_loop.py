@@ -1,4 +1,4 @@
-"""The second part of the demonstration: nine short runs, and the trace of what the units' error model lacks."""
+"""The second part of the demonstration: nine short runs, and a diagnosis of the units' error model."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +29,7 @@ def cycle_names(run: str, runs: tuple[CycleRun, ...]) -> tuple[str, ...]:
 
 
 def send_cycle(pipeline: EmbeddedPipeline, place: Place, fleet: Plan, run: CycleRun, name: str) -> int:
-    """Send one of the short runs through the whole path; the number of its samples.
+    """Send one of the short runs; the number of its samples.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def send_cycle(pipeline: EmbeddedPipeline, place: Place, fleet: Plan, run: Cycle
 
 
 def trace_fleet(
-    folder: Path, units: tuple[str, ...], runs: tuple[str, ...], told: Callable[[str], None] = lambda _: None
+    folder: Path, units: tuple[str, ...], runs: tuple[str, ...], report: Callable[[str], None] = lambda _: None
 ) -> UnitsDiagnosis:
     """Trace every unit's residual over the short runs in the store.
 
@@ -71,4 +71,4 @@ def trace_fleet(
     GyrofleetError: If none can be traced.
     """
     with Catalog(Store.open(folder)) as catalog:
-        return diagnose_units(catalog, units, Question(model=DECLARED_MODEL, runs=runs), on_progress=told)
+        return diagnose_units(catalog, units, Question(model=DECLARED_MODEL, runs=runs), on_progress=report)

@@ -9,10 +9,10 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from analytics.curves.limits import judge
 from analytics.demo.demo import DemoState, UnitView
 from stream.estimators.decision.decision import Outcome
 from stream.events import Check, EarlyDecision, EstimatePublished, Limit, Verdict, VerdictGiven
+from stream.worker.limit_checks import judge
 
 _WIDE = 140
 _COLOURS = {
@@ -37,7 +37,7 @@ _NAMES = {
 
 
 def live_view(state: DemoState, width: int) -> RenderableType:
-    """Everything at a glance: the table of units, how fast, how far, in `width` characters."""
+    """Progress, speed and the table of units, in `width` characters."""
     elapsed_s = state.seconds or time.monotonic() - state.began
     times = state.simulated_s / max(elapsed_s, 1e-9)
     line = Text.assemble(
@@ -51,11 +51,11 @@ def live_view(state: DemoState, width: int) -> RenderableType:
 
 
 def fleet_table(state: DemoState, width: int) -> Table:
-    """A row for each unit: where it is, each limit's estimate with its confidence interval, the verdict."""
+    """A row for each unit: its samples, each limit's estimate with its confidence interval, the verdict."""
     is_wide = width >= _WIDE
     table = Table(
         header_style="bold",
-        caption=f"values with their 95 % confidence limits; limits {state.limits.revision}",
+        caption=f"values with their 95 % confidence limits; limits {state.limits.label}",
         caption_justify="left",
         box=box.HEAVY_HEAD if is_wide else box.SIMPLE_HEAD,
         padding=(0, 1) if is_wide else (0, 1, 0, 0),
@@ -65,11 +65,11 @@ def fleet_table(state: DemoState, width: int) -> Table:
         table.add_column("Samples\n采样数", justify="right")
         table.add_column("Rate, last 5 s\n角速率\ndeg/h", justify="right")
         table.add_column("Last temp.\n温度\ndegC", justify="right")
-    for limit in state.limits.limits:
+    for limit in state.limits.live:
         table.add_column(limit_title(limit), justify="right", overflow="fold")
     table.add_column("Verdict\n判定", no_wrap=True)
     for view in state.units.values():
-        cells = _row(view, state.limits.limits)
+        cells = _row(view, state.limits.live)
         table.add_row(*(cells if is_wide else [cells[0], *cells[4:]]))
     return table
 

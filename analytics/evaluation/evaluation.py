@@ -54,7 +54,7 @@ COLUMNS = pa.schema(
         ("reason", pa.string()),
     ]
 )
-_STILL = "create or replace table still_steps as from standing_steps"
+_STILL = "create or replace table internal.still_steps as from internal.standing_steps"
 # One order of all rows, so that what was kept and what is computed anew make the same table.
 _SORTED = """
 select * from unit_metrics
@@ -92,7 +92,7 @@ def unit_metrics(catalog: Catalog, told: Told | None = None) -> pa.Table:
     """
     steps = step_means(catalog, told)
     define_views(catalog, steps)
-    prints = _unit_fingerprints(steps, _entered(catalog), _products(catalog))
+    prints = _unit_fingerprints(steps, _entered(catalog), _products(catalog), _averaging_times(catalog, steps))
     table, known = kept_metrics(catalog.kept)
     fresh = {unit for unit, mark in known.items() if prints.get(unit) == mark}
     stale = sorted(prints.keys() - fresh)
@@ -223,7 +223,7 @@ def _rate_units(steps: pa.Table) -> pa.Table:
 def _entered(catalog: Catalog) -> dict[str, str]:
     """What was entered by hand of each unit, as a hash; it may belong to no run."""
     found = catalog.rows(
-        "select unit, bit_xor(hash(uid))::varchar || '/' || count(*) from lake_documents "
+        "select unit, bit_xor(hash(uid))::varchar || '/' || count(*) from internal.lake_documents "
         "where kind = 'CheckEntered' group by unit"
     )
     return {str(unit): str(mark) for unit, mark in found}
@@ -232,9 +232,18 @@ def _entered(catalog: Catalog) -> dict[str, str]:
 def _products(catalog: Catalog) -> dict[str, str]:
     """The numbers of each unit's product in its runs, as a hash."""
     found = catalog.rows(
-        "select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from run_products p group by unit"
+        "select unit, md5(string_agg(to_json(p)::varchar, ';' order by run)) from internal.run_products p group by unit"
     )
     return {str(unit): str(mark) for unit, mark in found}
+
+
+def _averaging_times(catalog: Catalog, steps: pa.Table) -> dict[str, str]:
+    """The averaging times of the Allan deviation that limits name, which are those of every unit's values."""
+    found = catalog.rows(
+        "select string_agg(distinct key, ';' order by key) from specification_parameters "
+        "where metric = 'allan_deviation'"
+    )
+    return {} if found[0][0] is None else dict.fromkeys(steps["unit"].unique().to_pylist(), str(found[0][0]))
 
 
 def _unit_fingerprints(steps: pa.Table, *parts: Mapping[str, str]) -> dict[str, str]:

@@ -8,7 +8,7 @@ from analytics.step_records import FOLDER
 if TYPE_CHECKING:
     from storage.findings import Finding
     from storage.sql.catalog import Catalog
-    from storage.sql.columns import Words
+    from storage.sql.tables import ColumnTexts
     from storage.store import Store
 
 
@@ -40,17 +40,17 @@ class MetricsLayer:
     }
 
     @property
-    def columns(self) -> "Words":
+    def columns(self) -> "ColumnTexts":
         """What the columns of its tables hold."""
-        from storage.sql.columns import read_words
+        from storage.sql.tables import read_texts
 
-        return read_words(files("analytics.metrics").joinpath("tables", "columns.toml"))
+        return read_texts(files("analytics.metrics").joinpath("tables", "columns.toml"))
 
     def fill(self, catalog: "Catalog") -> None:
         """Bring the metrics up to date, and define the tables."""
         from analytics.evaluation.evaluation import unit_metrics
 
-        unit_metrics(catalog, catalog.told)
+        unit_metrics(catalog, catalog.progress)
         define_tables(catalog)
 
     def findings(self, store: "Store") -> "list[Finding]":

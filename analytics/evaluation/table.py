@@ -12,6 +12,7 @@ from rich.table import Table
 
 from analytics.evaluation.selection import Row, clauses_of
 from analytics.metrics.registry import metrics
+from stream.atomic_file import replacement
 from stream.console import csv_text, shown_text, styled
 from stream.errors import BadInput
 
@@ -179,18 +180,14 @@ def write_csv(rows: Iterable[Row], path: Path, language: str) -> None:
     ------
     BadInput: If the file cannot be written.
     """
-    fresh = path.with_name(path.name + ".part")
     try:
-        with fresh.open("w", encoding="utf-8-sig", newline="") as file:
+        with replacement(path) as fresh, fresh.open("w", encoding="utf-8-sig", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(["name", *COLUMNS])
             for row in rows:
                 writer.writerow(csv_text(each) if isinstance(each, str) else each for each in _plain(row, language))
-        fresh.replace(path)
     except OSError as error:
         raise _unwritable(path, "--csv", error) from error
-    finally:
-        fresh.unlink(missing_ok=True)
 
 
 def write_xlsx(rows: Iterable[Row], path: Path, language: str) -> None:
@@ -203,11 +200,11 @@ def write_xlsx(rows: Iterable[Row], path: Path, language: str) -> None:
     import xlsxwriter
     from xlsxwriter.exceptions import XlsxWriterException
 
-    fresh = path.with_name(path.name + ".part")
     # text stays text: a unit called "=1+1" is no formula, and a run called "http://x" no link
-    options = {"strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
+    options = dict.fromkeys(("strings_to_formulas", "strings_to_urls", "strings_to_numbers"), False)
+    options["nan_inf_to_errors"] = True
     try:
-        with xlsxwriter.Workbook(str(fresh), {**options, "nan_inf_to_errors": True}) as book:
+        with replacement(path) as fresh, xlsxwriter.Workbook(str(fresh), options) as book:
             sheet = book.add_worksheet("指标" if language == "zh" else "metrics")
             bold = book.add_format({"bold": True})
             titles = [title_of(column, language) for column in ("name", *COLUMNS)]
@@ -218,11 +215,8 @@ def write_xlsx(rows: Iterable[Row], path: Path, language: str) -> None:
             sheet.autofilter(0, 0, at, len(titles) - 1)
             sheet.freeze_panes(1, 1)
             sheet.autofit()
-        fresh.replace(path)
     except (OSError, XlsxWriterException) as error:
         raise _unwritable(path, "--xlsx", error) from error
-    finally:
-        fresh.unlink(missing_ok=True)
 
 
 def _plain(row: Row, language: str) -> list[object]:

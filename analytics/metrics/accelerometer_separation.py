@@ -26,7 +26,7 @@ HEADER = """\
 _POSITIONS = {"beta0": 0.0, "beta90": 90.0, "beta180": 180.0, "beta270": 270.0}
 _STEPS = """
 with gyro as (
-  select distinct run, unit from gyro_steps
+  select distinct run, unit from internal.gyro_steps
 )
 select s.run, s.unit, s.signal, s."procedure", s."index", s.position, s.mean, s.unit_of_measure, s.gravity_m_per_s2,
   regexp_extract(s.position, '^beta(-?[0-9.]+)$', 1)::double as beta,
@@ -35,7 +35,7 @@ select s.run, s.unit, s.signal, s."procedure", s."index", s.position, s.mean, s.
     else 'output is an acceleration' end as scale_source
 from step_means s
 left join gyro g on g.run = s.run and g.unit = s.unit
-left join product_scales p on p.unit = s.unit and p.run = s.run and p.unit_of_measure = s.unit_of_measure
+left join internal.product_scales p on p.unit = s.unit and p.run = s.run and p.unit_of_measure = s.unit_of_measure
 where regexp_full_match(s.position, 'beta-?[0-9.]+') and s.n > 0
   and regexp_matches(s.signal, '^acc(el(eration|erometer)?)?(_|$)')
 order by s.run, s.unit, s.signal, s."procedure", s."index"

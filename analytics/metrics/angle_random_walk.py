@@ -14,7 +14,7 @@ from storage.sql.reading import stored_between
 from stream.batch import FloatArray
 from stream.errors import NotFound
 from stream.estimators.base import NoEstimate
-from stream.estimators.random_walk_normalised import angle_random_walk_normalised
+from stream.estimators.noise.normalised_random_walk import angle_random_walk_normalised
 
 HEADER = """\
 -- id:        angle_random_walk
@@ -44,8 +44,8 @@ select s.unit, s.signal, s.run, s.n, [s.run] as runs, [s."index"] as steps,
   })::varchar as parameters,
   case when s.lack is not null then s.lack when c.run is not null then c.reason when coalesce(s.white, 0) = 0 then
     'the record shows no angle random walk: other noise covers it at every averaging time' end as reason
-from bias_steps s
-left join noise_coefficients c
+from internal.bias_steps s
+left join internal.noise_coefficients c
   on c.run = s.run and c.unit = s.unit and c.signal = s.signal and c."index" = s."index"
   and c.coefficient = 'angle_random_walk' and (c.value is not null or s.white is null)
 order by s.unit, s.signal, s.run, s."index"
@@ -56,7 +56,7 @@ _LIMITS = ("lo", "hi", "standard_uncertainty")
 _SHORT = """
 select s.unit, s.signal, s.run, s."index", s.n, s.duration_s, s.t_from_ns, s.t_to_ns, abs(s.deg_per_h) as deg_per_h,
   s.unit_of_measure, g.sample_interval_s, g.irregular
-from still_steps s join signals g on g.run = s.run and g.unit = s.unit and g.signal = s.signal
+from internal.still_steps s join signals g on g.run = s.run and g.unit = s.unit and g.signal = s.signal
 where regexp_matches(s."procedure", '^random_walk|随机游走')
 order by s.unit, s.signal, s.run, s."index"
 """

@@ -12,7 +12,7 @@
 -- The Earth's rate is removed where the position says how it enters; both the raw and the corrected value are reported.
 with corrected as (
   select *, unnest(case when is_attitude_known then ['none', 'removed'] else ['none'] end) as earth_rate
-  from bias_steps
+  from internal.bias_steps
 ), judged as (
   select *, coalesce(lack, case when earth_rate = 'removed' and earth_deg_per_h is null then no_latitude() end) as missing
   from corrected

@@ -22,10 +22,10 @@ HEADER = """\
 
 _SQL = """
 with shown as (
-  select *, axis as shown from bias_flips
+  select *, axis as shown from internal.bias_flips
   where earth_rate = 'none' or not coalesce(list_contains(level, axis), false)
   union all
-  select *, 'largest' from bias_flips
+  select *, 'largest' from internal.bias_flips
 ), told as (
   select *, list_filter(['X', 'Y', 'Z'], lambda each: not list_contains(axes, each)) as absent from shown
 )

@@ -33,7 +33,7 @@ with told as (
   select *,
     count(*) over (partition by unit, signal, position, earth_rate, run) as in_run,
     bool_or(is_repeated) over (partition by unit, signal, position, earth_rate, run) as is_test
-  from bias_power_ons
+  from internal.bias_power_ons
 ), scoped as (
   select *, run as scope from told where is_test or in_run > 1
   union all

@@ -23,4 +23,4 @@ HEADER = """\
 
 def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     """Rows of the metric."""
-    yield from largest_changes(catalog, "select * from bias_changes where cause = 'shock'")
+    yield from largest_changes(catalog, "select * from internal.bias_changes where cause = 'shock'")

@@ -28,4 +28,4 @@ select
     when sd is null then 'one sample in the step: a standard deviation needs two'
     when sd = 0 then 'all ' || n || ' samples are alike: the output is frozen, or its resolution too coarse to show noise'
   end) as reason
-from bias_steps
+from internal.bias_steps

@@ -21,14 +21,14 @@ HEADER = """\
 """
 
 _SQL = """
-with step as materialized (select * from bias_steps),
+with step as materialized (select * from internal.bias_steps),
 average as (
   select step.*, unnest([1.0, 10.0, 100.0]::double[]) as average_s, unnest([n_1s, n_10s, n_100s]) as averages,
     unnest([sd_1s, sd_10s, sd_100s]) as sd_of, unnest([freedom_1s, freedom_10s, freedom_100s]) as freedom_of
   from step
   union all
   select step.*, own.average_s, own.n, own.sd, own.freedom
-  from product_averages own join step
+  from internal.product_averages own join step
     on own.run = step.run and own.unit = step.unit and own.signal = step.signal and own."index" = step."index"
 )
 select unit, signal, run,
@@ -51,7 +51,7 @@ order by unit, signal, run, "index", average_s
 
 _ASKED = """
 select s.run, s.unit, s.signal, s."index", s.t_from_ns, s.t_to_ns, p.average_s
-from bias_steps s join run_products p on p.unit = s.unit and p.run = s.run
+from internal.bias_steps s join internal.run_products p on p.unit = s.unit and p.run = s.run
 where s.lack is null and p.average_s is not null and not list_contains($usual, p.average_s)
 order by s.unit, s.signal, s.run, s."index"
 """
@@ -62,7 +62,7 @@ with mean as (
   select w.which, b.t_ns // w.average_ns as number, sum(b.n) as n,
     any_value(w.average_ns / s.sample_interval_s / 1e9) as whole,
     sum(b.n * b.mean order by b.t_ns) / sum(b.n) as value
-  from averages_wanted w
+  from internal.averages_wanted w
   join signals s on s.run = w.run and s.unit = w.unit and s.signal = w.signal
   join {source} b on b.run = w.run and b.unit = w.unit and b.signal = w.signal
     and b.t_ns // w.average_ns * w.average_ns >= w.t_from_ns

@@ -28,7 +28,7 @@ select unit, signal, run, "procedure", position, again, all_n as n, [run] as run
     room_temperature_deg_c: round(room_temperature, 2), temperature_source: temperature_source, points: points,
     position: position, repeat: again, scale_factor: scale_source
   } as parameters
-from bias_temperature_points
+from internal.bias_temperature_points
 order by run, unit, signal, "procedure", position, again, "index"
 """
 

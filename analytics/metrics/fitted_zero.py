@@ -28,7 +28,7 @@ _CLAUSES = {"GJB2426A": "5.8.1 (6)", "JJF2014": "7.2.1 (5)", "JJF1536": "7.1 (15
 _SQL = """
 select unit, signal, run, steps, standard, n, words, lack, k, zero, rest_zero, points, rests, rest_before, rest_after,
   zero_weights, slope_weights, temperature, output_unit
-from scale_results('scale_fits')
+from scale_results('internal.scale_fits')
 """
 
 

@@ -16,7 +16,7 @@ with halved as (
   select *,
     case when arcmin > 4 * u_radius_arcmin then student_quantile(0.05, freedom) * u_arcmin
       else sqrt(-2 * ln(0.05)) * u_radius_arcmin * student_quantile(0.05, freedom) / 1.959964 end as half
-  from misalignments
+  from internal.misalignments
 )
 select
   unit, signal, run,

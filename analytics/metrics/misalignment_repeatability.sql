@@ -13,7 +13,7 @@ with told as (
   select *, count(*) over (partition by unit, signal, run) as in_run,
     bool_or(coalesce(starts_with("procedure", 'misalignment_repeat'), false)) over (partition by unit, signal, run)
       as is_test
-  from misalignments where positions = 4
+  from internal.misalignments where positions = 4
 ), scoped as (
   select *, run as scope from told where is_test or in_run > 1
   union all

@@ -20,7 +20,7 @@ with turned as (
     arg_min(freedom, input_rate) filter (rate_command < 0) as freedom_backwards,
     min(unit_of_measure) as unit_of_measure,
     max(abs(input_rate)) as rate, list("index" order by "index") as steps, sum(n)::bigint as n
-  from gyro_steps
+  from internal.gyro_steps
   where n > 0 and rate_command <> 0 and frequency is null and regexp_matches("procedure", '^polarity|极性')
   group by all
 ), compared as (

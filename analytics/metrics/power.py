@@ -56,7 +56,7 @@ order by run, unit, "index", supply
 
 _READINGS = """
 select w.which, s.signal, list(s.t_ns order by s.t_ns) as t_ns, list(s.value order by s.t_ns) as values
-from power_windows w
+from internal.power_windows w
 join samples s on s.run = w.run and s.unit = w.supply and s.t_ns between w.t_from_ns and w.t_to_ns
 where s.run = $run and s.signal in ('supply_voltage', 'supply_current')
 group by w.which, s.signal

@@ -15,5 +15,5 @@ select unit, signal, run, value, lo, hi, standard_uncertainty, null::double as f
   {method: 'allan', duration_s: round(duration_s), misfit: misfit, markov_correlation_s: markov_correlation_s}
     as parameters,
   [run] as runs, ["index"] as steps, reason
-from noise_coefficients
+from internal.noise_coefficients
 where coefficient = 'quantization_noise'

@@ -19,7 +19,7 @@ with judged as (
       then list_max([abs(p.output - (r.rest_before.output + r.rest_after.output) / 2) for p in r.points])
       else abs(r.k) * (list_max(r.x) - list_min(r.x)) end as full_scale,
     student_quantile(0.05 / r.n_points, list_min(r.freedoms)) as wide
-  from line_fits('range_sets') r join scale_results('scale_fits') f using (run, unit, signal, steps)
+  from line_fits('internal.range_sets') r join scale_results('internal.scale_fits') f using (run, unit, signal, steps)
   where f.standard <> 'JJF1536'
 ), deviating as (
   select *,
@@ -44,7 +44,7 @@ with judged as (
       when r.value is null then
         format('no rate meets the limit of {:g} ppm of product {}', f.nonlinearity_ppm, f.product)
     end) as missing
-  from scale_results('scale_fits') f left join reached r using (run, unit, signal, steps, standard)
+  from scale_results('internal.scale_fits') f left join reached r using (run, unit, signal, steps, standard)
   where f.standard <> 'JJF1536' and f.phase is null
 )
 select

@@ -50,7 +50,7 @@ select g.run, g.unit, g.signal, g.repeat,
       error: abs((p.input - base_rate) - (p.output - base_output)), u: sqrt(p.u ** 2 + u_base ** 2), freedom: p.freedom}
     for p in points if p.input <> base_rate] order by is_forward)) as compared,
   sum(n)::bigint as n, list_sort(flatten(list(steps order by is_forward))) as steps
-from gathered g left join run_products p on p.unit = g.unit and p.run = g.run
+from gathered g left join internal.run_products p on p.unit = g.unit and p.run = g.run
 group by g.run, g.unit, g.signal, g.repeat order by g.run, g.unit, g.signal, g.repeat
 """
 

@@ -20,8 +20,8 @@ HEADER = """\
 -- equation:  K from the least-squares line F_j = K Omega_j + F0 + v_j
 """
 
-_LINES = "create or replace table scale_fits as select * from scale_lines('scale_sides')"
-_USABLE = "select * from measured_scale_factors('scale_fits')"
+_LINES = "create or replace table internal.scale_fits as select * from scale_lines('internal.scale_sides')"
+_USABLE = "select * from measured_scale_factors('internal.scale_fits')"
 
 # What is subtracted at rest moves F0 and not K: the standards differ only in what they ask for.
 # A measurement that no standard is content with has a value too, under no clause's name.
@@ -30,7 +30,7 @@ with formed as (
   select * exclude (words), words, null::varchar as remark,
     case standard when 'GJB2426A' then '5.8.1 (1)-(6)' when 'JJF2014' then '7.2.1 (2)-(5)' else '7.1 (10)-(15)' end
       as clause
-  from scale_results('scale_fits')
+  from scale_results('internal.scale_fits')
 ), lacking as (
   select run, unit, signal, steps, string_agg(standard || ': ' || lack, '; ' order by standard) as remark
   from formed group by all having bool_and(lack is not null)
@@ -38,7 +38,7 @@ with formed as (
   select * from formed
   union all by name
   select f.*, 'informative' as standard, 'least-squares line' as clause, l.remark
-  from scale_fits f join lacking l using (run, unit, signal, steps)
+  from internal.scale_fits f join lacking l using (run, unit, signal, steps)
   where isfinite(f.k)
 )
 select

@@ -15,7 +15,7 @@ with placed as (
   select *, regexp_extract(position, '_(up|down)$', 1) as pointing,
     {k: k, u_k: u_k, freedom_k: freedom_k, residuals: residuals, slope_weights: slope_weights, u: u,
       freedoms: freedoms, points: points} as line
-  from scale_results('scale_fits')
+  from scale_results('internal.scale_fits')
   where standard = 'JJF2014' and phase is null
     and (regexp_matches(position, '^(IRA|vertical)_(up|down)$')
       or starts_with("procedure", 'scale_factor_acceleration'))

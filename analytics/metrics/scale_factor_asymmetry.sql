@@ -14,7 +14,7 @@
 with sides as (
   select *, slope_difference(plus, minus, -1) as difference,
     case standard when 'GJB2426A' then (plus.k + minus.k) / 2 else k end as reference
-  from scale_results('scale_fits') where standard <> 'JJF1536'
+  from scale_results('internal.scale_fits') where standard <> 'JJF1536'
 ), relative as (
   select *, abs(difference.change / reference) * 1e6 as size, difference.u / abs(reference) * 1e6 as u_size,
     student_quantile(0.05, difference.freedom) as wide

@@ -17,7 +17,7 @@ with scaled as (
     case standard when 'GJB2426A' then list_max([abs(p.output - rest_zero) for p in points])
       else abs(k) * (list_max(x) - list_min(x)) end as full_scale,
     student_quantile(0.05 / n_points, list_min(freedoms)) as wide
-  from scale_results('scale_fits') where standard <> 'JJF1536'
+  from scale_results('internal.scale_fits') where standard <> 'JJF1536'
 ), deviating as (
   select *,
     [{size: abs(z[1] / full_scale) * 1e6, u: z[2] / full_scale * 1e6, rate: z[3].command, freedom: z[3].freedom}

@@ -34,7 +34,7 @@ with conditioned as (
     count(distinct coalesce(temperature_command, 1e9)) over test as temperatures,
     count(distinct coalesce(position, '')) over test as positions,
     case when date_known then strftime(timezone(time_zone, make_timestamptz(t_from_ns // 1000)), '%Y-%m-%d') end as day
-  from scale_results('scale_fits')
+  from scale_results('internal.scale_fits')
   where standard <> 'JJF1536' and phase is null and axis is null
     and not regexp_matches(coalesce("procedure", ''), '^(scale_factor_(temp|acc|shock|vib)|threshold|resolution)')
   window test as (partition by run, unit, signal, "procedure", standard)

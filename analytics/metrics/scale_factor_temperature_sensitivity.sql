@@ -21,7 +21,7 @@ with tested as (
     -- of two that are as near, the one that was measured first
     arg_min(coalesce(temperature_command, temperature), (abs(coalesce(temperature_command, temperature) - 20), steps))
       over test as room_set_to
-  from scale_results('scale_fits') where standard <> 'JJF1536' and phase is null
+  from scale_results('internal.scale_fits') where standard <> 'JJF1536' and phase is null
   window test as (partition by run, unit, signal, "procedure", position, repeat, standard)
 ), marked as (
   select *, case when says_room then room

@@ -9,4 +9,4 @@
 -- needs:     scale factors before and after a vibration along X, Y and Z, at least 11 rates in each direction
 -- limits:    given
 -- equation:  max over X, Y, Z of |K_after - K_before|
-from scale_changes('scale_fits', 'vibration|振动')
+from scale_changes('internal.scale_fits', 'vibration|振动')

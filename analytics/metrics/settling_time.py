@@ -24,7 +24,7 @@ _SIGMAS = 1.959963984540054
 _TESTS = """
 with zero as (
   select unit, signal, run, t_to_ns, mean_deg_per_h - earth_deg_per_h as bias, u_deg_per_h
-  from bias_steps where lack is null and earth_deg_per_h is not null
+  from internal.bias_steps where lack is null and earth_deg_per_h is not null
 ), test as (
   select *, coalesce(abs(rate_command), 0) > 0 as is_rate,
     t_from_ns - coalesce(round(time_since_power_on_s * 1e9)::bigint, 0) as on_ns
@@ -40,7 +40,7 @@ select s.unit, s.signal, s.run, s."index", s.position, s.rate_command, s.is_rate
   z.u_deg_per_h as expected_u, z.run as zero_run
 from test s
 join signals g on g.run = s.run and g.unit = s.unit and g.signal = s.signal
-asof left join scale_factors f
+asof left join internal.scale_factors f
   on f.unit = s.unit and f.signal = s.signal and f.t_to_ns <= s.on_ns
   and f.output_unit = case when s.rate_factor is null then s.unit_of_measure else 'deg/s' end
 asof left join zero z on z.unit = s.unit and z.signal = s.signal and z.t_to_ns <= s.on_ns
@@ -49,7 +49,7 @@ order by s.run, s.unit, s.signal, s."index"
 
 _SAMPLES = """
 select w.which, list(s.t_ns order by s.t_ns, s.seq) as t_ns, list(s.value order by s.t_ns, s.seq) as values
-from power_on_windows w
+from internal.power_on_windows w
 join samples s on s.run = w.run and s.unit = w.unit and s.signal = w.signal and s.t_ns between w.on_ns and w.t_to_ns
 where s.run = $run
 group by w.which
@@ -81,7 +81,7 @@ def settling_times(catalog: Catalog, procedure: str) -> Iterator[dict[str, Any]]
     reference's uncertainty does: they are the times for a band that is wider and narrower by 1.96 times that.
     """
     tests = catalog.reader(_TESTS.format(procedure=procedure)).read_all().to_pylist()
-    known = catalog.rows("select unit, run, startup_band_deg_per_h from run_products")
+    known = catalog.rows("select unit, run, startup_band_deg_per_h from internal.run_products")
     bands = {(unit, of_run): band for unit, of_run, band in known}
     found = []
     for run, group in groupby(tests, key=lambda test: test["run"]):

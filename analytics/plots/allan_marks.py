@@ -6,15 +6,15 @@ from typing import NamedTuple
 from matplotlib.axes import Axes
 from matplotlib.patheffects import withStroke
 
-from analytics.curves.limits import (
+from stream.errors import BadInput, UnknownUnit
+from stream.events import Limit
+from stream.quantities import conversion
+from stream.worker.limit_checks import (
     ALLAN_DEVIATION,
     ANGLE_RANDOM_WALK,
     ANGLE_RANDOM_WALK_TAU_S,
     SQRT_SECONDS_PER_SQRT_HOUR,
 )
-from stream.errors import BadInput, UnknownUnit
-from stream.events import Limit
-from stream.quantities import conversion
 
 INK, SOFT, FLEET = "#1a1a1a", "#5f6b76", "#a9b4be"
 MINUS_HALF = "\N{MINUS SIGN}1/2"

@@ -16,7 +16,7 @@ from analytics.plots.figure_file import check_suffix, logarithmic_grid, write_fi
 from analytics.plots.plot_fonts import chinese_font, set_fonts
 from stream.errors import BadInput
 from stream.estimators.spectral_density import FIRST_BIN
-from stream.estimators.spectrum.spectral_lines import Line
+from stream.estimators.spectrum.spectral_lines import SpectralLine
 
 _DENSITY, _LINE = "#0072b2", "#d55e00"
 _LEFT, _WIDTH, _WIDTH_BESIDE_LINES = 0.095, 0.875, 0.745
@@ -91,7 +91,7 @@ def _scales(axes: Axes, spectrum: SignalSpectrum, levels: list[Level]) -> None:
     logarithmic_grid(axes, most_decades=12)
 
 
-def _mark(axes: Axes, spectrum: SignalSpectrum, named: list[Line]) -> None:
+def _mark(axes: Axes, spectrum: SignalSpectrum, named: list[SpectralLine]) -> None:
     """A caret on every line, with its number where it has one, above whatever else is there."""
     peaks = [spectrum.psd[round(line.frequency_hz / spectrum.bin_width_hz) - FIRST_BIN] for line in spectrum.lines]
     points = [(line.frequency_hz, peak) for line, peak in zip(spectrum.lines, peaks, strict=True)]
@@ -119,7 +119,7 @@ def _mark(axes: Axes, spectrum: SignalSpectrum, named: list[Line]) -> None:
         )
 
 
-def _list_lines(axes: Axes, spectrum: SignalSpectrum, named: list[Line]) -> None:
+def _list_lines(axes: Axes, spectrum: SignalSpectrum, named: list[SpectralLine]) -> None:
     """The lines by number beside the axes, with frequency and amplitude."""
     heading = "Lines  谱线" if chinese_font() is not None else "Lines"
     beside: dict[str, Any] = {"va": "top", "transform": axes.transAxes}

@@ -1,14 +1,16 @@
-"""The specifications of a store: documents in its log, which are added, revised and withdrawn, never changed."""
+"""Entering specifications into the log of a store: revisions are checked, added, revised, withdrawn, never changed."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from analytics.metrics.names import alike
-from analytics.specifications.periods import Period, in_force, ordered_periods, periods_of, specification_of
-from analytics.specifications.specification import Specification, parse_specification
+from analytics.specifications.checks import checked_specification
 from storage.specifications.chain import Chain, Link, append_document, read_chain
 from storage.specifications.copies import FOLDER, write_copy
+from storage.specifications.specification import Specification, read_specification
+from storage.specifications.validity import in_force, periods_of
 from storage.store import Store, only_one
 from stream.errors import BadInput, NotFound
 from stream.events import SpecificationAction, SpecificationEntered
@@ -20,32 +22,29 @@ _COMMAND = "gyrofleet limits"
 def add_specification(
     store: Store, path: Path, *, by: str = "", reason: str = "", is_revision: bool = False, rejudges: bool = False
 ) -> tuple[Specification, bool]:
-    """Enter a specification into a store's log.
+    """Enter a specification file into a store's log.
 
     Parameters
     ----------
     store: Which store.
     path: The file.
     by, reason: Who enters it, and why.
-    is_revision: Whether its name has to be there already.
-    rejudges: Whether what was recorded before is judged anew by what holds from now on.
+    is_revision: Whether its name has to be in the store already.
+    rejudges: Whether earlier runs are judged again by what holds from now on.
 
     Returns
     -------
     tuple
-        The specification, and whether it is new; the same content again is not, and is entered once more only if
-        it judges anew.
+        The specification, and whether it is new; the same content again is not, and is entered again only with
+        `rejudges`.
 
     Raises
     ------
-    BadInput: If it is not right, contradicts one that is there, or has the revision of one with other content.
+    BadInput: If it is not right, contradicts another one, or has the revision of one with other content.
     StoreError: If the store cannot be written.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise BadInput(f"specification {path}: cannot be read ({error.strerror or error})") from error
-    found = parse_specification(content, str(path))
+    content = read_specification(path)
+    found = checked_specification(content, str(path))
     with only_one(store.folder / FOLDER / _LOCK, _COMMAND):
         chain = _whole_chain(store)
         held = in_force(chain.links)
@@ -59,31 +58,20 @@ def add_specification(
         if not is_new and not rejudges:
             return found, False
         periods_of([*(each for each in held if each.label != found.label), found])
-        document = SpecificationEntered(
-            run="",
-            t_ns=_now_ns(chain),
-            action=SpecificationAction.REVISED if found.name in names else SpecificationAction.ADDED,
-            name=found.name,
-            revision=found.revision,
-            content=content.decode(),
-            by=by,
-            reason=reason,
-            previous=chain.head,
-            rejudges=rejudges,
-        )
-        append_document(store, document)
-        write_copy(store, document)
+        action = SpecificationAction.REVISED if found.name in names else SpecificationAction.ADDED
+        words = {"by": by, "reason": reason, "content": content.decode(), "rejudges": rejudges}
+        write_copy(store, _append(store, chain, action, words, found))
     return found, is_new
 
 
 def withdraw_specification(
     store: Store, label: str, *, by: str, reason: str, rejudges: bool = False
 ) -> SpecificationEntered:
-    """Take a revision out of force: what is recorded from now on is not judged by it.
+    """Take a revision out of force: runs recorded from now on are not judged by it.
 
     Raises
     ------
-    NotFound: If no revision in force is called that.
+    NotFound: If no revision in force has that label.
     BadInput: If those that hold again without it contradict each other.
     StoreError: If the store cannot be written.
     """
@@ -98,23 +86,12 @@ def withdraw_specification(
             raise BadInput(
                 f"{label} cannot be withdrawn, since without it {error}; withdraw one of these first"
             ) from error
-        document = SpecificationEntered(
-            run="",
-            t_ns=_now_ns(chain),
-            action=SpecificationAction.WITHDRAWN,
-            name=held[label].name,
-            revision=held[label].revision,
-            by=by,
-            reason=reason,
-            previous=chain.head,
-            rejudges=rejudges,
-        )
-        append_document(store, document)
-    return document
+        words = {"by": by, "reason": reason, "rejudges": rejudges}
+        return _append(store, chain, SpecificationAction.WITHDRAWN, words, held[label])
 
 
 def settle_chain(store: Store, *, by: str, reason: str) -> list[str]:
-    """Accept that the chain of documents is broken; what is wrong with it, a sentence for each break.
+    """Accept that the chain of documents is broken; returns a sentence for each break.
 
     Raises
     ------
@@ -125,53 +102,26 @@ def settle_chain(store: Store, *, by: str, reason: str) -> list[str]:
         chain = read_chain(store)
         if not chain.breaks:
             raise BadInput("the chain of specification documents is whole: there is nothing to settle")
-        document = SpecificationEntered(
-            run="",
-            t_ns=_now_ns(chain),
-            action=SpecificationAction.SETTLED,
-            name="",
-            revision="",
-            by=by,
-            reason=reason,
-            previous=chain.head,
-            settles=tuple(each.at for each in chain.breaks),
-        )
-        append_document(store, document)
+        settles = tuple(each.at for each in chain.breaks)
+        _append(store, chain, SpecificationAction.SETTLED, {"by": by, "reason": reason, "settles": settles})
     return [each.what for each in chain.breaks]
 
 
-def stored_specifications(store: Store) -> list[Specification]:
-    """Specifications that are in force, that is, added and not withdrawn.
-
-    Raises
-    ------
-    StoreError: If the lake or the log is damaged.
-    """
-    return in_force(read_chain(store).links)
-
-
-def specification_named(store: Store, label: str) -> tuple[Period, bytes]:
-    """A specification of a store by ``NAME-REVISION``, withdrawn or not; by its name, the revision that begins last.
-
-    Raises
-    ------
-    NotFound: If there is none.
-    """
-    links = read_chain(store).links
-    every = {link.label: specification_of(link.document) for link in links if link.document.content}
-    periods = ordered_periods(in_force(links))
-    periods += [each for each in ordered_periods(every.values()) if each.specification.label == label]
-    named = [each for each in periods if label in {each.specification.label, each.specification.name}]
-    if not named:
-        known = ", ".join(every) or "none; `gyrofleet limits add FILE` adds one"
-        raise NotFound(f"there is no specification {label!r}; there are {known}")
-    period = max(named, key=lambda each: (each.specification.label == label, each.from_ns))
-    (content,) = {link.document.content for link in links if link.document.content and _is(link, period)}
-    return period, content.encode()
-
-
-def _is(link: Link, period: Period) -> bool:
-    return link.label == period.specification.label
+def _append(
+    store: Store, chain: Chain, action: SpecificationAction, words: Mapping[str, Any], of: Specification | None = None
+) -> SpecificationEntered:
+    """Append a document to the chain."""
+    document = SpecificationEntered(
+        run="",
+        t_ns=max([time.time_ns(), *(link.document.t_ns + 1 for link in chain.links[-1:])]),
+        action=action,
+        name="" if of is None else of.name,
+        revision="" if of is None else of.revision,
+        previous=chain.head,
+        **words,
+    )
+    append_document(store, document)
+    return document
 
 
 def _is_new(
@@ -197,7 +147,3 @@ def _whole_chain(store: Store) -> Chain:
             "verify` has the details: restore the log from a copy, or accept it by `gyrofleet limits settle`"
         )
     return chain
-
-
-def _now_ns(chain: Chain) -> int:
-    return max([time.time_ns(), *(link.document.t_ns + 1 for link in chain.links[-1:])])

@@ -1,4 +1,4 @@
-"""What the verdicts in SQL stand on: the limits, their parameters, factors between units, and the metrics' names."""
+"""Tables behind the verdicts in SQL: limits, their parameters, unit factors, and names of metrics."""
 
 import json
 from collections.abc import Sequence
@@ -7,11 +7,10 @@ from contextlib import suppress
 import msgspec
 import pyarrow as pa
 
-from analytics.metrics.product import Product
 from analytics.metrics.registry import metrics
-from analytics.specifications.periods import NEVER, Edition, editions_of
-from analytics.specifications.specification import Parameter, SpecificationLimit, told_parameter
 from storage.specifications.chain import Chain, read_chain
+from storage.specifications.specification import Parameter, Product, SpecificationLimit, format_parameter
+from storage.specifications.validity import NEVER, Edition, editions_of
 from storage.sql.catalog import Catalog
 from stream.errors import UnknownUnit
 from stream.quantities import result_factor
@@ -73,11 +72,10 @@ _NAMES = ("metric", "en", "zh", "unit_of_measure", "better", "standard", "clause
 
 
 def put_specifications(catalog: Catalog) -> None:
-    """Put what the store's log has of specifications: limits and products with the times in which they hold.
+    """Put the tables of the store's specifications: limits and products with the times in which they hold.
 
-    The tables are ``limit_editions``, ``product_editions``, ``specification_limits``, ``specification_parameters``,
-    ``specification_history`` and ``specification_problems``. Where the chain of documents is broken, there are no
-    limits, since nobody can say which hold.
+    ``limit_editions``, ``product_editions``, ``specification_limits``, ``specification_parameters``,
+    ``specification_history`` and ``specification_problems``. A broken chain of documents gives no limits.
     """
     chain = read_chain(catalog.store, catalog)
     editions = editions_of(chain.links)
@@ -114,7 +112,7 @@ def _limit_row(limit_id: int, limit: SpecificationLimit, edition: Edition) -> di
         "until_ns": period.until_ns,
         "known_from_ns": edition.known_from_ns,
         "known_until_ns": edition.known_until_ns,
-        "valid": period.told,
+        "valid": period.text,
         "revisions": edition.revisions,
         "metric": limit.metric,
         "subject": limit.subject,
@@ -130,7 +128,7 @@ def _limit_row(limit_id: int, limit: SpecificationLimit, edition: Edition) -> di
 
 
 def _limits_now(rows: Sequence[dict[str, object]]) -> pa.Table:
-    """The limits as they are known now."""
+    """The limits known now."""
     now = pa.Table.from_pylist([row for row in rows if row["known_until_ns"] == NEVER], schema=_LIMITS)
     return now.drop_columns(["known_from_ns", "known_until_ns"])
 
@@ -176,17 +174,17 @@ def _parameter_rows(limit_id: int, limit: SpecificationLimit) -> list[dict[str, 
 
 
 def _key(value: Parameter) -> str:
-    """What a value's parameter is compared with: numbers to nine digits, everything else as its text."""
+    """Key by which parameters are compared: numbers to nine digits, everything else as its text."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return f"number {value:.9g}"
-    return f"text {told_parameter(value)}"
+    return f"text {format_parameter(value)}"
 
 
 def _factors(catalog: Catalog) -> pa.Table:
     """Factors from the units that values are in to those that limits are in; none where they do not fit."""
     pairs = catalog.rows(
         "select distinct m.unit_of_measure as source, l.unit_of_measure as target from unit_metrics m "
-        "join limit_editions l using (metric) where m.unit_of_measure is not null order by all"
+        "join internal.limit_editions l using (metric) where m.unit_of_measure is not null order by all"
     )
     rows = []
     for source, target in pairs:

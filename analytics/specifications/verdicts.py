@@ -12,14 +12,14 @@ Group = Literal["lot", "station", "fixture", "day"]
 
 
 class Verdicts(NamedTuple):
-    """What is said of units, each part as rows of the table of that name.
+    """Verdicts of units, as rows of the tables of the catalogue.
 
     Parameters
     ----------
     units: ``unit_verdicts``: one row for each unit, its worst verdict.
     verdicts: Each value against its limit.
     pareto: ``failure_pareto``: what units fail by; of the whole store.
-    warnings: ``unit_warnings``: units that probably go by two names.
+    warnings: ``unit_warnings``: units that probably have two names.
     """
 
     units: list[Row]

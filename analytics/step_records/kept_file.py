@@ -11,6 +11,8 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from stream.atomic_file import replacement
+
 _HASH = ".sha256"
 
 
@@ -41,9 +43,5 @@ def write_kept(path: Path, table: pa.Table) -> None:
 
 
 def _write(path: Path, content: bytes) -> None:
-    fresh = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
+    with replacement(path, path.with_name(f"{path.name}.{os.getpid()}.part")) as fresh:
         fresh.write_bytes(content)
-        fresh.replace(path)
-    finally:
-        fresh.unlink(missing_ok=True)

@@ -5,16 +5,16 @@ with step as (
     s.t_start_ns + round(coalesce(s.settle, 0) * 1e9)::bigint as t_from_ns,
     s.t_end_ns as t_to_ns
   from steps s
-  where s.outcome = 'completed' and s.run in (select run from reduced_runs)
+  where s.outcome = 'completed' and s.run in (select run from internal.reduced_runs)
 ), stepped as (
   select distinct run, unit from step
 ), power as (                           -- the power-on in force, and when it was
   select run, unit, t_ns, document->>'$.epoch' as epoch
-  from events where kind = 'PowerOn' and run in (select run from reduced_runs)
+  from events where kind = 'PowerOn' and run in (select run from internal.reduced_runs)
 ), stated as (                          -- of the station: how the run began, and what was said of it later
   select run, document->'$.details' as details, case kind when 'RunStarted' then -arrival_ns else arrival_ns end as place
-  from lake_documents
-  where kind in ('RunStarted', 'StationStated') and run in (select run from reduced_runs)
+  from internal.lake_documents
+  where kind in ('RunStarted', 'StationStated') and run in (select run from internal.reduced_runs)
 ), about as (
   select run,
     arg_max(details->>'$.time_zone', place) as time_zone,
@@ -22,7 +22,7 @@ with step as (
     try_cast(arg_max(details->>'$.gravity_m_per_s2', place) as double) as gravity
   from stated group by run
 ), beside as (                          -- signals of instruments, which have no steps of their own
-  select r.* from reduced r anti join stepped using (run, unit)
+  select r.* from internal.reduced r anti join stepped using (run, unit)
 ), around as (
   select s.run, s.unit, s."index",
     min(b.mean) filter (b.signal = 'chamber_temperature' and b.unit_of_measure = 'degC') as chamber_temperature,
@@ -34,7 +34,7 @@ with step as (
     min(mean) filter (signal = 'temperature' and unit_of_measure = 'degC') as temperature,
     min(mean) filter (signal = 'chamber_temperature' and unit_of_measure = 'degC') as chamber_temperature,
     min(mean) filter (signal = 'table_rate' and unit_of_measure = 'deg/s') as table_rate
-  from reduced group by all
+  from internal.reduced group by all
 )
 select
   s.run, s.unit, r.signal, s."index",
@@ -66,7 +66,7 @@ select
   r.n_1s, r.sd_1s, r.freedom_1s, r.n_10s, r.sd_10s, r.freedom_10s, r.n_100s, r.sd_100s, r.freedom_100s,
   r.reason
 from step s
-join reduced r on r.run = s.run and r.unit = s.unit and r.t_from_ns = s.t_from_ns and r.t_to_ns = s.t_to_ns
+join internal.reduced r on r.run = s.run and r.unit = s.unit and r.t_from_ns = s.t_from_ns and r.t_to_ns = s.t_to_ns
 left join own o on o.run = s.run and o.unit = s.unit and o.t_from_ns = s.t_from_ns and o.t_to_ns = s.t_to_ns
 left join around x on x.run = s.run and x.unit = s.unit and x."index" = s."index"
 left join runs u on u.run = s.run

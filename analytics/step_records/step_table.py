@@ -61,11 +61,11 @@ def run_fingerprints(catalog: Catalog) -> dict[str, str]:
         with sampled as (
           select run, string_agg(
               concat_ws('|', channel, samples, kept_raw, t_first_ns, t_last_ns), ';' order by channel) as samples
-          from lake_channels group by run
+          from internal.lake_channels group by run
         ), told as (
           select run, bit_xor(hash(uid)) as documents, count(*) as n,
             count(*) filter (kind = 'StepEnded') as steps
-          from lake_documents where kind not in ('EstimatePublished', 'EarlyDecision') group by run
+          from internal.lake_documents where kind not in ('EstimatePublished', 'EarlyDecision') group by run
         )
         select run, samples, documents::varchar, n from told join sampled using (run) where steps > 0 order by run
         """

@@ -1,11 +1,10 @@
 """The limits of the products' specifications that hold for a series."""
 
-from analytics.specifications.entering import stored_specifications
-from analytics.specifications.periods import ordered_periods
-from analytics.specifications.specification import SpecificationLimit
 from analytics.trends.series import Series, parameter_text
 from analytics.trends.trend import Limits
 from analytics.trends.words import Words
+from storage.specifications.specification import SpecificationLimit
+from storage.specifications.validity import ordered_periods, stored_specifications
 from storage.store import Store
 from stream.quantities import result_factor
 

@@ -1,4 +1,4 @@
-"""Which frames of a message count: counters say what was lost and what came twice, and times only go forward."""
+"""Frame counters, which tell lost and repeated frames, and times that increase strictly."""
 
 from dataclasses import dataclass
 
@@ -6,26 +6,21 @@ import numpy as np
 
 from stream.batch import BoolArray, IntArray
 
-# Frames that a computer stamps alike or a little wrong are one after the other all the same; a clock set back is not.
+# Frames with equal or slightly decreasing time stamps follow each other; a larger step back is a clock set back.
 _JITTER_NS = 1_000_000
-# A counter that is out of step by more than this share of its modulus after a long silence has begun anew.
+# A counter off by more than this share of its modulus after a long silence has restarted.
 _OUT_OF_STEP = 0.25
 
 
 class FrameCounter:
-    """Follows a counter that runs from 0 to `modulus` - 1 and around.
+    """Numbers frames by a counter that runs from 0 to `modulus` - 1 and around.
 
-    Where the interval of the frames is known, what the counter cannot tell (whole turns of it) comes from the times.
-
-    Parameters
-    ----------
-    modulus: Values that it takes.
-    interval_ns: Nominal interval of the frames, nanoseconds.
+    If the interval of the frames is known, whole turns of the counter come from the times.
 
     Attributes
     ----------
-    lost, repeated, restarts: Frames that never came; that came again, or too late; silences after which the counter had
-        begun anew.
+    lost, repeated, restarts: Missing frames; frames that came again or too late; silences after which the counter had
+        restarted.
 
     Examples
     --------
@@ -40,9 +35,7 @@ class FrameCounter:
         self._interval_ns = interval_ns
         self._last: tuple[int, int, int] | None = None  # time, counter, number of the last frame
         self._highest = -1
-        self.lost = 0
-        self.repeated = 0
-        self.restarts = 0
+        self.lost = self.repeated = self.restarts = 0
 
     def follow(self, t_ns: IntArray, counter: IntArray) -> tuple[IntArray, BoolArray]:
         """Number of every frame, the first of all being 0, and which are new; times and counters in arrival order."""
@@ -55,9 +48,9 @@ class FrameCounter:
             elapsed = np.diff(t_ns, prepend=np.int64(t_last)) / self._interval_ns
             turns = np.rint((elapsed - steps) / self._modulus).astype(np.int64)
             out_of_step = np.abs(elapsed - steps - turns * self._modulus) > _OUT_OF_STEP * self._modulus
-            anew = (elapsed > self._modulus) & out_of_step
-            steps = np.where(anew, np.rint(elapsed).astype(np.int64), steps + turns * self._modulus)
-            self.restarts += int(anew.sum())
+            is_restart = (elapsed > self._modulus) & out_of_step
+            steps = np.where(is_restart, np.rint(elapsed).astype(np.int64), steps + turns * self._modulus)
+            self.restarts += int(is_restart.sum())
         if self._last is None:
             steps[0] = 0
         numbers = n_last + np.cumsum(steps)
@@ -72,7 +65,7 @@ class FrameCounter:
 
 @dataclass
 class ForwardTimes:
-    """Makes times strictly increase.
+    """Makes times increase strictly.
 
     Frames with the time of the one before, or less by up to a millisecond, are put a nanosecond after it (`retimed`);
     those further back are left out (`late`).

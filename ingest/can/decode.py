@@ -1,7 +1,7 @@
-"""Signals out of the bytes of many CAN frames at once: shifts and masks on columns instead of a call per frame."""
+"""Signals from the bytes of many CAN frames at once: shifts and masks on columns instead of a call per frame."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -27,12 +27,9 @@ RawArray = npt.NDArray[Any]
 
 
 class FrameBytes:
-    """The bytes of n frames of one message, and the 64-bit words that signals are cut from, made once each.
+    """The bytes of n frames of one message, shape (n, width) with at least 8 columns, and each frame's length.
 
-    Parameters
-    ----------
-    data: shape (n, width); bytes beyond a frame's length are 0; the width is at least 8.
-    length: shape (n,); bytes that each frame has.
+    The 64-bit words that signals are cut from are made once each.
     """
 
     def __init__(self, data: npt.NDArray[np.uint8], length: npt.NDArray[np.uint8]) -> None:
@@ -41,9 +38,6 @@ class FrameBytes:
         self.width = data.shape[1]
         self.least = int(length.min(initial=self.width))
         self._words: dict[tuple[int, str], npt.NDArray[np.uint64]] = {}
-
-    def __len__(self) -> int:
-        return len(self.data)
 
     def word(self, first: int, order: str) -> npt.NDArray[np.uint64]:
         """Bytes `first` to `first` + 7 as one number; `order` is ``<`` or ``>``."""
@@ -61,7 +55,7 @@ class FrameBytes:
 
 @dataclass(frozen=True)
 class BitField:
-    """Where a signal lies in a frame and what its bits mean.
+    """Place and type of a signal in a frame.
 
     Parameters
     ----------
@@ -92,7 +86,7 @@ class BitField:
 
     @property
     def fits_counts(self) -> bool:
-        """Whether each of its values is an integer of 32 bits with sign."""
+        """Whether all its values are signed integers of 32 bits."""
         return not self.is_float and self.bits <= _COUNT_BITS - (not self.is_signed)
 
     def raw(self, frames: FrameBytes) -> RawArray:
@@ -100,7 +94,7 @@ class BitField:
         word = self._bits(frames)
         if self.is_float:
             unsigned, floating = _FLOATS[self.bits]
-            # a NaN that signals is quieted on the way to float64, which the processor remarks on
+            # a signalling NaN becomes a quiet one on the way to float64, which sets a flag of the processor
             with np.errstate(invalid="ignore"):
                 return word.astype(unsigned).view(floating).astype(np.float64)
         if self.is_signed:
@@ -125,7 +119,7 @@ class BitField:
 
 
 def bit_field(signal: "Signal") -> BitField:
-    """Where cantools says that a signal lies."""
+    """Place and type of a signal of cantools."""
     is_little = signal.byte_order == "little_endian"
     first = signal.start if is_little else 8 * (signal.start // 8) + 7 - signal.start % 8
     return BitField("<" if is_little else ">", first, signal.length, bool(signal.is_signed), bool(signal.is_float))
@@ -133,7 +127,7 @@ def bit_field(signal: "Signal") -> BitField:
 
 @dataclass(frozen=True)
 class Switch:
-    """A signal is present only where the multiplexer `name` is, and has one of these raw values."""
+    """A signal is present only in frames whose multiplexer `name` has one of these raw values."""
 
     name: str
     values: tuple[int, ...]
@@ -141,16 +135,7 @@ class Switch:
 
 @dataclass(frozen=True)
 class SignalLayout:
-    """One signal of a message: its bits, how they become a value, and when it is there.
-
-    Parameters
-    ----------
-    name: As the database calls it.
-    field: Its bits.
-    scale, offset: value = raw * scale + offset.
-    switch: The multiplexer it hangs on.
-    unit_of_measure: As the database writes it.
-    """
+    """One signal of a message as in the database: value = raw * scale + offset."""
 
     name: str
     field: BitField
@@ -162,39 +147,48 @@ class SignalLayout:
 
 @dataclass(frozen=True)
 class Decoded:
-    """One signal in the frames that carry it.
+    """One signal in the frames of a message.
 
     Parameters
     ----------
-    rows: shape (n,); which frames those are; None for all.
-    raw: Its values there, without scale.
-    short: Frames that should carry it and are too short.
+    all_raw: shape (n,); raw value of every frame, without meaning in frames that lack the signal.
+    rows: shape (n,); frames that carry the signal; None for all.
+    short_rows: shape (n,); frames that should carry it and are too short; None for none.
     """
 
+    all_raw: RawArray
     rows: BoolArray | None
-    raw: RawArray
-    short: int
+    short_rows: BoolArray | None
+
+    @property
+    def raw(self) -> RawArray:
+        """Raw values of the frames that carry it."""
+        return self.all_raw if self.rows is None else self.all_raw[self.rows]
+
+    @property
+    def short(self) -> int:
+        """Frames that should carry it and are too short."""
+        return 0 if self.short_rows is None else int(self.short_rows.sum())
 
     def counts(self) -> CountArray:
-        """The raw values as 32-bit integers; only where the field fits them."""
+        """The raw values as 32-bit integers; only if the field fits them."""
         return self.raw.astype(np.int32)
 
     def values(self, scale: float, offset: float) -> FloatArray:
         """The values: raw * scale + offset."""
-        if (scale, offset) == (1.0, 0.0):
-            return np.asarray(self.raw, np.float64)
-        # an IEEE float off the bus may be anything; whoever uses it looks whether it is finite
-        with np.errstate(invalid="ignore", over="ignore"):
-            return np.asarray(self.raw * scale + offset, np.float64)
+        return scaled(self.raw, scale, offset)
+
+
+def scaled(raw: RawArray, scale: float, offset: float) -> FloatArray:
+    """Values of raw ones; a floating-point number off the bus may be anything, also not finite."""
+    if (scale, offset) == (1.0, 0.0):
+        return np.asarray(raw, np.float64)
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.asarray(raw * scale + offset, np.float64)
 
 
 class MessageLayout:
     """A message of a database, ready to decode many of its frames at once.
-
-    Parameters
-    ----------
-    name: As the database calls it.
-    signals: Its signals by name.
 
     Attributes
     ----------
@@ -215,7 +209,7 @@ class MessageLayout:
 
     @classmethod
     def of(cls, message: "Message") -> "MessageLayout":
-        """The layout of a message as cantools has read it, without signals that cannot be decoded."""
+        """Layout of a message of cantools, without signals that cannot be decoded."""
         unusable = {signal.name: why for signal in message.signals if (why := why_unusable(signal)) is not None}
         signals = {signal.name: _signal_layout(signal) for signal in message.signals if signal.name not in unusable}
         for name, layout in list(signals.items()):
@@ -226,44 +220,36 @@ class MessageLayout:
         found.unusable = unusable
         return found
 
-    def decode(self, frames: FrameBytes, names: "list[str] | tuple[str, ...]") -> dict[str, Decoded]:
+    def decode(self, frames: FrameBytes, names: Iterable[str]) -> dict[str, Decoded]:
         """Decode the signals `names` of n frames of the message."""
-        known: dict[str, tuple[BoolArray | None, RawArray, int]] = {}
-        decoded: dict[str, Decoded] = {}
-        for name in names:
-            rows, raw, short = self._full(name, frames, known)
-            decoded[name] = Decoded(rows, raw if rows is None else raw[rows], short)
-        return decoded
+        known: dict[str, Decoded] = {}
+        return {name: self._decoded(name, frames, known) for name in names}
 
-    def _full(
-        self, name: str, frames: FrameBytes, known: dict[str, tuple[BoolArray | None, RawArray, int]]
-    ) -> tuple[BoolArray | None, RawArray, int]:
-        """Where a signal is present, its raw value in all frames (meaningless in others), and the short ones."""
+    def _decoded(self, name: str, frames: FrameBytes, known: dict[str, Decoded]) -> Decoded:
         if name in known:
             return known[name]
         layout = self.signals[name]
         needs = layout.field.needs_bytes
-        rows = None
+        rows = short = None
         if layout.switch is not None:
-            rows, selector, _ = self._full(layout.switch.name, frames, known)
-            chosen = np.isin(selector, np.array(layout.switch.values, selector.dtype))
-            rows = chosen if rows is None else rows & chosen
-        short = 0
+            selector = self._decoded(layout.switch.name, frames, known)
+            rows = np.isin(selector.all_raw, np.array(layout.switch.values, selector.all_raw.dtype))
+            if selector.rows is not None:
+                rows &= selector.rows
         if needs > frames.least:
-            long_enough = frames.length >= needs
-            short = int((~long_enough if rows is None else rows & ~long_enough).sum())
-            if short:
-                rows = long_enough if rows is None else rows & long_enough
+            is_short = frames.length < needs
+            short = is_short if rows is None else rows & is_short
+            rows = ~is_short if rows is None else rows & ~is_short
         if needs > frames.width:
-            raw: RawArray = np.zeros(len(frames), np.float64 if layout.field.is_float else np.int64)
+            raw: RawArray = np.zeros(len(frames.data), np.float64 if layout.field.is_float else np.int64)
         else:
             raw = layout.field.raw(frames)
-        known[name] = rows, raw, short
+        known[name] = Decoded(raw, rows, short)
         return known[name]
 
 
 def why_unusable(signal: "Signal") -> str | None:
-    """Why a signal of a database cannot be decoded; None if it can."""
+    """Reason why a signal of a database cannot be decoded; None if it can."""
     try:
         conversion = (float(signal.conversion.scale), float(signal.conversion.offset))
     except OverflowError:

@@ -1,7 +1,8 @@
-"""CAN frames in blocks: columns instead of objects, so that a hundred thousand a second can be decoded."""
+"""CAN frames in blocks of columns, and their identifiers."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -11,10 +12,14 @@ from stream.batch import IntArray
 
 EXTENDED = 1 << 31
 MOST_BYTES = 64
+IdArray = npt.NDArray[np.uint32]
+
+_SHORTEST_EXTENDED = 0x800
+_IDS_NAMED = 8
 
 
-class Frame(NamedTuple):
-    """One data frame; `arbitration_id` has bit 31 set where it is of 29 bits."""
+class CanFrame(NamedTuple):
+    """One data frame; `arbitration_id` has bit 31 set if it is of 29 bits."""
 
     t_ns: int
     channel: int
@@ -24,20 +29,20 @@ class Frame(NamedTuple):
 
 @dataclass(frozen=True)
 class FrameBlock:
-    """Data frames in the order in which they were received.
+    """Data frames in the order of reception.
 
     Attributes
     ----------
-    t_ns: shape (n,); when each was received, nanoseconds.
-    channel: shape (n,); on which channel of the interface or log.
-    arbitration_id: shape (n,); bit 31 is set where it is of 29 bits.
+    t_ns: shape (n,); time of reception, nanoseconds.
+    channel: shape (n,); channel of the interface or log.
+    arbitration_id: shape (n,); bit 31 is set if it is of 29 bits.
     length: shape (n,); bytes of data.
     data: shape (n, 8) or (n, 64); bytes beyond a frame's length are 0.
     """
 
     t_ns: IntArray
     channel: npt.NDArray[np.int16]
-    arbitration_id: npt.NDArray[np.uint32]
+    arbitration_id: IdArray
     length: npt.NDArray[np.uint8]
     data: npt.NDArray[np.uint8]
 
@@ -45,12 +50,12 @@ class FrameBlock:
         return len(self.t_ns)
 
 
-def frame_block(frames: Sequence[Frame]) -> FrameBlock:
+def frame_block(frames: Sequence[CanFrame]) -> FrameBlock:
     """Put frames into columns.
 
     Examples
     --------
-    >>> block = frame_block([Frame(10, 0, 0x123, bytes([1, 2])), Frame(20, 1, 0x1ABCDEF | EXTENDED, bytes(8))])
+    >>> block = frame_block([CanFrame(10, 0, 0x123, bytes([1, 2])), CanFrame(20, 1, 0x1ABCDEF | EXTENDED, bytes(8))])
     >>> block.length.tolist(), block.data.shape, hex(block.arbitration_id[1])
     ([2, 8], (2, 8), '0x81abcdef')
     """
@@ -64,3 +69,54 @@ def frame_block(frames: Sequence[Frame]) -> FrameBlock:
         lengths,
         np.frombuffer(joined, np.uint8).reshape(len(frames), width),
     )
+
+
+def arbitration_id(identifier: int, *, is_extended: bool) -> int:
+    """An identifier with bit 31 set if it is of 29 bits, as any beyond 0x7FF must be.
+
+    Examples
+    --------
+    >>> hex(arbitration_id(0x24, is_extended=False)), hex(arbitration_id(0x900, is_extended=False))
+    ('0x24', '0x80000900')
+    """
+    return identifier | EXTENDED if is_extended or identifier >= _SHORTEST_EXTENDED else identifier
+
+
+def id_text(identifier: int) -> str:
+    """An arbitration id for people: ``0x024``, or ``0x17F00010`` if it is of 29 bits.
+
+    Examples
+    --------
+    >>> id_text(0x24), id_text(0x24 | EXTENDED)
+    ('0x024', '0x00000024')
+    """
+    return f"0x{identifier & ~EXTENDED:08X}" if identifier & EXTENDED else f"0x{identifier:03X}"
+
+
+def ids_text(identifiers: Iterable[int]) -> str:
+    """The first of some arbitration ids, for people.
+
+    Examples
+    --------
+    >>> ids_text([0x24, 0x25])
+    '0x024, 0x025'
+    """
+    named = [id_text(identifier) for identifier in islice(identifiers, _IDS_NAMED + 1)]
+    return ", ".join([*named[:_IDS_NAMED], "..."] if len(named) > _IDS_NAMED else named)
+
+
+def pgn_keys(identifiers: IdArray) -> IdArray:
+    """J1939: 29-bit identifiers without priority, source address and, in PDU format 1, destination address.
+
+    Examples
+    --------
+    >>> [hex(key) for key in pgn_keys(np.array([0x98F00421, 0x8CF004FE, 0x98EA0021], np.uint32))]
+    ['0x80f00400', '0x80f00400', '0x80ea0000']
+    """
+    is_pdu1 = (identifiers >> np.uint32(16)) & np.uint32(0xFF) < 240
+    return identifiers & np.where(is_pdu1, np.uint32(0x83FF0000), np.uint32(0x83FFFF00))
+
+
+def pgn_key(identifier: int) -> int:
+    """`pgn_keys` of one identifier."""
+    return identifier & (0x83FF0000 if identifier >> 16 & 0xFF < 240 else 0x83FFFF00)

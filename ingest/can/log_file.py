@@ -1,4 +1,4 @@
-"""A CAN log as a file of samples: a first pass finds how each signal is sampled, a second delivers batches."""
+"""A CAN log as a file of samples: a first pass finds the sampling of each signal, a second delivers batches."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -7,18 +7,17 @@ from uuid import UUID
 
 import numpy as np
 
-from ingest.can.frames import FrameBlock
+from ingest.can.frames import FrameBlock, ids_text
 from ingest.can.log import CanLog
-from ingest.can.mapping import CanPlan
-from ingest.can.samples import CanCounts, CanSamples, SignalPiece
+from ingest.can.mapping import CanMapping
+from ingest.can.plan import CanPlan
+from ingest.can.samples import CanSamples, SignalPiece
 from ingest.can.stream import nominal_interval_ns
-from ingest.can.summary import CanSummary, remarks, some_ids
-from ingest.tables.batches import Batcher, BatchHead
-from ingest.tables.file_stamp import FileStamp
+from ingest.can.summary import CanCounts, CanSummary, remarks
+from ingest.tables.batches import Batcher, SignalHead, splits_at_gaps
 from ingest.tables.grid import SamplingGrid
-from ingest.tables.sample_file import Keep, Progress
+from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary
 from ingest.tables.steps import StepTracker
-from ingest.tables.summary import SignalChunk, SignalSummary
 from ingest.tables.times import RunClock
 from stream.batch import IntArray, SampleBatch
 from stream.errors import BadInput
@@ -26,24 +25,20 @@ from stream.events import StepEnded, StepStarted, StepWords
 from stream.identity import check_name
 
 _BATCH_SAMPLES = 1000
-_SAMPLES_PER_GAP = 50
 _SAME_WITHIN = 0.05
 
 _Name = tuple[str, str]
 
 
 class CanLogFile:
-    """A CAN log with what is to be decoded from it.
+    """A CAN log (.blf, .asc, .trc, .log or .mf4) and the plan of its decoding.
 
     Parameters
     ----------
-    path: The log: .blf, .asc, .trc, .log or .mf4.
-    plan: What to decode, and whose it is.
     run: Run that the samples belong to; by default the file's name.
-    start_ns: Moment of the log's zero, nanoseconds UTC, where its times count from its begin.
+    start_ns: The log's zero, nanoseconds UTC, if its times count from its beginning.
     words: Words of the step that each unit is in from its first sample to its last.
-    intervals: Nominal interval in nanoseconds by unit, run and signal, as logs before this one have it; this one adds
-        its own.
+    intervals: Nominal interval in nanoseconds by unit, run and signal in earlier logs; this one adds its own.
 
     Raises
     ------
@@ -53,7 +48,7 @@ class CanLogFile:
     def __init__(
         self,
         path: Path,
-        plan: CanPlan,
+        plan: CanPlan | CanMapping,
         *,
         run: str | None = None,
         start_ns: int | None = None,
@@ -61,8 +56,8 @@ class CanLogFile:
         intervals: dict[tuple[str, str, str], int] | None = None,
     ) -> None:
         self._path = path
-        self._plan = plan
         self._log = CanLog(path)
+        self._plan = plan if isinstance(plan, CanPlan) else plan.plan(self._occurring)
         self._run = check_name("run", path.stem if run is None else run)
         self._start_ns = start_ns
         self._words = words
@@ -71,16 +66,7 @@ class CanLogFile:
         self._summary: CanSummary | None = None
 
     def check(self, progress: Progress | None = None) -> CanSummary:
-        """Read and decode the whole log, and say what it holds.
-
-        Parameters
-        ----------
-        progress: Called with the fraction of the file that is read, 0 to 1.
-
-        Raises
-        ------
-        BadInput: If not one sample comes out of it.
-        """
+        """Read and decode the whole log; raises BadInput if it gives no sample."""
         samples = CanSamples(self._plan)
         clock = RunClock(self._start_ns)
         grids: dict[_Name, SamplingGrid] = {}
@@ -107,7 +93,7 @@ class CanLogFile:
             ),
             counted="frames",
             damage=self._log.damage,
-            remarks=(*self._plan.remarks, *remarks(counts, self._log.counts)),
+            remarks=(*filter(None, [self._log.note]), *self._plan.remarks, *remarks(counts, self._log.counts)),
             frames=counts,
             words=self._words,
         )
@@ -126,17 +112,11 @@ class CanLogFile:
     def batches(
         self, epoch_of: Callable[[str, str], UUID], keep: Keep | None = None, progress: Progress | None = None
     ) -> Iterator[SampleBatch | StepStarted | StepEnded]:
-        """Batches of samples and the step of each unit around them, numbered from 0 per signal as they are delivered.
-
-        Parameters
-        ----------
-        epoch_of: From unit and run to the epoch of their samples.
-        keep: From unit, run, signal and times (ndarray of int64, nanoseconds) to a mask of those to deliver.
-        progress: Called with the fraction of the file that is read, 0 to 1.
+        """Batches of samples, numbered from 0 per signal as they are delivered, and the step of each unit around them.
 
         Raises
         ------
-        BadInput: As `check`, which runs first where it has not; and if the file has changed since.
+        BadInput: As `check`, which runs first if it has not run; and if the file has changed since.
         """
         summary = self._summary if self._summary is not None else self.check()
         found = {(each.unit, each.signal): each for each in summary.signals}
@@ -161,7 +141,7 @@ class CanLogFile:
             yield from filter(None, [steps.close(unit, self._run)])
 
     def _stretches(self, summary: CanSummary) -> Iterator[tuple[str, int, int]]:
-        """First and last sample of each unit, ns; none where no word says what step it is."""
+        """First and last sample of each unit, nanoseconds; none without step words."""
         if self._words is None:
             return
         for unit in dict.fromkeys(each.unit for each in summary.signals):
@@ -170,7 +150,7 @@ class CanLogFile:
 
     def _batcher(self, piece: SignalPiece, found: SignalSummary, epoch: UUID) -> Batcher:
         layout, sampling = piece.plan.layout, found.sampling
-        head = BatchHead(
+        head = SignalHead(
             unit=found.unit,
             signal=found.signal,
             run=found.run,
@@ -181,10 +161,10 @@ class CanLogFile:
             scale=layout.scale if piece.plan.is_counts else 1.0,
             offset=layout.offset if piece.plan.is_counts else 0.0,
         )
-        return Batcher(head, _BATCH_SAMPLES, splits_at_gaps=sampling.gaps * _SAMPLES_PER_GAP <= sampling.samples)
+        return Batcher(head, _BATCH_SAMPLES, splits_at_gaps=splits_at_gaps(sampling))
 
     def _nominal_ns(self, piece: SignalPiece, intervals_ns: IntArray, measured_ns: int) -> int:
-        """One interval in all files of a run, where they agree more or less: estimators want it so."""
+        """One interval in all files of a run if they agree within 5 %, as estimators need it."""
         message = piece.route.message
         if message.interval_ns is not None:
             return message.interval_ns
@@ -199,11 +179,15 @@ class CanLogFile:
             yield from samples.take(_placed(block, clock))
         self._stamp.check()
 
+    def _occurring(self) -> set[int]:
+        """Arbitration ids of the log."""
+        return {int(each) for block in self._log.blocks() for each in np.unique(block.arbitration_id)}
+
     def _nothing(self, counts: CanCounts) -> str:
         damage = f" ({self._log.damage})" if self._log.damage else ""
         return (
             f"{self._path}: {counts.frames} frames{damage} and not one sample of what is mapped; "
-            + (f"ids that are not in the database: {some_ids(counts.unknown)}; " if counts.unknown else "")
+            + (f"ids that are not in the database: {ids_text(counts.unknown)}; " if counts.unknown else "")
             + "see `gyrofleet can scan`"
         )
 

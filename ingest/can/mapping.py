@@ -1,256 +1,188 @@
-"""Which signal of a CAN database is which signal of which unit: a TOML file, or every signal under its own name.
+"""From databases and a mapping file to a plan; without a mapping every signal comes under its own name."""
 
-One table a message::
-
-    [[message]]
-    message = "IMU"
-    ids = { "FOG-0231" = 0x101, "FOG-0232" = 0x102 }   # or: unit = "FOG-0231", where the id is the database's
-    signals = { YawRate = "rate", Temp = { signal = "temperature", unit_of_measure = "degC" } }
-    counter = { signal = "Counter", modulus = 16 }
-    checksum = { signal = "Crc", algorithm = "crc8_sae_j1850", first_byte = 0, last_byte = 6 }
-    interval_s = 0.001
-"""
-
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import msgspec
-
-from ingest.can.checksum import CHECKSUMS
-from ingest.can.database import arbitration_id, id_text, load_messages, own_names, unit_of_measure
+from ingest.can.database import has_id, is_j1939, load_database, own_id, own_names
 from ingest.can.decode import MessageLayout, SignalLayout
+from ingest.can.frames import EXTENDED, arbitration_id, id_text
+from ingest.can.mapping_file import ChecksumEntry, CounterEntry, MessageEntry, SignalEntry, read_mapping
+from ingest.can.plan import CanPlan, ChecksumPlan, CounterPlan, MessagePlan, Route, SignalPlan
+from ingest.checksums import CAN_CHECKSUMS
+from ingest.tables.units import database_unit
 from stream.errors import BadInput
 from stream.identity import check_name
-from stream.toml_text import decode_toml
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
 
+Occurring = Callable[[], Collection[int]]
+
 _LARGEST_ID = (1 << 29) - 1
-
-
-class SignalEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How a signal of the database is called here, and its unit of measure where the database's is wrong."""
-
-    signal: str
-    unit_of_measure: str | None = None
-
-
-class CounterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The signal that counts frames, from 0 to `modulus` - 1 (by default all its bits hold)."""
-
-    signal: str
-    modulus: int | None = None
-
-
-class ChecksumEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The signal with a checksum over bytes `first_byte` to `last_byte` but its own, with `prefix` before them."""
-
-    signal: str
-    algorithm: str
-    first_byte: int = 0
-    last_byte: int | None = None
-    prefix: tuple[int, ...] = ()
-
-
-class MessageEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One ``[[message]]``.
-
-    Parameters
-    ----------
-    message: Name in the database.
-    unit: The unit that sends it, under the database's own id.
-    ids: Unit to arbitration id, where many units send it.
-    channels: Unit to channel, where one unit is on each.
-    multiplexer, units: A signal, and unit to its raw value, where it says whose frame it is.
-    channel: The channel that counts; by default any.
-    signals: Name in the database to name here; by default all, in lower case.
-    counter, checksum: How lost and damaged frames are found.
-    interval_s: Sample interval, seconds. With a counter, sample n is at exactly n intervals after the first.
-    """
-
-    message: str
-    unit: str | None = None
-    ids: dict[str, int] = {}
-    channels: dict[str, int] = {}
-    multiplexer: str | None = None
-    units: dict[str, int] = {}
-    channel: int | None = None
-    signals: dict[str, str | SignalEntry] = {}
-    counter: CounterEntry | None = None
-    checksum: ChecksumEntry | None = None
-    interval_s: float | None = None
-
-
-class MappingFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A mapping file."""
-
-    message: tuple[MessageEntry, ...]
-
-
-@dataclass(frozen=True)
-class SignalPlan:
-    """A signal to decode, and what it is called here."""
-
-    layout: SignalLayout
-    signal: str
-    unit_of_measure: str
-
-    @property
-    def is_counts(self) -> bool:
-        """Whether it travels as 32-bit integers with scale and offset."""
-        return self.layout.field.fits_counts
-
-
-@dataclass(frozen=True)
-class CounterPlan:
-    """The signal that counts frames."""
-
-    signal: str
-    modulus: int
-
-
-@dataclass(frozen=True)
-class ChecksumPlan:
-    """The signal with a checksum, and which bytes it is over."""
-
-    signal: str
-    algorithm: str
-    octets: tuple[int, ...]
-    prefix: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class MessagePlan:
-    """A message to decode; `cycle_ns` is the interval that the database states, 0 where it states none."""
-
-    layout: MessageLayout
-    signals: tuple[SignalPlan, ...]
-    counter: CounterPlan | None = None
-    checksum: ChecksumPlan | None = None
-    interval_ns: int | None = None
-    cycle_ns: int = 0
-
-    @property
-    def is_on_grid(self) -> bool:
-        """Whether a sample's time comes from its number."""
-        return self.counter is not None and self.interval_ns is not None
-
-
-@dataclass(frozen=True)
-class Route:
-    """Frames that are one unit's: by arbitration id, and where set by channel and a multiplexer's raw value."""
-
-    unit: str
-    arbitration_id: int
-    message: MessagePlan
-    channel: int | None = None
-    selector: tuple[str, int] | None = None
-
-
-@dataclass(frozen=True)
-class CanPlan:
-    """What is to be decoded from a bus, and whose samples it makes.
-
-    Parameters
-    ----------
-    routes: Whose frame is whose.
-    remarks: What was found odd in database or mapping, for people.
-    """
-
-    routes: tuple[Route, ...]
-    remarks: tuple[str, ...] = ()
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """The units, each once, in the order of the routes."""
-        return tuple(dict.fromkeys(route.unit for route in self.routes))
-
-    @property
-    def signals(self) -> tuple[tuple[str, str, str], ...]:
-        """Unit, signal and unit of measure of everything that can come."""
-        return tuple((r.unit, s.signal, s.unit_of_measure) for r in self.routes for s in r.message.signals)
+_NO_SOURCE = 0xFE  # databases write the null address where any source may send
+_NOTHING: Mapping[str, int] = {}
 
 
 def automatic_plan(dbc_paths: Sequence[Path], unit: str) -> CanPlan:
-    """Every signal of the databases under its own name, all of one unit.
-
-    Raises
-    ------
-    BadInput: If a database cannot be read, or holds no message.
-    """
-    check_name("unit", unit)
-    messages = load_messages(dbc_paths)
-    if not messages:
-        raise BadInput(f"{_names(dbc_paths)}: no message in it")
-    entries = [MessageEntry(message=message.name, unit=unit) for message in messages]
-    return _Builder(_names(dbc_paths), messages).plan(entries)
+    """Every signal of the databases under its own name, all of one unit; raises BadInput if there is none."""
+    return CanMapping(dbc_paths, unit=unit).plan()
 
 
 def load_mapping(path: Path, dbc_paths: Sequence[Path], unit: str | None = None) -> CanPlan:
-    """Read a mapping file against its CAN databases.
-
-    Parameters
-    ----------
-    path: The mapping.
-    dbc_paths: The databases.
-    unit: Whose the messages are of which the mapping does not say it.
+    """The plan of a mapping file; `unit` is whose the messages are of which it does not say it.
 
     Raises
     ------
     BadInput: If a file cannot be read, or the mapping names what the databases do not have; the message says where.
     """
-    try:
-        mapping = decode_toml(path.read_bytes(), MappingFile)
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: {error}; see `gyrofleet can scan --write` for a mapping to begin with") from error
-    return _Builder(str(path), load_messages(dbc_paths), unit).plan(mapping.message)
+    return CanMapping(dbc_paths, path, unit=unit).plan()
 
 
-class _Builder:
-    """Puts mapping and databases together."""
+class CanMapping:
+    """Databases and the mapping of their signals; makes the plan of a bus, or of each log.
 
-    def __init__(self, place: str, messages: "list[Message]", unit: str | None = None) -> None:
-        self._place = place
-        self._unit = unit
-        self._messages = messages
-        self._names = own_names(messages)
+    Parameters
+    ----------
+    path: The mapping file; without one every signal of the databases is of `unit`, under its own name.
+    unit: Whose the messages are of which the mapping does not say it.
+    variants: Name of a message to its id in the database, if there are several of that name.
+
+    Raises
+    ------
+    BadInput: If a file cannot be read.
+    """
+
+    def __init__(
+        self,
+        dbc_paths: Sequence[Path],
+        path: Path | None = None,
+        *,
+        unit: str | None = None,
+        variants: Mapping[str, int] = _NOTHING,
+    ) -> None:
+        self._place = str(path) if path else ", ".join(map(str, dbc_paths))
+        self._entries = None if path is None else read_mapping(path)
+        self._unit = None if unit is None else check_name("unit", unit)
+        self._variants = dict(variants)
+        self._messages = [message for each in dbc_paths for message in load_database(each)]
+        if not self._messages:
+            raise BadInput(f"{self._place}: no message in it")
+        names = {message.name for message in self._messages}
+        if unknown := sorted(self._variants.keys() - names):
+            raise BadInput(f"--message {unknown[0]}: no message of that name in the CAN database")
+        self._depends_on_log = len(names) < len(self._messages) or any(map(is_j1939, self._messages))
+        self._plan: CanPlan | None = None
         self._remarks: list[str] = []
 
-    def plan(self, entries: "Sequence[MessageEntry]") -> CanPlan:
-        routes: list[Route] = []
-        is_automatic = len(entries) == len(self._messages) and all(entry.unit for entry in entries)
-        for number, entry in enumerate(entries):
-            where = f"{self._place}: message {entry.message}"
-            # databases may name two messages alike; asked for in order, each is met
-            message = (
-                self._messages[number] if is_automatic and self._is_at(number, entry) else self._find(entry, where)
-            )
-            plan = self._message(entry, message, where)
-            if plan.signals:
-                routes += self._routes(entry, message, plan, where)
+    def plan(self, occurring: Occurring | None = None) -> CanPlan:
+        """The plan; `occurring` gives the arbitration ids of a log, and is called only if the plan depends on them.
+
+        Raises
+        ------
+        BadInput: If the mapping names what the databases do not have, or something is ambiguous.
+        """
+        if self._plan is not None and not self._depends_on_log:
+            return self._plan
+        self._remarks = []
+        ids = frozenset(occurring()) if occurring is not None and self._depends_on_log else None
+        routes = list(self._automatic_routes(ids) if self._entries is None else self._mapped_routes(self._entries, ids))
         if not routes:
             raise BadInput(f"{self._place}: no message with signals is mapped")
         _refuse_twins(self._place, routes)
-        return CanPlan(tuple(routes), tuple(self._remarks))
+        self._plan = CanPlan(tuple(routes), tuple(self._remarks))
+        return self._plan
 
-    def _is_at(self, number: int, entry: MessageEntry) -> bool:
-        return self._messages[number].name == entry.message
+    def _automatic_routes(self, ids: frozenset[int] | None) -> Iterator[Route]:
+        assert self._unit is not None
+        messages = [each for name in dict.fromkeys(m.name for m in self._messages) for each in self._chosen(name, ids)]
+        names = own_names(messages)
+        for message in messages:
+            where = f"{self._place}: message {message.name}"
+            plan = self._message(MessageEntry(message=message.name), message, where, names)
+            if not plan.signals:
+                continue
+            route = Route(self._unit, own_id(message), plan, is_j1939=is_j1939(message))
+            yield from self._by_source(route, message, ids or ()) if route.is_j1939 else [route]
 
-    def _find(self, entry: MessageEntry, where: str) -> "Message":
+    def _mapped_routes(self, entries: Sequence[MessageEntry], ids: frozenset[int] | None) -> Iterator[Route]:
+        places = [f"{self._place}: message {entry.message}" for entry in entries]
+        found = [self._find(entry, ids, where) for entry, where in zip(entries, places, strict=True)]
+        by_name = {message.name: message for message in [*reversed(self._messages), *found]}
+        names = own_names(list(by_name.values()))
+        for entry, message, where in zip(entries, found, places, strict=True):
+            plan = self._message(entry, message, where, names)
+            if plan.signals:
+                yield from self._routes(entry, message, plan, where)
+
+    def _chosen(self, name: str, ids: frozenset[int] | None) -> "list[Message]":
+        """The variants of a message to take: the chosen one, or those that occur."""
+        found = [message for message in self._messages if message.name == name]
+        if name in self._variants:
+            wanted = self._variants[name]
+            chosen = [each for each in found if (own_id(each) & ~EXTENDED) == wanted][:1]
+            if not chosen:
+                raise BadInput(f"--message {name}: no variant has id {wanted:#x}; there are {_ids(found)}")
+            return chosen
+        if len(found) == 1 or ids is None:
+            return found
+        met = [each for each in found if any(has_id(each, identifier) for identifier in ids)]
+        signals = [signal.name.lower() for each in met for signal in each.signals]
+        if len(met) > 1 and len(set(signals)) < len(signals):
+            first = own_id(met[0]) & ~EXTENDED
+            raise BadInput(
+                f"{self._place}: {len(met)} variants of message {name} occur in the log: {_ids(met)}; "
+                f"choose one with --message {name}={first:#x}"
+            )
+        if met:
+            self._remarks.append(
+                f"message {name} has {len(found)} variants in the CAN database ({_ids(found)}); "
+                f"{_ids(met)} occurs in the log and is taken"
+            )
+        return met
+
+    def _find(self, entry: MessageEntry, ids: frozenset[int] | None, where: str) -> "Message":
         found = [message for message in self._messages if message.name == entry.message]
         if not found:
             known = ", ".join(sorted(message.name for message in self._messages)[:12])
             raise BadInput(f"{where}: not in the CAN database, which has {known or 'none'}; correct its name")
+        if entry.id is not None:
+            found = [each for each in found if (own_id(each) & ~EXTENDED) == entry.id]
+            if not found:
+                raise BadInput(f"{where}: no message of that name has id {entry.id:#x} in the CAN database")
+        elif len(found) > 1:
+            found = self._chosen(entry.message, ids) or found
         if len(found) > 1:
-            raise BadInput(f"{where}: {len(found)} messages of the databases have that name; give one database")
+            raise BadInput(
+                f"{where}: {len(found)} messages of the databases have that name ({_ids(found)}); give one database, "
+                f"`id` in the mapping, or --message {entry.message}=ID"
+            )
         return found[0]
 
-    def _message(self, entry: MessageEntry, message: "Message", where: str) -> MessagePlan:
+    def _by_source(self, route: Route, message: "Message", ids: Collection[int]) -> Iterator[Route]:
+        """A route for each source of a J1939 message; signals of all but the main source bear its address."""
+        sources = sorted({identifier & 0xFF for identifier in ids if has_id(message, identifier)})
+        own = route.arbitration_id & 0xFF
+        main = own if own in sources and own != _NO_SOURCE else next(iter(sources), None)
+        yield replace(route, source=main)
+        if len(sources) > 1:
+            listed = ", ".join(f"0x{source:02x}" for source in sources)
+            self._remarks.append(
+                f"message {message.name} comes from sources {listed}: signals of all but 0x{main:02x} end in .saNN; "
+                f"`sources` in a mapping gives each its unit"
+            )
+        for source in sources:
+            if source != main:
+                signals = tuple(
+                    SignalPlan(each.layout, f"{each.signal}.sa{source:02x}", each.unit_of_measure)
+                    for each in route.message.signals
+                )
+                yield replace(route, source=source, message=replace(route.message, signals=signals))
+
+    def _message(
+        self, entry: MessageEntry, message: "Message", where: str, names: Mapping[tuple[str, str], str]
+    ) -> MessagePlan:
         layout = MessageLayout.of(message)
         interval_ns = None
         if entry.interval_s is not None:
@@ -259,7 +191,9 @@ class _Builder:
             interval_ns = round(entry.interval_s * 1e9)
         for name, why in layout.unusable.items():
             self._remarks.append(f"message {layout.name}, signal {name}: left out, {why} in the CAN database")
-        wanted = entry.signals or {name: self._names[message.name, name] for name in layout.signals}
+        wanted = entry.signals or {
+            name: names.get((message.name, name), f"{message.name}.{name}".lower()) for name in layout.signals
+        }
         return MessagePlan(
             layout,
             tuple(self._signal(layout, name, as_, where) for name, as_ in wanted.items()),
@@ -273,24 +207,26 @@ class _Builder:
         entry = SignalEntry(as_) if isinstance(as_, str) else as_
         found = _known(layout, name, where)
         text = entry.unit_of_measure if entry.unit_of_measure is not None else found.unit_of_measure
-        measure, is_known = unit_of_measure(text, name)
+        measure, is_known = database_unit(text, name)
         if not is_known:
             self._remarks.append(f"message {layout.name}, signal {name}: unit of measure {text!r} is not known")
         return SignalPlan(found, check_name("signal", entry.signal), measure)
 
     def _routes(self, entry: MessageEntry, message: "Message", plan: MessagePlan, where: str) -> Iterator[Route]:
-        ways = [bool(entry.unit), bool(entry.ids), bool(entry.channels), bool(entry.units)]
+        ways = [entry.unit, entry.ids, entry.channels, entry.sources, entry.units]
         mine = entry.unit or (None if any(ways) else self._unit)
-        if sum(ways) != 1 and mine is None:
-            raise BadInput(f"{where}: say whose it is: unit, ids, channels, or multiplexer with units; or give --unit")
-        if sum(ways) > 1 or bool(entry.multiplexer) != bool(entry.units):
-            raise BadInput(f"{where}: say whose it is in one way: unit, ids, channels, or multiplexer with units")
+        known = "unit, ids, channels, sources, or multiplexer with units"
+        if not any(ways) and mine is None:
+            raise BadInput(f"{where}: say whose it is: {known}; or give --unit")
+        if sum(map(bool, ways)) > 1 or bool(entry.multiplexer) != bool(entry.units):
+            raise BadInput(f"{where}: say whose it is in one way: {known}")
         if entry.channels and entry.channel is not None:
             raise BadInput(f"{where}: give channels or channel, not both")
-        own = arbitration_id(message.frame_id, is_extended=bool(message.is_extended_frame))
-        for unit in [mine] if mine else [*entry.ids, *entry.channels, *entry.units]:
+        if (entry.sources or entry.source is not None) and not is_j1939(message):
+            raise BadInput(f"{where}: it is no J1939 message in the CAN database, and has no source address")
+        for unit in [mine] if mine else [*entry.ids, *entry.channels, *entry.sources, *entry.units]:
             check_name("unit", unit)
-            identifier = own
+            identifier = own_id(message)
             if unit in entry.ids:
                 if not 0 <= entry.ids[unit] <= _LARGEST_ID:
                     raise BadInput(f"{where}: ids: {entry.ids[unit]:#x} of unit {unit} is no id of 11 or 29 bits")
@@ -299,7 +235,19 @@ class _Builder:
             if entry.multiplexer:
                 _known(plan.layout, entry.multiplexer, where)
                 selector = (entry.multiplexer, entry.units[unit])
-            yield Route(unit, identifier, plan, entry.channels.get(unit, entry.channel), selector)
+            yield Route(
+                unit,
+                identifier,
+                plan,
+                entry.channels.get(unit, entry.channel),
+                selector,
+                is_j1939=is_j1939(message) and not entry.ids,
+                source=entry.sources.get(unit, entry.source),
+            )
+
+
+def _ids(messages: "Sequence[Message]") -> str:
+    return ", ".join(id_text(own_id(message)) for message in messages)
 
 
 def _known(layout: MessageLayout, name: str, where: str) -> SignalLayout:
@@ -326,8 +274,8 @@ def _checksum(
 ) -> ChecksumPlan | None:
     if entry is None:
         return None
-    if entry.algorithm not in CHECKSUMS:
-        raise BadInput(f"{where}: checksum {entry.algorithm!r} is not known; known are {', '.join(CHECKSUMS)}")
+    if entry.algorithm not in CAN_CHECKSUMS:
+        raise BadInput(f"{where}: checksum {entry.algorithm!r} is not known; known are {', '.join(CAN_CHECKSUMS)}")
     field = _known(layout, entry.signal, where).field
     if field.bits != 8 or field.first_bit % 8 or field.is_float:
         raise BadInput(f"{where}: checksum {entry.signal} is not one whole byte")
@@ -341,8 +289,8 @@ def _checksum(
     return ChecksumPlan(entry.signal, entry.algorithm, octets, entry.prefix)
 
 
-def _refuse_twins(place: str, routes: list[Route]) -> None:
-    """Two messages that make one signal of one unit would make nonsense of it."""
+def _refuse_twins(place: str, routes: Sequence[Route]) -> None:
+    """Refuse two messages that give the same signal of one unit."""
     seen: dict[tuple[str, str], Route] = {}
     for route in routes:
         for signal in route.message.signals:
@@ -354,7 +302,3 @@ def _refuse_twins(place: str, routes: list[Route]) -> None:
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise BadInput(f"{place}: message {route.message.layout.name} makes signal {twice[0]} twice; rename one")
-
-
-def _names(paths: Sequence[Path]) -> str:
-    return ", ".join(str(path) for path in paths)

@@ -1,82 +1,19 @@
 """From CAN frames to samples of each unit and signal, with an account of every frame."""
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ingest.can.checksum import CHECKSUMS
 from ingest.can.counters import ForwardTimes, FrameCounter
-from ingest.can.decode import FrameBytes
-from ingest.can.frames import FrameBlock
-from ingest.can.mapping import CanPlan, Route, SignalPlan
+from ingest.can.decode import Decoded, FrameBytes, scaled
+from ingest.can.frames import EXTENDED, FrameBlock, IdArray, pgn_keys
+from ingest.can.plan import OF_PGN, CanPlan, MessagePlan, Route, SignalPlan
+from ingest.can.summary import CanCounts, MessageCount
+from ingest.checksums import checksums
 from stream.batch import BoolArray, CountArray, FloatArray, IntArray
-
-Rows = npt.NDArray[np.intp]
-
-
-@dataclass(frozen=True)
-class MessageCount:
-    """What became of the frames of one message of one unit.
-
-    Parameters
-    ----------
-    message, unit: Which, as the database and the mapping say.
-    arbitration_id: Bit 31 is set where it is of 29 bits.
-    frames: Frames that came.
-    decoded: Frames whose signals were used.
-    lost, repeated, restarts: By its counter: frames that never came, that came again, and silences after which it had
-        begun anew.
-    checksum_failures: Frames that were left out as their checksum is wrong.
-    short: Frames that lack bytes of a signal; that signal was left out.
-    not_finite: Values that are no finite number, left out.
-    other_channel: Frames on another channel than the first one, where the mapping names none; left out.
-    late, retimed: Frames left out as their time lies before that of one before them; frames a little late, set after
-        it.
-    off_grid_s: Furthest that a frame was received from its place on the grid, seconds (counter with interval only).
-    """
-
-    message: str
-    unit: str
-    arbitration_id: int
-    frames: int
-    decoded: int
-    lost: int
-    repeated: int
-    restarts: int
-    checksum_failures: int
-    short: int
-    not_finite: int
-    other_channel: int
-    late: int
-    retimed: int
-    off_grid_s: float
-
-    @property
-    def left_out(self) -> int:
-        """Frames that were not used."""
-        return self.frames - self.decoded
-
-
-@dataclass(frozen=True)
-class CanCounts:
-    """What became of all frames.
-
-    Parameters
-    ----------
-    frames: Frames that came.
-    messages: By message and unit; those that never came are not in it.
-    unknown: Frames by arbitration id that no message of the plan has.
-    unrouted: Frames by arbitration id whose channel or multiplexer is no unit's.
-    """
-
-    frames: int
-    messages: tuple[MessageCount, ...]
-    unknown: dict[int, int]
-    unrouted: dict[int, int]
 
 
 class SignalPiece(NamedTuple):
@@ -88,6 +25,16 @@ class SignalPiece(NamedTuple):
     data: CountArray | FloatArray
 
 
+class _Frames(NamedTuple):
+    """The n frames of one key in a block, decoded."""
+
+    t_ns: IntArray
+    channel: npt.NDArray[np.int16]
+    source: IdArray
+    octets: FrameBytes
+    decoded: dict[str, Decoded]
+
+
 @dataclass
 class _Tally:
     frames: int = 0
@@ -96,24 +43,24 @@ class _Tally:
     short: int = 0
     not_finite: int = 0
     other_channel: int = 0
+    other_source: int = 0
     off_grid_ns: int = 0
 
 
 @dataclass
-class _Follower:
-    """One route on its way through the blocks."""
+class _RouteState:
+    """One route, with counters and times from block to block."""
 
     route: Route
     tally: _Tally = field(default_factory=_Tally)
     times: ForwardTimes = field(default_factory=ForwardTimes)
     counter: FrameCounter | None = None
     anchor_ns: int | None = None
-    channel: int | None = None
 
     def __post_init__(self) -> None:
         message = self.route.message
         self.channel = self.route.channel
-        self.names = [signal.layout.name for signal in message.signals]
+        self.source = self.route.source
         if message.counter is not None:
             self.counter = FrameCounter(message.counter.modulus, message.interval_ns)
 
@@ -135,159 +82,188 @@ class _Follower:
             self.times.late,
             self.times.retimed,
             tally.off_grid_ns / 1e9,
+            tally.other_source,
         )
 
-    def take(self, block: FrameBlock, rows: Rows, frames: FrameBytes) -> Iterator[SignalPiece]:
-        """Samples in the rows of a block that have the route's arbitration id; `frames` are their bytes."""
-        mine = self._mine(block, rows, frames)
-        if mine is not None:
-            rows, frames = rows[mine], _part(frames, mine)
-        self.tally.frames += len(rows)
-        t_ns = block.t_ns[rows]
-        for check in (self._on_channel, self._intact):
-            good = check(block, rows, frames)
-            if not good.all():
-                rows, t_ns, frames = rows[good], t_ns[good], _part(frames, good)
-        if not len(rows):
-            return
-        t_ns, keep = self._placed(t_ns, frames)
-        if not keep.all():
-            frames = _part(frames, keep)
-        self.tally.decoded += len(t_ns)
-        yield from self._signals(t_ns, frames)
+    def take(self, frames: _Frames) -> list[SignalPiece]:
+        """Samples of those frames that are of the route."""
+        keep = self._mine(frames)
+        self.tally.frames += int(np.count_nonzero(keep))
+        self._select_line(frames, keep)
+        if self.route.message.checksum is not None:
+            self._select_intact(frames, keep)
+        if not keep.any():
+            return []
+        times_ns = self._place(frames, keep)
+        self.tally.decoded += len(times_ns)
+        return self._pieces(frames, keep, times_ns)
 
-    def _mine(self, block: FrameBlock, rows: Rows, frames: FrameBytes) -> BoolArray | None:
-        """Which frames are this unit's; None where all are."""
-        mine = None
+    def _mine(self, frames: _Frames) -> BoolArray:
+        """Frames of this unit."""
+        mine = np.ones(len(frames.t_ns), np.bool_)
         if self.route.channel is not None:
-            mine = block.channel[rows] == self.route.channel
+            mine &= frames.channel == self.route.channel
+        if self.route.source is not None:
+            mine &= frames.source == self.route.source
         if self.route.selector is not None:
             name, value = self.route.selector
-            found = self.route.message.layout.decode(frames, [name])[name]
-            chosen = np.zeros(len(frames), np.bool_)
-            chosen[slice(None) if found.rows is None else found.rows] = found.raw == value
-            mine = chosen if mine is None else mine & chosen
+            found = frames.decoded[name]
+            mine &= found.all_raw == value
+            if found.rows is not None:
+                mine &= found.rows
         return mine
 
-    def _on_channel(self, block: FrameBlock, rows: Rows, _frames: FrameBytes) -> BoolArray:
-        """Two channels are two buses: without a word on it, the first that carries the message is meant."""
-        channels = block.channel[rows]
-        if self.channel is None and len(channels):
-            self.channel = int(channels[0])
-        good = np.asarray(channels == self.channel)
-        self.tally.other_channel += int(len(good) - good.sum())
-        return good
+    def _select_line(self, frames: _Frames, keep: BoolArray) -> None:
+        """Keep the frames of one channel, and of one J1939 source: the first ones, if the mapping names none."""
+        if self.channel is None and keep.any():
+            self.channel = int(frames.channel[keep][0])
+        self.tally.other_channel += _drop(keep, frames.channel != self.channel)
+        if self.route.is_j1939:
+            if self.source is None and keep.any():
+                self.source = int(frames.source[keep][0])
+            self.tally.other_source += _drop(keep, frames.source != self.source)
 
-    def _intact(self, _block: FrameBlock, _rows: Rows, frames: FrameBytes) -> BoolArray:
+    def _select_intact(self, frames: _Frames, keep: BoolArray) -> None:
+        """Keep the frames with a right checksum."""
         plan = self.route.message.checksum
-        good = np.ones(len(frames), np.bool_)
-        if plan is None or not len(frames):
-            return good
-        found = self.route.message.layout.decode(frames, [plan.signal])[plan.signal]
-        good[...] = frames.length > max(plan.octets)
+        assert plan is not None
+        found, octets = frames.decoded[plan.signal], frames.octets
+        prefix = np.tile(np.array(plan.prefix, np.uint8), (len(keep), 1))
+        covered = octets.data[:, [octet for octet in plan.octets if octet < octets.width]]
+        good = checksums(plan.algorithm, np.hstack([prefix, covered])) == (found.all_raw & 0xFF)
+        good &= octets.length > max(plan.octets)
         if found.rows is not None:
             good &= found.rows
-        received = np.zeros(len(frames), np.int64)
-        received[slice(None) if found.rows is None else found.rows] = found.raw
-        prefix = np.tile(np.array(plan.prefix, np.uint8), (len(frames), 1))
-        covered = frames.data[:, [octet for octet in plan.octets if octet < frames.width]]
-        good &= CHECKSUMS[plan.algorithm](np.hstack([prefix, covered])) == (received & 0xFF)
-        self.tally.checksum_failures += int(len(good) - good.sum())
-        return good
+        self.tally.checksum_failures += _drop(keep, ~good)
 
-    def _placed(self, t_ns: IntArray, frames: FrameBytes) -> tuple[IntArray, BoolArray]:
-        """Times of the frames that are new, and which those are."""
+    def _place(self, frames: _Frames, keep: BoolArray) -> IntArray:
+        """Keep the frames that are new; returns their times."""
         message = self.route.message
         if self.counter is None or message.counter is None:
-            return self.times.follow(t_ns)
-        name = message.counter.signal
-        found = message.layout.decode(frames, [name])[name]
-        has_counter = np.ones(len(frames), np.bool_) if found.rows is None else found.rows
-        numbers, is_new = self.counter.follow(t_ns[has_counter], found.raw.astype(np.int64))
-        keep = has_counter.copy()
-        keep[has_counter] = is_new
-        self.tally.short += found.short
+            times_ns, is_forward = self.times.follow(frames.t_ns if keep.all() else frames.t_ns[keep])
+            keep[keep] = is_forward
+            return times_ns
+        found = frames.decoded[message.counter.signal]
+        if found.short_rows is not None:
+            self.tally.short += int((found.short_rows & keep).sum())
+        if found.rows is not None:
+            keep &= found.rows
+        numbers, is_new = self.counter.follow(frames.t_ns[keep], found.all_raw[keep].astype(np.int64))
+        if self.anchor_ns is None and len(numbers):
+            self.anchor_ns = int(frames.t_ns[keep][0])
+        keep[keep] = is_new
         if message.interval_ns is None:
-            times_ns, forward = self.times.follow(t_ns[keep])
-            keep[keep] = forward
-            return times_ns, keep
-        if not keep.any():
-            return t_ns[:0], keep
-        if self.anchor_ns is None:
-            self.anchor_ns = int(t_ns[has_counter][0])
-        times_ns = self.anchor_ns + numbers[is_new] * message.interval_ns
-        self.tally.off_grid_ns = max(self.tally.off_grid_ns, int(np.abs(t_ns[keep] - times_ns).max()))
-        return times_ns, keep
+            times_ns, is_forward = self.times.follow(frames.t_ns[keep])
+            keep[keep] = is_forward
+            return times_ns
+        times_ns = (self.anchor_ns or 0) + numbers[is_new] * message.interval_ns
+        if len(times_ns):
+            self.tally.off_grid_ns = max(self.tally.off_grid_ns, int(np.abs(frames.t_ns[keep] - times_ns).max()))
+        return times_ns
 
-    def _signals(self, t_ns: IntArray, frames: FrameBytes) -> Iterator[SignalPiece]:
-        decoded = self.route.message.layout.decode(frames, self.names)
-        self.tally.short += max((each.short for each in decoded.values()), default=0)
+    def _pieces(self, frames: _Frames, keep: BoolArray, times_ns: IntArray) -> list[SignalPiece]:
+        has_all = bool(keep.all())
+        pieces, short = [], 0
         for plan in self.route.message.signals:
-            found = decoded[plan.layout.name]
-            times_ns = t_ns if found.rows is None else t_ns[found.rows]
+            found = frames.decoded[plan.layout.name]
+            if found.short_rows is not None:
+                short = max(short, int((found.short_rows & keep).sum()))
+            if found.rows is None:
+                mine_ns, raw = times_ns, found.all_raw if has_all else found.all_raw[keep]
+            else:
+                mine_ns, raw = times_ns[found.rows[keep]], found.all_raw[found.rows & keep]
             data: CountArray | FloatArray
             if plan.is_counts:
-                data = found.counts()
+                data = raw.astype(np.int32)
             else:
-                data = found.values(plan.layout.scale, plan.layout.offset)
+                data = scaled(raw, plan.layout.scale, plan.layout.offset)
                 finite = np.isfinite(data)
                 if not finite.all():
                     self.tally.not_finite += int(len(finite) - finite.sum())
-                    times_ns, data = times_ns[finite], data[finite]
-            if len(times_ns):
-                yield SignalPiece(self.route, plan, times_ns, data)
+                    mine_ns, data = mine_ns[finite], data[finite]
+            if len(mine_ns):
+                pieces.append(SignalPiece(self.route, plan, mine_ns, data))
+        self.tally.short += short
+        return pieces
 
 
 class CanSamples:
-    """Takes frames as they come and gives the samples in them; it keeps counters and grids from block to block.
-
-    Parameters
-    ----------
-    plan: From `load_mapping` or `automatic_plan`.
-    """
+    """Turns frames into samples; counters and grids continue from block to block."""
 
     def __init__(self, plan: CanPlan) -> None:
-        self._followers = [_Follower(route) for route in plan.routes]
-        self._known = np.array(sorted({route.arbitration_id for route in plan.routes}), np.uint32)
-        self._by_id: list[list[_Follower]] = [
-            [each for each in self._followers if each.route.arbitration_id == identifier] for identifier in self._known
-        ]
+        self._states = [_RouteState(route) for route in plan.routes]
+        keys = sorted({route.key for route in plan.routes})
+        self._known = np.array(keys, np.uint32)
+        self._pgns = np.array([key & ~OF_PGN for key in keys if key & OF_PGN], np.uint32)
+        self._by_key = [[each for each in self._states if each.route.key == key] for key in keys]
+        self._names = {id(route.message): _names(plan, route.message) for route in plan.routes}
         self._frames = 0
         self._unknown: Counter[int] = Counter()
         self._unrouted: Counter[int] = Counter()
 
     @property
     def counts(self) -> CanCounts:
-        """What became of the frames so far."""
-        met = tuple(count for count in (each.count() for each in self._followers) if count.frames)
+        """Account of the frames so far."""
+        met = tuple(count for count in (each.count() for each in self._states) if count.frames)
         return CanCounts(self._frames, met, dict(sorted(self._unknown.items())), dict(self._unrouted))
 
-    def take(self, block: FrameBlock) -> Iterator[SignalPiece]:
+    def take(self, block: FrameBlock) -> list[SignalPiece]:
         """Samples of a block, signal by signal; each signal's in order of time."""
-        self._frames += len(block)
-        index = np.minimum(np.searchsorted(self._known, block.arbitration_id), len(self._known) - 1)
-        is_known = self._known[index] == block.arbitration_id
+        self._frames += len(block.t_ns)
+        keys = block.arbitration_id if not len(self._pgns) else self._keys(block.arbitration_id)
+        index = np.minimum(np.searchsorted(self._known, keys), len(self._known) - 1)
+        is_known = self._known[index] == keys
         if not is_known.all():
-            identifiers, counts = np.unique(block.arbitration_id[~is_known], return_counts=True)
-            self._unknown.update(dict(zip(identifiers.tolist(), counts.tolist(), strict=True)))
+            _add_counts(self._unknown, block.arbitration_id[~is_known])
         # numbers of 16 bits are sorted by their digits, ten times faster than by comparison
         slots = np.where(is_known, index, len(self._known)).astype(np.uint16)
         order = np.argsort(slots, kind="stable")
         ends = np.cumsum(np.bincount(slots, minlength=len(self._known) + 1))
+        pieces: list[SignalPiece] = []
         begin = 0
-        for followers, end in zip(self._by_id, ends.tolist(), strict=False):
+        for states, end in zip(self._by_key, ends.tolist(), strict=False):
             if end > begin:
                 rows = order[begin:end]
-                frames = FrameBytes(block.data[rows], block.length[rows])
-                unrouted = len(rows)
-                for follower in followers:
-                    before = follower.tally.frames
-                    yield from follower.take(block, rows, frames)
-                    unrouted -= follower.tally.frames - before
-                if unrouted > 0:
-                    self._unrouted[followers[0].route.arbitration_id] += unrouted
+                octets = FrameBytes(block.data[rows], block.length[rows])
+                source = block.arbitration_id[rows] & np.uint32(0xFF)
+                decoded: dict[int, dict[str, Decoded]] = {}
+                used = 0
+                for state in states:
+                    message = state.route.message
+                    if id(message) not in decoded:
+                        decoded[id(message)] = message.layout.decode(octets, self._names[id(message)])
+                    used -= state.tally.frames
+                    frames = _Frames(block.t_ns[rows], block.channel[rows], source, octets, decoded[id(message)])
+                    pieces += state.take(frames)
+                    used += state.tally.frames
+                if used < len(rows):
+                    self._unrouted[states[0].route.arbitration_id] += len(rows) - used
             begin = end
+        return pieces
+
+    def _keys(self, identifiers: IdArray) -> IdArray:
+        """Keys of frames: the PGN's for J1939 messages of the plan, unless the identifier itself is planned."""
+        pgns = pgn_keys(identifiers)
+        is_j1939 = (identifiers & np.uint32(EXTENDED) != 0) & np.isin(pgns, self._pgns)
+        is_j1939 &= ~np.isin(identifiers, self._known)
+        return np.where(is_j1939, pgns | np.uint32(OF_PGN), identifiers)
 
 
-def _part(frames: FrameBytes, rows: BoolArray) -> FrameBytes:
-    return FrameBytes(frames.data[rows], frames.length[rows])
+def _names(plan: CanPlan, message: MessagePlan) -> list[str]:
+    """Every signal that is needed of a message."""
+    names = [signal.layout.name for signal in message.signals]
+    names += [part.signal for part in (message.counter, message.checksum) if part is not None]
+    names += [route.selector[0] for route in plan.routes if route.message is message and route.selector]
+    return list(dict.fromkeys(names))
+
+
+def _drop(keep: BoolArray, bad: BoolArray) -> int:
+    """Drop the bad ones of what is kept; returns how many they are."""
+    before = np.count_nonzero(keep)
+    keep &= ~bad
+    return int(before - np.count_nonzero(keep))
+
+
+def _add_counts(counter: Counter[int], identifiers: IdArray) -> None:
+    distinct, counts = np.unique(identifiers, return_counts=True)
+    counter.update(dict(zip(distinct.tolist(), counts.tolist(), strict=True)))

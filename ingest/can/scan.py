@@ -1,4 +1,4 @@
-"""Looking over a CAN log: which messages come how often, what moves in them, and a mapping to begin with."""
+"""Survey of a CAN log: its messages, their rates, signals that vary, and a first mapping."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ingest.can.database import arbitration_id, load_messages, own_names, unit_of_measure
+from ingest.can.database import MessageIndex, is_j1939, load_messages, own_names
 from ingest.can.decode import FrameBytes, MessageLayout, why_unusable
 from ingest.can.frames import EXTENDED, FrameBlock
 from ingest.can.log import CanLog
+from ingest.tables.units import database_unit
 from stream.batch import IntArray
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
 
-# A field that goes up by one from frame to frame at least this often, and comes around, counts frames.
+# A field that increases by one from frame to frame at least this often, and wraps around, counts frames.
 _COUNTER_SHARE = 0.9
 _COUNTER_FRAMES = 20
 _COUNTER_BITS = 16
@@ -28,12 +29,9 @@ class SignalScan:
 
     Parameters
     ----------
-    name: As the database calls it.
-    unit_of_measure: As gyrofleet writes it.
-    is_known: Whether that is a unit of measure that is known.
-    least, most: Range of its values; None where it never came.
-    varies: Whether it took more than one value.
-    looks_like_counter: Whether it goes up by one from frame to frame.
+    is_known: Whether the unit of measure is known.
+    least, most: Range of its values; None if it never came.
+    looks_like_counter: Whether it increases by one from frame to frame.
     """
 
     name: str
@@ -53,13 +51,10 @@ class IdScan:
     ----------
     arbitration_id: Without bit 31.
     is_extended: Whether it is of 29 bits.
-    channel: Channel of the log.
-    frames: How many came.
     rate_hz: Frames a second, by the median interval; None for a lone frame.
     longest_s: Longest interval, seconds.
-    lengths: Lengths that they had, bytes.
-    message: Name in the database; None where it is not there.
-    signals: Its signals.
+    message: Name in the database; None if it is not there.
+    source: J1939 source address; None for other messages.
     """
 
     arbitration_id: int
@@ -71,6 +66,7 @@ class IdScan:
     lengths: tuple[int, ...]
     message: str | None
     signals: tuple[SignalScan, ...]
+    source: int | None = None
 
 
 @dataclass(frozen=True)
@@ -88,7 +84,7 @@ class LogScan:
 
     @property
     def unknown(self) -> tuple[IdScan, ...]:
-        """Those that are not in the database."""
+        """Ids that are not in the database."""
         return tuple(each for each in self.ids if each.message is None)
 
 
@@ -115,7 +111,7 @@ class _Range:
         self.turns += int((steps < 0).sum())
 
     def is_counter(self) -> bool:
-        """Up by one nearly always, and back only where it comes around."""
+        """Whether it increases by one nearly always, and decreases only where it wraps around."""
         span = self.most - self.least
         is_enough = self.steps >= _COUNTER_FRAMES and span >= 2
         return (
@@ -127,34 +123,20 @@ class _Range:
 
 
 @dataclass
-class _Seen:
+class _IdFrames:
     times_ns: list[IntArray] = field(default_factory=list)
     lengths: set[int] = field(default_factory=set)
     ranges: dict[str, _Range] = field(default_factory=dict)
 
 
 def scan_log(path: Path, databases: Sequence[Path], progress: Callable[[float], None] | None = None) -> LogScan:
-    """Look over a log.
-
-    Parameters
-    ----------
-    path: The log: .blf, .asc, .trc, .log or .mf4.
-    databases: What its messages are looked up in.
-    progress: Called with the fraction of the file that is read, 0 to 1.
-
-    Raises
-    ------
-    BadInput: If a file cannot be read.
-    """
-    messages = {
-        arbitration_id(each.frame_id, is_extended=bool(each.is_extended_frame)): each
-        for each in reversed(load_messages(databases))
-    }
-    layouts = {identifier: MessageLayout.of(message) for identifier, message in messages.items()}
+    """Survey a log by its CAN databases; raises BadInput if a file cannot be read."""
+    messages = MessageIndex(load_messages(databases))
+    layouts: dict[int, MessageLayout | None] = {}
     log = CanLog(path)
-    seen: dict[tuple[int, int], _Seen] = {}
+    seen: dict[tuple[int, int], _IdFrames] = {}
     for block in log.blocks(progress):
-        _look(block, layouts, seen)
+        _add_block(block, messages, layouts, seen)
     times_ns = [int(each.times_ns[i][j]) for each in seen.values() for i, j in ((0, 0), (-1, -1))]
     return LogScan(
         file=str(path),
@@ -164,28 +146,31 @@ def scan_log(path: Path, databases: Sequence[Path], progress: Callable[[float], 
         seconds=(max(times_ns) - min(times_ns)) / 1e9 if times_ns else 0.0,
         date_known=bool(times_ns) and min(times_ns) >= 10**17,
         damage=log.damage,
-        ids=tuple(_id_scan(key, each, messages.get(key[0])) for key, each in sorted(seen.items())),
+        ids=tuple(_id_scan(key, each, messages.find(key[0])) for key, each in sorted(seen.items())),
     )
 
 
 def mapping_text(scan: LogScan, databases: Sequence[Path], unit: str | None) -> str:
-    """A mapping file (TOML) of what varies in the log; whoever uses it strikes out and renames."""
+    """A mapping file (TOML) of the signals that vary in the log, for the user to edit."""
     names = own_names(load_messages(databases))
-    channels: dict[str, list[IdScan]] = {}
+    by_message: dict[str, list[IdScan]] = {}
     for each in scan.ids:
         if each.message is not None:
-            channels.setdefault(each.message, []).append(each)
+            by_message.setdefault(each.message, []).append(each)
     lines = [f"# proposed from {Path(scan.file).name}: rename signals, strike out what is not wanted"]
-    for message, found in channels.items():
+    for message, found in by_message.items():
         busiest = max(found, key=lambda each: each.frames)
         wanted = [each for each in busiest.signals if each.varies and not each.looks_like_counter]
         if not wanted:
             continue
         lines += ["", "[[message]]", f"message = {_quoted(message)}"]
         lines += [f"unit = {_quoted(unit)}"] if unit else []
-        if len(found) > 1:
-            others = ", ".join(str(each.channel) for each in found if each is not busiest)
-            lines.append(f"channel = {busiest.channel}  # it comes on {others} as well")
+        others = [each for each in found if each is not busiest]
+        if channels := sorted({each.channel for each in others} - {busiest.channel}):
+            lines.append(f"channel = {busiest.channel}  # it comes on {', '.join(map(str, channels))} as well")
+        if sources := sorted({each.source for each in others if each.source is not None} - {busiest.source}):
+            listed = ", ".join(f"0x{source:02x}" for source in sources)
+            lines.append(f"source = 0x{busiest.source:02x}  # it comes from {listed} as well")
         counters = [each for each in busiest.signals if each.looks_like_counter]
         counter = min(counters, key=lambda each: each.most or 0.0, default=None)
         if counter is not None and counter.most is not None:
@@ -199,15 +184,23 @@ def mapping_text(scan: LogScan, databases: Sequence[Path], unit: str | None) -> 
     return "\n".join(lines) + "\n"
 
 
-def _look(block: FrameBlock, layouts: dict[int, MessageLayout], seen: dict[tuple[int, int], _Seen]) -> None:
+def _add_block(
+    block: FrameBlock,
+    messages: MessageIndex,
+    layouts: dict[int, MessageLayout | None],
+    seen: dict[tuple[int, int], _IdFrames],
+) -> None:
     keys = block.arbitration_id.astype(np.int64) << 16 | (block.channel.astype(np.int64) & 0xFFFF)
     distinct, inverse = np.unique(keys, return_inverse=True)
     for number, key in enumerate(distinct.tolist()):
         rows = np.flatnonzero(inverse == number)
-        found = seen.setdefault((key >> 16, int(block.channel[rows[0]])), _Seen())
+        found = seen.setdefault((key >> 16, int(block.channel[rows[0]])), _IdFrames())
         found.times_ns.append(block.t_ns[rows])
         found.lengths.update(np.unique(block.length[rows]).tolist())
-        layout = layouts.get(key >> 16)
+        if key >> 16 not in layouts:
+            message = messages.find(key >> 16)
+            layouts[key >> 16] = None if message is None else MessageLayout.of(message)
+        layout = layouts[key >> 16]
         if layout is None:
             continue
         decoded = layout.decode(FrameBytes(block.data[rows], block.length[rows]), list(layout.signals))
@@ -216,7 +209,7 @@ def _look(block: FrameBlock, layouts: dict[int, MessageLayout], seen: dict[tuple
                 found.ranges.setdefault(name, _Range()).add(each.raw, layout.signals[name].field.bits)
 
 
-def _id_scan(key: tuple[int, int], seen: _Seen, message: "Message | None") -> IdScan:
+def _id_scan(key: tuple[int, int], seen: _IdFrames, message: "Message | None") -> IdScan:
     times_ns = np.concatenate(seen.times_ns)
     intervals_ns = np.diff(times_ns)
     median_ns = float(np.median(intervals_ns)) if len(intervals_ns) else 0.0
@@ -224,7 +217,7 @@ def _id_scan(key: tuple[int, int], seen: _Seen, message: "Message | None") -> Id
     for signal in [] if message is None else message.signals:
         if why_unusable(signal) is not None:
             continue
-        measure, is_known = unit_of_measure(signal.unit, signal.name)
+        measure, is_known = database_unit(signal.unit, signal.name)
         found = seen.ranges.get(signal.name, _Range())
         scale, offset = float(signal.conversion.scale), float(signal.conversion.offset)
         ends = sorted((found.least * scale + offset, found.most * scale + offset))
@@ -250,6 +243,7 @@ def _id_scan(key: tuple[int, int], seen: _Seen, message: "Message | None") -> Id
         tuple(sorted(seen.lengths)),
         None if message is None else message.name,
         tuple(signals),
+        key[0] & 0xFF if message is not None and is_j1939(message) else None,
     )
 
 

@@ -1,39 +1,38 @@
-"""From CAN frames to batches of samples while they come in: what live buses and whoever reads once make use of."""
+"""From CAN frames to batches of samples while they come in."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import replace
 from functools import partial
 from uuid import UUID
 
 import numpy as np
 
 from ingest.can.frames import FrameBlock
-from ingest.can.mapping import CanPlan
-from ingest.can.samples import CanCounts, CanSamples, MessageCount, SignalPiece
-from ingest.tables.grid import GRID_TOLERANCE, SamplingGrid, is_gap
+from ingest.can.plan import CanPlan
+from ingest.can.samples import CanSamples, SignalPiece
+from ingest.can.summary import CanCounts
+from ingest.tables.batches import SignalHead
+from ingest.tables.grid import SamplingGrid, is_gap, off_grid_intervals
 from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
 
-__all__ = ["CanCounts", "CanDecoder", "MessageCount", "nominal_interval_ns"]
-
-# A signal's interval is that of its first samples: so many, or those of so long.
+# A signal's interval is measured over its first samples.
 _SETTLE_SAMPLES = 200
 _SETTLE_NS = 5_000_000_000
 _LEAST_SAMPLES = 3
-# A message is sent every 1, 2, 2.5, 4, 5 or 8 times a power of ten, where it is that to half a per cent.
+# A message is sent every 1, 2, 2.5, 4, 5 or 8 times a power of ten if it is that to half a per cent.
 _ROUND = (1.0, 2.0, 2.5, 4.0, 5.0, 8.0, 10.0)
 _ROUND_WITHIN = 5e-3
 _CYCLE_WITHIN = 0.05
-# A batch is cut at a gap where that leaves at least this many samples to a part on average.
+# A batch is cut at a gap if that leaves at least this many samples to a part on average.
 _SAMPLES_PER_GAP = 50
-_RESTART = 10.5
 
 
 def nominal_interval_ns(intervals_ns: IntArray, measured_ns: int, cycle_ns: int = 0) -> int:
-    """Nominal interval of frames that came `intervals_ns` apart, on the whole every `measured_ns`.
+    """Nominal interval of frames received `intervals_ns` apart, on average every `measured_ns`.
 
-    It is the database's cycle time where that is within 5 %, else a round number within 0.5 %, else as measured.
-    Where the intervals lie on no grid of what was measured, their median is compared with round numbers as well.
-    So one signal has one interval in all files of a run.
+    It is the database's cycle time if that is within 5 %, else a round number within 0.5 %, else as measured. If the
+    intervals lie on no grid of the measured one, their median is compared with round numbers as well. So one signal
+    has one interval in all files of a run.
 
     Examples
     --------
@@ -47,7 +46,7 @@ def nominal_interval_ns(intervals_ns: IntArray, measured_ns: int, cycle_ns: int 
     if cycle_ns and abs(measured_ns - cycle_ns) <= _CYCLE_WITHIN * cycle_ns:
         return cycle_ns
     candidates = [measured_ns]
-    if _off_grid(intervals_ns, measured_ns):
+    if off_grid_intervals(intervals_ns, measured_ns)[0]:
         candidates.append(int(np.median(intervals_ns)))
     for candidate in candidates:
         power: int = 10 ** (len(str(candidate)) - 1)
@@ -60,35 +59,25 @@ def nominal_interval_ns(intervals_ns: IntArray, measured_ns: int, cycle_ns: int 
     return measured_ns
 
 
-def _off_grid(intervals_ns: IntArray, dt_ns: int) -> bool:
-    """Whether an interval is further than a tenth from all multiples of the nominal one."""
-    others = intervals_ns[intervals_ns != dt_ns]
-    within = others[others <= _RESTART * dt_ns]  # after a longer gap the source may have begun anew
-    multiples = np.maximum(np.rint(within / dt_ns), 1.0)
-    return bool((np.abs(within - multiples * dt_ns) > GRID_TOLERANCE * dt_ns).any())
-
-
 class CanDecoder:
-    """Takes frames as they come and gives batches per unit and signal, numbered on from block to block.
+    """Turns frames as they come into batches per unit and signal, numbered on from block to block.
 
-    Samples of a message with counter and interval lie on an exact grid. Others have the times at which they were
-    received; their interval is that of the first 200 samples or 5 s, for which they wait.
+    Samples of a message with counter and interval lie on an exact grid. Others have their times of reception; their
+    interval is that of the first 200 samples or 5 s, which are buffered until then.
 
     Parameters
     ----------
-    plan: From `load_mapping` or `automatic_plan`.
-    run: Run that the samples belong to.
     epoch_of: From a unit to the epoch of its samples.
 
     Examples
     --------
     >>> from ingest.can.decode import BitField, MessageLayout, SignalLayout
-    >>> from ingest.can.frames import Frame, frame_block
-    >>> from ingest.can.mapping import MessagePlan, Route, SignalPlan
+    >>> from ingest.can.frames import CanFrame, frame_block
+    >>> from ingest.can.plan import MessagePlan, Route, SignalPlan
     >>> rate = SignalLayout("Rate", BitField("<", 0, 16, is_signed=True), 0.25)
     >>> message = MessagePlan(MessageLayout("IMU", {"Rate": rate}), (SignalPlan(rate, "rate", "deg/s"),))
     >>> decoder = CanDecoder(CanPlan((Route("G1", 0x101, message),)), run="r1", epoch_of=lambda unit: UUID(int=1))
-    >>> decoder.take(frame_block([Frame(i * 10_000_000, 0, 0x101, bytes([i, 0])) for i in range(4)]))
+    >>> decoder.take(frame_block([CanFrame(i * 10_000_000, 0, 0x101, bytes([i, 0])) for i in range(4)]))
     []
     >>> [(batch.signal, batch.dt_ns, batch.value_array.tolist()) for batch in decoder.finish()]
     [('rate', 10000000, [0.0, 0.25, 0.5, 0.75])]
@@ -112,89 +101,82 @@ class CanDecoder:
         return batches
 
     def finish(self) -> list[SampleBatch]:
-        """What still waits for more of its kind."""
+        """The batches of all buffered samples."""
         return [batch for stream in self._streams.values() for batch in stream.settle()]
 
     @property
     def counts(self) -> CanCounts:
-        """What became of the frames so far."""
+        """Account of the frames so far."""
         return self._samples.counts
 
 
-@dataclass
 class _Stream:
-    """One signal of one unit: numbers its samples, and finds out how they lie in time."""
+    """One signal of one unit: numbers its samples and finds their interval."""
 
-    of: SignalPiece
-    run: str
-    epoch: UUID
-    seq: int = 0
-    dt_ns: int | None = None
-    last_ns: int | None = None
-    waiting: list[tuple[IntArray, CountArray | FloatArray]] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.dt_ns = self.of.route.message.interval_ns
+    def __init__(self, first: SignalPiece, run: str, epoch: UUID) -> None:
+        plan, message = first.plan, first.route.message
+        self._head = SignalHead(
+            unit=first.route.unit,
+            signal=plan.signal,
+            run=run,
+            epoch=epoch,
+            dt_ns=message.interval_ns or 0,
+            unit_of_measure=plan.unit_of_measure,
+            irregular=False,
+            scale=plan.layout.scale if plan.is_counts else 1.0,
+            offset=plan.layout.offset if plan.is_counts else 0.0,
+        )
+        self._cycle_ns = message.cycle_ns
+        self._is_on_grid = message.counter is not None and message.interval_ns is not None
+        self._seq = 0
+        self._last_ns: int | None = None
+        self._buffer: list[tuple[IntArray, CountArray | FloatArray]] = []
 
     def take(self, times_ns: IntArray, data: CountArray | FloatArray) -> list[SampleBatch]:
-        if self.dt_ns is not None:
+        if self._head.dt_ns:
             return self._batches(times_ns, data)
-        self.waiting.append((times_ns, data))
-        samples = sum(len(each) for each, _ in self.waiting)
-        waited_ns = int(times_ns[-1] - self.waiting[0][0][0])
+        self._buffer.append((times_ns, data))
+        samples = sum(len(each) for each, _ in self._buffer)
+        waited_ns = int(times_ns[-1] - self._buffer[0][0][0])
         is_enough = samples >= _SETTLE_SAMPLES or (samples >= _LEAST_SAMPLES and waited_ns >= _SETTLE_NS)
         return self.settle() if is_enough else []
 
     def settle(self) -> list[SampleBatch]:
-        """Fix the interval by what has come, and give it out."""
-        if not self.waiting:
+        """Fix the interval by the buffered samples, and give them out."""
+        if not self._buffer:
             return []
-        times_ns = np.concatenate([times_ns for times_ns, _ in self.waiting])
-        data = np.concatenate([data for _, data in self.waiting])
-        self.waiting.clear()
-        grid = SamplingGrid(partial(nominal_interval_ns, cycle_ns=self.of.route.message.cycle_ns))
+        times_ns = np.concatenate([times_ns for times_ns, _ in self._buffer])
+        data = np.concatenate([data for _, data in self._buffer])
+        self._buffer.clear()
+        grid = SamplingGrid(partial(nominal_interval_ns, cycle_ns=self._cycle_ns))
         grid.add(times_ns)
-        self.dt_ns = grid.finish().dt_ns
+        self._head = replace(self._head, dt_ns=grid.finish().dt_ns)
         return self._batches(times_ns, data)
 
     def _batches(self, times_ns: IntArray, data: CountArray | FloatArray) -> list[SampleBatch]:
-        assert self.dt_ns is not None
-        intervals_ns = np.diff(times_ns)
-        gaps = np.flatnonzero(is_gap(intervals_ns, self.dt_ns)) + 1
-        cuts = gaps.tolist() if len(gaps) * _SAMPLES_PER_GAP <= len(times_ns) else []
-        if self.of.route.message.is_on_grid:  # every part is exact then, and a time array says nothing
-            cuts = gaps.tolist()
+        dt_ns = self._head.dt_ns
+        last_ns = int(times_ns[0]) - dt_ns if self._last_ns is None else self._last_ns
+        intervals_ns = np.diff(times_ns, prepend=np.int64(last_ns))
+        uneven = intervals_ns != dt_ns
+        self._last_ns = int(times_ns[-1])
+        if not uneven.any():
+            return [self._batch(times_ns, data, is_even=True, irregular=False)]
+        gaps = np.flatnonzero(is_gap(intervals_ns[1:], dt_ns)) + 1
+        # on a grid every part is exact, and needs no array of times
+        cuts = gaps.tolist() if self._is_on_grid or len(gaps) * _SAMPLES_PER_GAP <= len(times_ns) else []
         return [
-            self._batch(times_ns[begin:end], data[begin:end])
+            self._batch(
+                times_ns[begin:end],
+                data[begin:end],
+                is_even=not uneven[begin + 1 : end].any(),
+                irregular=off_grid_intervals(intervals_ns[begin:end], dt_ns)[0] > 0,
+            )
             for begin, end in zip([0, *cuts], [*cuts, len(times_ns)], strict=True)
         ]
 
-    def _batch(self, times_ns: IntArray, data: CountArray | FloatArray) -> SampleBatch:
-        assert self.dt_ns is not None
-        plan = self.of.plan
-        is_even = bool((np.diff(times_ns) == self.dt_ns).all())
-        batch = SampleBatch(
-            unit=self.of.route.unit,
-            signal=plan.signal,
-            run=self.run,
-            epoch=self.epoch,
-            seq=self.seq,
-            t0_ns=int(times_ns[0]),
-            dt_ns=self.dt_ns,
-            unit_of_measure=plan.unit_of_measure,
-            counts=data if plan.is_counts else None,  # type: ignore[arg-type]
-            values=None if plan.is_counts else data,  # type: ignore[arg-type]
-            times_ns=None if is_even else times_ns,
-            irregular=self._is_off_grid(times_ns),
-            scale=plan.layout.scale if plan.is_counts else 1.0,
-            offset=plan.layout.offset if plan.is_counts else 0.0,
-        )
-        self.seq += len(data)
-        self.last_ns = int(times_ns[-1])
+    def _batch(
+        self, times_ns: IntArray, data: CountArray | FloatArray, *, is_even: bool, irregular: bool
+    ) -> SampleBatch:
+        batch = self._head.batch(self._seq, times_ns, data, is_even=is_even, irregular=irregular)
+        self._seq += len(data)
         return batch
-
-    def _is_off_grid(self, times_ns: IntArray) -> bool:
-        """Whether an interval, that to the batch before among them, is further than a tenth from all multiples."""
-        assert self.dt_ns is not None
-        last_ns = int(times_ns[0]) - self.dt_ns if self.last_ns is None else self.last_ns
-        return _off_grid(np.diff(times_ns, prepend=np.int64(last_ns)), self.dt_ns)

@@ -1,24 +1,17 @@
-"""What a CAN log holds, as its first pass finds it, and the account of its frames in words."""
+"""Result of the first pass over a CAN log, and the account of its frames in words."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import islice
 
-from ingest.can.database import id_text
-from ingest.can.samples import CanCounts, MessageCount
-from ingest.tables.summary import TableSummary
+from ingest.can.frames import id_text, ids_text
+from ingest.tables.sample_file import TableSummary
 
 LOG_SUFFIXES = frozenset({".blf", ".asc", ".trc", ".log", ".mf4"})
 
-_IDS_NAMED = 8
-
 
 @dataclass
-class FrameCounts:
-    """Frames of a log by kind: of data, which are given out, and others, which are only counted.
-
-    Unusable are those whose time, channel, id or length no bus has, as in a damaged or forged file.
-    """
+class LogFrameCounts:
+    """Frames of a log by kind; unusable are those whose time, channel, id or length no bus has."""
 
     data: int = 0
     errors: int = 0
@@ -27,31 +20,78 @@ class FrameCounts:
 
     @property
     def all(self) -> int:
-        """All that were read."""
+        """All frames that were read."""
         return self.data + self.errors + self.remote + self.unusable
 
 
 @dataclass(frozen=True)
+class MessageCount:
+    """Account of the frames of one message of one unit.
+
+    Parameters
+    ----------
+    arbitration_id: Bit 31 is set if it is of 29 bits.
+    frames, decoded: Frames received, and those whose signals were used.
+    lost, repeated, restarts: By its counter: missing frames, frames that came again, and silences after which it had
+        restarted.
+    checksum_failures: Frames left out for a wrong checksum.
+    short: Frames that lack bytes of a signal; that signal was left out.
+    not_finite: Values left out as they are not finite.
+    other_channel, other_source: Frames left out as they came on another channel, or from another J1939 source address,
+        than the first one, if the mapping names none.
+    late, retimed: Frames left out as their time lies before that of an earlier one; frames a little late, put after it.
+    off_grid_s: Largest distance of a frame's reception from its place on the grid, seconds (counter with interval).
+    """
+
+    message: str
+    unit: str
+    arbitration_id: int
+    frames: int
+    decoded: int
+    lost: int
+    repeated: int
+    restarts: int
+    checksum_failures: int
+    short: int
+    not_finite: int
+    other_channel: int
+    late: int
+    retimed: int
+    off_grid_s: float
+    other_source: int = 0
+
+    @property
+    def left_out(self) -> int:
+        """Frames that were not used."""
+        return self.frames - self.decoded
+
+
+@dataclass(frozen=True)
+class CanCounts:
+    """Account of all frames.
+
+    Parameters
+    ----------
+    messages: By message and unit, those that came.
+    unknown: Frames by arbitration id that no message of the plan has.
+    unrouted: Frames by arbitration id whose channel, source or multiplexer belongs to no unit.
+    """
+
+    frames: int
+    messages: tuple[MessageCount, ...]
+    unknown: dict[int, int]
+    unrouted: dict[int, int]
+
+
+@dataclass(frozen=True)
 class CanSummary(TableSummary):
-    """What a CAN log holds; `rows` are its data frames, and `frames` says what became of them."""
+    """Summary of a CAN log; `rows` are its data frames, `frames` their account."""
 
     frames: CanCounts = field(default_factory=lambda: CanCounts(0, (), {}, {}))
 
 
-def some_ids(identifiers: Iterable[int]) -> str:
-    """The first of some arbitration ids, for people.
-
-    Examples
-    --------
-    >>> some_ids([0x24, 0x25])
-    '0x024, 0x025'
-    """
-    named = [id_text(identifier) for identifier in islice(identifiers, _IDS_NAMED + 1)]
-    return ", ".join([*named[:_IDS_NAMED], "..."] if len(named) > _IDS_NAMED else named)
-
-
-def remarks(counts: CanCounts, of_kind: FrameCounts) -> Iterator[str]:
-    """What is remarkable in the account of the frames of a log, a sentence each."""
+def remarks(counts: CanCounts, of_kind: LogFrameCounts) -> Iterator[str]:
+    """Remarks on the account of the frames of a log, a sentence each."""
     if of_kind.errors:
         yield f"{of_kind.errors} error frames"
     if of_kind.remote:
@@ -60,16 +100,16 @@ def remarks(counts: CanCounts, of_kind: FrameCounts) -> Iterator[str]:
         yield f"{of_kind.unusable} frames left out: no bus has their time, channel, id or length"
     if counts.unknown:
         frames = sum(counts.unknown.values())
-        yield f"{frames} frames of {len(counts.unknown)} ids that are not mapped: {some_ids(counts.unknown)}"
+        yield f"{frames} frames of {len(counts.unknown)} ids that are not mapped: {ids_text(counts.unknown)}"
     for identifier, frames in counts.unrouted.items():
-        yield f"{frames} frames of {id_text(identifier)} on a channel or of a multiplexer that is no unit's"
+        yield f"{frames} frames of {id_text(identifier)} on a channel or of a source or multiplexer that is no unit's"
     for count in counts.messages:
-        told = ", ".join(_told(count))
-        if told:
-            yield f"message {count.message} of unit {count.unit}: {told}"
+        text = ", ".join(_format_count(count))
+        if text:
+            yield f"message {count.message} of unit {count.unit}: {text}"
 
 
-def _told(count: MessageCount) -> Iterator[str]:
+def _format_count(count: MessageCount) -> Iterator[str]:
     for number, text in (
         (count.lost, "lost"),
         (count.repeated, "repeated"),
@@ -78,6 +118,7 @@ def _told(count: MessageCount) -> Iterator[str]:
         (count.short, "too short for all of its signals"),
         (count.not_finite, "values that are no finite number left out"),
         (count.other_channel, "on another channel left out (say which with --mapping)"),
+        (count.other_source, "from another source address left out (say which with --mapping)"),
         (count.late, "before one that came earlier left out"),
         (count.retimed, "at the time of the one before, put a nanosecond after it"),
     ):

@@ -24,13 +24,13 @@ def can() -> None:
 @click.argument("log", metavar="LOG", type=click.Path(path_type=Path))
 @click.option("--dbc", "databases", multiple=True, required=True, type=click.Path(path_type=Path), help="CAN database.")
 @click.option("--write", "target", type=click.Path(path_type=Path), help="Write the mapping that is proposed here.")
-@click.option("--unit", help="Unit (serial number) that the mapping is to name.")
+@click.option("--unit", help="Unit (serial number) for the mapping.")
 @reporting
 def scan(log: Path, databases: tuple[Path, ...], target: Path | None, unit: str | None, *, as_json: bool) -> None:
-    """Say what is in a CAN log: ids, rates, messages of the database, what varies, what counts frames.
+    """Show the content of a CAN log: ids, rates, messages of the database, varying signals, frame counters.
 
-    With --write it proposes a mapping of all signals that vary, for `gyrofleet import --mapping`. A damaged log is
-    looked over as far as it is good; the exit code is 1 then.
+    With --write it proposes a mapping of all signals that vary, for `gyrofleet import --mapping`. Of a damaged log the
+    good part is shown; the exit code is 1 then.
     """
     from ingest.can.scan import mapping_text, scan_log
     from stream.identity import check_name
@@ -38,7 +38,7 @@ def scan(log: Path, databases: tuple[Path, ...], target: Path | None, unit: str 
     if unit is not None:
         check_name("unit", unit)
     if target is not None and target.exists():
-        raise BadInput(f"{target}: exists already; it may hold work of yours, so give --write another name")
+        raise BadInput(f"{target}: exists already and is not overwritten; give --write another name")
     with progress_bar(hidden=as_json) as progress:
         task = progress.add_task(f"reading {log.name}", total=1.0)
         found = scan_log(log, databases, lambda done: progress.update(task, completed=done))
@@ -50,18 +50,18 @@ def scan(log: Path, databases: tuple[Path, ...], target: Path | None, unit: str 
     if as_json:
         print_json({"scan": found, "unknown": len(found.unknown), "mapping": None if target is None else str(target)})
     else:
-        _tell(found)
+        _report(found)
         if target is not None:
             own = "" if unit else " --unit UNIT"
             dbc = " ".join(f"--dbc {path}" for path in databases)
-            told = f"Wrote {target}. Look it over, then: gyrofleet import {log} {dbc}{own} --mapping {target}"
-            notes().print(told, soft_wrap=True, markup=False)
+            text = f"Wrote {target}. Check it, then: gyrofleet import {log} {dbc}{own} --mapping {target}"
+            notes().print(text, soft_wrap=True, markup=False)
     if found.damage:
         sys.exit(1)
 
 
-def _tell(found: "LogScan") -> None:
-    clock = "UTC" if found.date_known else "from the log's begin, date unknown"
+def _report(found: "LogScan") -> None:
+    clock = "UTC" if found.date_known else "from the log's start, date unknown"
     title = f"{found.file}: {found.frames:,} frames in {found.seconds:.1f} s (times: {clock})"
     table = Table(title=title, title_justify="left", header_style="bold")
     for name in ("id", "channel", "frames", "rate", "bytes", "message", "varies", "counter", "constant"):
@@ -76,8 +76,8 @@ def _tell(found: "LogScan") -> None:
         if number:
             console.print(f"{number:,} {kind} frames")
     if found.damage:
-        said = f"error: {found.file}: {found.damage}; what is good of it is shown"
-        console.print(said, style="red", markup=False, soft_wrap=True)
+        text = f"error: {found.file}: {found.damage}; the good part of it is shown"
+        console.print(text, style="red", markup=False, soft_wrap=True)
 
 
 def _cells(each: "IdScan") -> list[str]:

@@ -94,8 +94,8 @@ def _unknown_unit(folder: Path, unit: str) -> str | None:
     entered: set[str] = set()
     if (folder / MARKER).exists():
         with Catalog(Store.open(folder)) as catalog:
-            recorded = _names(catalog, "select unit from lake_channels union select unit from units")
-            entered = _names(catalog, "select distinct unit from lake_documents where kind = 'CheckEntered'")
+            recorded = _names(catalog, "select unit from internal.lake_channels union select unit from units")
+            entered = _names(catalog, "select distinct unit from internal.lake_documents where kind = 'CheckEntered'")
     same = sorted(each for each in recorded | entered if each.casefold() == unit.casefold())
     if same and unit not in same:
         raise BadInput(

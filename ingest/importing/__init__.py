@@ -1,1 +1,1 @@
-"""Files brought into a store, each sample once."""
+"""Import of files into a store, each sample once."""

@@ -1,11 +1,11 @@
-"""Documents that a person enters: checks made by eye or by hand, and what other commands put on record."""
+"""Documents that a person enters, above all checks made by eye or by hand."""
 
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from storage.recording.noting import note
+from storage.recording.client import record_documents
 from storage.store import Store, writer_endpoint
 from stream.errors import BadInput
 from stream.events import AnyDocument, CheckEntered, Verdict
@@ -21,13 +21,10 @@ class Entry(NamedTuple):
 
     Parameters
     ----------
-    unit: Which unit.
     item: What was checked: ``visual``, ``electrical``, or another word.
-    by: Who did.
-    verdict: PASS or FAIL; may be left out where a value stands against a limit.
-    value, lower, upper: What was measured, and within which limits it is good, in `unit_of_measure`.
-    unit_of_measure: Empty where there is no value.
-    note: Free words.
+    by: The inspector.
+    verdict: PASS or FAIL; may be left out if there are a value and a limit.
+    value, lower, upper: Measured value and its limits, in `unit_of_measure`.
     run: The run that it belongs to; empty for none.
     """
 
@@ -44,19 +41,16 @@ class Entry(NamedTuple):
 
 
 def enter(folder: Path, documents: Sequence[AnyDocument], *, role: str, place: Place = ENTERED) -> bool:
-    """Bring documents into a store; they are on disk when this returns. The store is made if there is none.
+    """Write documents into a store, created if there is none; they are on disk when this returns.
 
     Parameters
     ----------
-    folder: The store.
-    documents: What there is to say.
-    role: Which command this is, for the message that another writer gets.
-    place: Where the documents are from.
+    role: Name of the command, for the message that another writer gets.
 
     Returns
     -------
     bool
-        Whether SQL sees them now. False where a recorder writes the store: it has them in its log, and brings them to
+        Whether SQL sees them now. False if a recorder writes the store: it has them in its log, and brings them to
         the lake with its next segment.
 
     Raises
@@ -66,16 +60,12 @@ def enter(folder: Path, documents: Sequence[AnyDocument], *, role: str, place: P
     """
     store = Store.create(folder)
     is_recorded = writer_endpoint(folder) is not None
-    note(store, documents, role=role, place=place, builds_lake=True)
+    record_documents(store, documents, role=role, place=place, builds_lake=True)
     return not is_recorded
 
 
 def check_entered(entry: Entry, t_ns: int) -> CheckEntered:
-    """A checked entry as a document.
-
-    Raises
-    ------
-    BadInput: If it is incomplete or contradicts itself; the message names the option.
+    """An entry as a document; raises BadInput if it is incomplete or contradicts itself.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""One file on its way to a recorder: what the store has of it, what is sent, and what became of it."""
+"""Transfer of one file to a recorder: comparison with the store, sending, and the result."""
 
 import hashlib
 from collections import Counter
@@ -11,13 +11,11 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 import msgspec
 import numpy as np
 
-from ingest.can.samples import CanCounts
-from ingest.can.summary import CanSummary
+from ingest.can.summary import CanCounts, CanSummary
 from ingest.importing.stored import StoredSamples, check_steps
 from ingest.station.units_file import UnitEntry, mounted_documents
 from ingest.tables.rows import BadRow
-from ingest.tables.sample_file import Progress, SampleFile
-from ingest.tables.summary import SignalSummary, TableSummary
+from ingest.tables.sample_file import Progress, SampleFile, SignalSummary, TableSummary
 from storage.recording.knowledge import Knowledge
 from stream.batch import BoolArray, IntArray, SampleBatch
 from stream.delivery.publisher import Sender
@@ -33,7 +31,7 @@ _NOTHING: Mapping[str, str] = {}
 
 @dataclass(frozen=True)
 class SignalImport:
-    """What became of one signal of a file; `in_lake` is None where the lake cannot be seen from here."""
+    """Result for one signal of a file; `in_lake` is None if the lake cannot be seen from here."""
 
     unit: str
     run: str
@@ -49,7 +47,7 @@ class SignalImport:
 
 @dataclass(frozen=True)
 class FileImport:
-    """What became of one file."""
+    """Result for one file."""
 
     file: str
     rows: int
@@ -82,12 +80,12 @@ class CheckedFile(NamedTuple):
 
 @dataclass
 class SendingGroup:
-    """What files that are sent together have in common.
+    """State shared by files that are sent together.
 
     Attributes
     ----------
     runs: The first file of each run, and whether its date is known.
-    begun, uids, stated: Runs and steps whose documents are sent, and runs whose station was stated anew.
+    begun, uids, stated: Runs and steps whose documents are sent, and runs whose station is corrected.
     """
 
     runs: dict[str, tuple[Path, bool]] = field(default_factory=dict)
@@ -97,16 +95,14 @@ class SendingGroup:
 
 
 class FileSending:
-    """One file on its way to a recorder: joined to its group, compared with the store, sent, counted.
+    """Transfer of one file: joined to its group, compared with the store, sent, counted.
 
     Parameters
     ----------
-    path: The file.
-    file, summary: What reads it, and what its first pass found.
-    place: Site and station that the samples are said to come from.
+    file, summary: Reader of the file, and the result of its first pass.
     entries: Product, lot, fixture and so on of units.
-    about: What is stated of the station.
-    restates: Whether that takes the place of what the store has.
+    about: Details of the station.
+    restates: Whether these replace the stored ones.
     """
 
     def __init__(
@@ -142,12 +138,7 @@ class FileSending:
         return {(signal.unit, signal.run) for signal in self._summary.signals}
 
     def join(self, group: "SendingGroup") -> None:
-        """Share with other files of the command what they begin, as the store does not show it yet.
-
-        Raises
-        ------
-        BadInput: If one of them has the same run with a date and this one without, or the other way round.
-        """
+        """Join files of the same command; raises BadInput if only one of them has a date for the same run."""
         self._group = group
         for run in sorted({signal.run for signal in self._summary.signals}):
             path, is_dated = group.runs.setdefault(run, (self._path, self._summary.date_known))
@@ -164,7 +155,7 @@ class FileSending:
         return sorted({signal.run for signal in self._summary.signals})
 
     def compare(self, knowledge: Knowledge) -> None:
-        """Find out what the store has of the file; raises BadInput where the two contradict each other."""
+        """Compare the file with the store; raises BadInput if they contradict each other."""
         self._stored = StoredSamples(knowledge, self._path, self._summary)
         self._common = self._stored.check(self._file)
         self._held = _held(knowledge, self.runs)
@@ -177,7 +168,7 @@ class FileSending:
         self._last_mounted = {(each.run, each.unit): each for each in documents}
 
     def _check_station(self) -> None:
-        """Refuse to say of a station what the store says otherwise: values would change without a word."""
+        """Refuse details of a station that differ from the stored ones: values would change silently."""
         for run in self.runs:
             stored = self._stated.get(run, {})
             for name, value in self._about.items():
@@ -188,7 +179,7 @@ class FileSending:
                     )
 
     def send(self, sender: Sender, progress: Progress | None) -> None:
-        """Publish what the store does not have: samples, steps, and the documents of the runs they belong to."""
+        """Publish what the store does not have: samples, steps, and the documents of their runs."""
         runs = dict.fromkeys(signal.run for signal in self._summary.signals)
         open_runs = set() if self._stored is None else self._stored.open_runs & set(runs)
         is_all_there = self._common.total() == sum(s.sampling.samples for s in self._summary.signals)
@@ -212,7 +203,7 @@ class FileSending:
         for run in runs:
             is_ours = self._started(run, content).uid in self._known_uids  # killed before it could end the run
             if is_ours if run in open_runs else news:
-                sender.send_event(event_key(self._place), self._noted(run, content))
+                sender.send_event(event_key(self._place), self._note(run, content))
                 sender.send_event(event_key(self._place), self._ended(run, epochs))
 
     def _send_file(self, sender: Sender, epochs: dict[tuple[str, str], UUID], progress: Progress | None) -> int:
@@ -230,7 +221,7 @@ class FileSending:
         return news
 
     def missing(self, in_lake: Counter[_Name], where: str) -> str | None:
-        """Return what is sent and not in the lake, as a sentence; None where all of it is there."""
+        """A sentence on samples that were sent and are not in the lake; None if all are there."""
         expected = {name: self._held[name] - self._common[name] + count for name, count in self._in_file().items()}
         wrong = [name for name in self._sent if in_lake[name] != expected[name]]
         if not wrong:
@@ -243,7 +234,7 @@ class FileSending:
         )
 
     def result(self, in_lake: Counter[_Name] | None, seconds: float, recovered: tuple[str, ...] = ()) -> FileImport:
-        """What became of the file."""
+        """Result for the file."""
         summary = self._summary
         return FileImport(
             file=str(self._path),
@@ -262,7 +253,6 @@ class FileSending:
         )
 
     def _signal_result(self, signal: SignalSummary, in_lake: Counter[_Name] | None) -> SignalImport:
-        """What became of one signal."""
         name = (signal.unit, signal.run, signal.signal)
         return SignalImport(
             *name,
@@ -284,7 +274,7 @@ class FileSending:
         return {(s.unit, s.run, s.signal): s.sampling.samples for s in self._summary.signals}
 
     def _epoch(self, content: str, unit: str, run: str) -> UUID:
-        """The same samples at the same times carry the same name, so that a recorder knows them again."""
+        """The same samples at the same times have the same epoch, so that a recorder recognises them."""
         sampled = [
             f"{s.signal} {s.sampling.samples} {s.sampling.t_first_ns} {s.sampling.t_last_ns}"
             for s in self._summary.signals
@@ -307,20 +297,20 @@ class FileSending:
         )
 
     def _station_stated(self, run: str) -> StationStated:
-        """What is said of the station of a run that the store has without it, or with something else."""
+        """Details of the station, for a run that is stored without them or with others."""
         t_ns = min(signal.sampling.t_first_ns for signal in self._of(run))
         return StationStated(run=run, t_ns=t_ns, details=self._stated[run])
 
     def _mounted(self, run: str) -> list[UnitMounted]:
-        """What the list of units says of those in the run, where the store's last word of them is another."""
+        """Documents on the units of the run, if the last stored ones differ."""
         units = dict.fromkeys(signal.unit for signal in self._of(run))
         entries = [self._entries[unit] for unit in units if unit in self._entries]
         begin_ns = min(signal.sampling.t_first_ns for signal in self._of(run))
         documents = mounted_documents(entries, run, begin_ns)
-        later = [_said_after(each, self._last_mounted.get((run, each.unit))) for each in documents]
+        later = [_following(each, self._last_mounted.get((run, each.unit))) for each in documents]
         return [each for each in later if each is not None]
 
-    def _noted(self, run: str, content: str) -> NoteAdded:
+    def _note(self, run: str, content: str) -> NoteAdded:
         added = sum(self._sent[s.unit, s.run, s.signal] for s in self._of(run))
         text = f"imported {self._path.name} (sha256 {content}): {added} samples"
         if self._summary.bad_rows:
@@ -352,8 +342,8 @@ class FileSending:
         return max(signal.sampling.t_last_ns for signal in self._of(run))
 
 
-def _said_after(new: UnitMounted, last: UnitMounted | None) -> UnitMounted | None:
-    """Return the document as what is said after another; None where that says the same already."""
+def _following(new: UnitMounted, last: UnitMounted | None) -> UnitMounted | None:
+    """The document, dated after the `last` one; None if that has the same content."""
     if last is None:
         return new
     if msgspec.structs.replace(new, t_ns=last.t_ns, uid=last.uid) == last:
@@ -362,12 +352,7 @@ def _said_after(new: UnitMounted, last: UnitMounted | None) -> UnitMounted | Non
 
 
 def counted(knowledge: Knowledge, sendings: Sequence[FileSending], where: str) -> Counter[_Name]:
-    """Samples of each signal of the files in the lake.
-
-    Raises
-    ------
-    StoreError: If what was sent is not there; `where` is the log that has it.
-    """
+    """Samples of each signal in the lake; raises StoreError if sent ones are missing (`where` is the log)."""
     in_lake = _held(knowledge, sorted({run for each in sendings for run in each.runs}))
     missing = next(filter(None, (each.missing(in_lake, where) for each in sendings)), None)
     if missing is not None:

@@ -1,4 +1,4 @@
-"""Importing a file: over the bus, into the log and the lake, each sample once, and counted at the end."""
+"""Import of files: over the bus, into the log and the lake, each sample once, and counted at the end."""
 
 import time
 from collections import Counter
@@ -9,8 +9,7 @@ from pathlib import Path
 from ingest.importing.file_sending import CheckedFile, FileImport, FileSending, SendingGroup, counted
 from ingest.run.pipeline import EmbeddedPipeline
 from ingest.station.units_file import UnitEntry
-from ingest.tables.sample_file import SampleFile
-from ingest.tables.summary import TableSummary
+from ingest.tables.sample_file import SampleFile, TableSummary
 from storage.recording.client import HeldClaim, RecorderClient
 from storage.recording.knowledge import CatalogKnowledge
 from storage.sql.catalog import Catalog
@@ -23,7 +22,7 @@ from stream.worker.estimated_signals import EstimatedSignals
 
 FileProgress = Callable[[Path, float], None]
 
-# nobody watches a file while it flows: a day of it is estimated 24 times, and at its end
+# an import needs few intermediate estimates: 24 for a day of samples, and one at its end
 _ESTIMATE_EVERY_S = 3600.0
 _NOTHING: Mapping[str, str] = {}
 
@@ -41,39 +40,31 @@ def import_files(
     estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
     progress: FileProgress | None = None,
 ) -> Iterator[FileImport]:
-    """Bring checked files into a store.
+    """Import checked files into a store; yields their results in the same order.
 
-    Files that hold different units or runs go through one recorder in this process, so that hundreds of small files
-    cost little more than one large one. None of them is sent before all of them are compared with the store.
+    Files of different units or runs go through one recorder in this process, so that hundreds of small files cost
+    little more than one large one. All of them are compared with the store before the first is sent.
 
     Parameters
     ----------
-    checked: The files and what their first pass found.
-    folder: The store, for the embedded path; with `connect` it is that of the recorder there, whichever that is.
-    place: Site and station that the samples are said to come from.
-    connect: Endpoint of a recorder in another process.
-    listen: Endpoints on which others may listen in (embedded path).
-    units: Product, lot, fixture and so on of units; of each that the files have samples of.
-    about: What the runs remember of the station, such as its latitude; also said of runs that the store has already.
-    restates: Whether that takes the place of what the store has.
-    estimated: Which signals are estimated on their way (embedded path).
+    folder: The store, unless `connect` is the endpoint of a recorder in another process.
+    listen: Endpoints for subscribers (recorder in this process).
+    units: Product, lot, fixture and so on of units.
+    about: Details of the station, such as its latitude; also for runs that are stored already.
+    restates: Whether these replace the stored ones.
+    estimated: Signals that are estimated during the import (recorder in this process).
     progress: Called with the file and the fraction of it that is sent.
-
-    Yields
-    ------
-    FileImport
-        What became of each file, in their order.
 
     Raises
     ------
-    BadInput: If a file contradicts what the store has; nothing of its group is imported then.
+    BadInput: If a file contradicts the store; nothing of its group is imported then.
     StoreError: If the lake does not hold what was sent.
     DeliveryError: If no recorder acknowledges it.
     """
     make = partial(FileSending, place=place, entries=units, about=about, restates=restates)
     for group in _groups(checked, make):
         if connect is not None:
-            yield from _sent_elsewhere(group, folder, connect, progress)
+            yield from _sent_to_recorder(group, folder, connect, progress)
             continue
         yield from _sent_embedded(group, folder, listen, estimated, progress)
 
@@ -81,7 +72,7 @@ def import_files(
 def _groups(
     checked: Sequence[CheckedFile], make: Callable[[Path, SampleFile, TableSummary], FileSending]
 ) -> Iterator[list[tuple[CheckedFile, FileSending]]]:
-    """Files in groups in which no two hold samples of one unit in one run: one would have to see the other stored."""
+    """Files in groups without two of one unit and run: the second must be compared with the first one stored."""
     group: list[tuple[CheckedFile, FileSending]] = []
     owners: set[tuple[str, str]] = set()
     shared = SendingGroup()
@@ -131,17 +122,17 @@ def _results(
     began: float,
     recovered: tuple[str, ...] = (),
 ) -> Iterator[FileImport]:
-    """What became of each file; what all took together is shared among them."""
+    """Result of each file; the time that all took together is divided among them."""
     spent_s = sum(own_s) - sum(each.checking_s for each, _ in group)
     shared_s = (time.monotonic() - began - spent_s) / len(group)
     for number, (_, sending) in enumerate(group):
         yield sending.result(in_lake, own_s[number] + shared_s, recovered if number == 0 else ())
 
 
-def _sent_elsewhere(
+def _sent_to_recorder(
     group: Sequence[tuple[CheckedFile, FileSending]], folder: Path, connect: str, progress: FileProgress | None
 ) -> Iterator[FileImport]:
-    """Send files to a recorder in another process, by what its own store has of them."""
+    """Send files to a recorder in another process, compared with its own store."""
     began = time.monotonic()
     own_s = []
     owners = {owner for _, sending in group for owner in sending.owners}
@@ -167,7 +158,7 @@ def _sent_elsewhere(
 
 
 def _identity(folder: Path) -> str | None:
-    """Identity of the store in a folder; None where there is none."""
+    """Identity of the store in a folder; None if there is none."""
     try:
         return Store.open(folder).identity
     except StoreError:

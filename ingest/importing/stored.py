@@ -1,4 +1,4 @@
-"""What a store already has of a file: the same samples are left out, others at the same time are refused."""
+"""Comparison of a file with the store: equal samples are left out, others at the same time refused."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -8,8 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from ingest.tables.sample_file import SampleFile
-from ingest.tables.summary import SignalChunk, SignalSummary, TableSummary
+from ingest.tables.sample_file import SampleFile, SignalChunk, SignalSummary, TableSummary
 from storage.recording.knowledge import Knowledge, KnownStep
 from stream.batch import BoolArray, IntArray
 from stream.errors import BadInput
@@ -18,14 +17,7 @@ _Name = tuple[str, str, str]
 
 
 class StoredSamples:
-    """The samples that a store and a file have in common.
-
-    Parameters
-    ----------
-    knowledge: What the store has.
-    path: The file, for messages.
-    summary: What the first pass found in it.
-    """
+    """The samples that a store and a file have in common."""
 
     def __init__(self, knowledge: Knowledge, path: Path, summary: TableSummary) -> None:
         self._knowledge = knowledge
@@ -42,12 +34,12 @@ class StoredSamples:
         self.runs, self.open_runs = self.known.dated, set(self.known.open)
 
     def check(self, file: SampleFile) -> Counter[_Name]:
-        """Compare the file with the store sample by sample; returns how many of each signal the store has already.
+        """Compare the file with the store sample by sample; returns how many of each signal are stored already.
 
         Raises
         ------
-        BadInput: If a signal comes in another unit of measure than it is stored in, a run's clock is another one, or a
-            sample lies where the store has a different one.
+        BadInput: If a signal is stored in another unit of measure, a run has another clock, or a sample lies where the
+            store has a different one.
         """
         for name, summary in self._signals.items():
             self._check_alike(name, summary)
@@ -61,7 +53,7 @@ class StoredSamples:
         return common
 
     def new(self, unit: str, run: str, signal: str, times_ns: IntArray) -> BoolArray:
-        """Mask of the samples that the store does not have; `check` has found the others equal."""
+        """Mask of the samples that are not stored; `check` has found the others equal."""
         if not self._overlaps((unit, run, signal)):
             return np.ones(len(times_ns), np.bool_)
         stored_ns, _ = self._knowledge.samples(unit, signal, run, int(times_ns[0]), int(times_ns[-1]))
@@ -132,12 +124,7 @@ class StoredSamples:
 
 
 def check_steps(steps: Iterable[KnownStep], path: Path, summary: TableSummary) -> None:
-    """Compare the words given for all steps of a file with the steps that the store has at those times.
-
-    Raises
-    ------
-    BadInput: If the store has another step there.
-    """
+    """Compare the step words given for a file with the stored steps; raises BadInput if the store has another step."""
     if summary.words is None:
         return
     given = msgspec.to_builtins(summary.words)
@@ -151,8 +138,8 @@ def check_steps(steps: Iterable[KnownStep], path: Path, summary: TableSummary) -
             stored = {"procedure": step.procedure, "position": step.position}
             wrong = [name for name, value in given.items() if stored.get(name) != value]
             if wrong:
-                told = ", ".join(f"{name} {stored.get(name) or '(not given)'}" for name in wrong)
+                listed = ", ".join(f"{name} {stored.get(name) or '(not given)'}" for name in wrong)
                 raise BadInput(
-                    f"{path}: unit {unit}, run {run} has a step there already, with {told}; what is recorded stays: "
+                    f"{path}: unit {unit}, run {run} has a step there already, with {listed}; what is recorded stays: "
                     f"leave out --{wrong[0]}, or import the file under another --run"
                 )

@@ -33,13 +33,12 @@ class EmbeddedPipeline:
     folder: The store; made if it does not exist.
     role: Who writes, for the message that another writer gets.
     estimate_every_s: Interval between estimates in the signals' time, seconds.
-    listen: Endpoints on which others may listen in; none by default.
+    listen: Endpoints for other subscribers; none by default.
     rotate_bytes: Payload after which a segment of the log is sealed.
-    on_document: Called with every estimate and decision, in the worker's thread.
-    on_warning: Called with what the recorder warns of, such as a full disk, for which it waits; by default it is
-        printed.
-    spool: Keeps on disk what the source sends; what it holds from before is sent first.
-    estimated: Which signals are estimated; by default angular rates, and those that limits of a run are on.
+    on_document: Called with every estimate, decision and verdict, in the worker's thread.
+    on_warning: Called with warnings of the recorder, such as of a full disk; by default they are printed.
+    spool: Keeps on disk what the source sends; what it holds already is sent first.
+    estimated: Which signals are estimated; by default angular rates, and those with limits.
 
     Raises
     ------

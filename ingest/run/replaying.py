@@ -1,4 +1,4 @@
-"""A stored run sent once more: to estimators in this process, into another store, or to a running recorder."""
+"""A stored run replayed: to estimators in this process, into another store, or to a running recorder."""
 
 import functools
 import time
@@ -11,7 +11,7 @@ from storage.log.replay import Comparing, Comparison, StoredMessage, StoredRun
 from storage.store import Store
 from stream.delivery.publisher import DurablePublisher, Sender
 from stream.errors import BadInput, NotFound, StoreError
-from stream.estimators.base import Estimator, default_estimators
+from stream.estimators.base import PointEstimator, default_estimators
 from stream.estimators.bias_stability import BiasStability
 from stream.events import decode_event
 from stream.transport.bus import LocalBus
@@ -26,7 +26,7 @@ _DEFAULT_EVERY_S = 60.0
 
 @dataclass
 class Replayed:
-    """What was sent."""
+    """How much was sent."""
 
     messages: int = 0
     samples: int = 0
@@ -34,12 +34,7 @@ class Replayed:
 
 @dataclass
 class Pace:
-    """Lets messages go when their time has come.
-
-    Parameters
-    ----------
-    speed: So many times as fast as the source's clock; 0 does not wait.
-    """
+    """Delays messages to `speed` times the source's clock; 0 does not wait."""
 
     speed: float
     _begin: tuple[int, float] | None = field(default=None, init=False)
@@ -62,8 +57,8 @@ def interval_s(run: StoredRun) -> float:
     BadInput: If that cannot be told.
     """
     if len(run.every_ns) > 1:
-        told = " and ".join(f"{each / 1e9:g} s" for each in sorted(run.every_ns))
-        raise BadInput(f"run {run.run} was estimated every {told}; say with --every which is to be replayed")
+        intervals = " and ".join(f"{each / 1e9:g} s" for each in sorted(run.every_ns))
+        raise BadInput(f"run {run.run} was estimated every {intervals}; say with --every which is to be replayed")
     if run.estimates and not run.every_ns:
         raise BadInput(f"the estimates of run {run.run} do not say how often they came; give --every SECONDS")
     return next(iter(run.every_ns)) / 1e9 if run.every_ns else _DEFAULT_EVERY_S
@@ -79,8 +74,8 @@ def estimated_every_s(folder: Path, run: str) -> float:
 
 
 def compared(run: StoredRun, every_s: float, speed: float, progress: Progress) -> tuple[Replayed, Comparison]:
-    """Estimate a run anew, over a bus in this process, and compare with what is stored."""
-    factories: dict[str, Callable[[], Estimator]] = {
+    """Estimate a run again, over a bus in this process, and compare with what is stored."""
+    factories: dict[str, Callable[[], PointEstimator]] = {
         BiasStability(each).key: functools.partial(BiasStability, each) for each in run.averages_s
     }
     factories |= default_estimators()
@@ -114,7 +109,7 @@ def sent_to(run: StoredRun, endpoint: str, speed: float, progress: Progress) -> 
 
 
 def _estimated(run: StoredRun) -> EstimatedSignals:
-    """Return the signals that were estimated when the run was recorded; without any, what is estimated by default."""
+    """The signals that were estimated when the run was recorded, else the default."""
     return EstimatedSignals(frozenset(run.signals), rates=False) if run.signals else EstimatedSignals()
 
 

@@ -1,6 +1,7 @@
-"""Where a live run is sent: to a recorder elsewhere, or into a store that this process records."""
+"""Where a run is sent: to a recorder in another process, or into a store that this process records."""
 
 import socket
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -10,16 +11,53 @@ from uuid import NAMESPACE_URL, uuid5
 from ingest.run.pipeline import EmbeddedPipeline
 from ingest.run.replaying import estimated_every_s
 from storage.recording.client import HeldClaim, RecorderClient
-from storage.store import Store
-from stream.console import notes
+from storage.store import Store, writer_endpoint
+from stream.console import Stop, notes
 from stream.delivery.publisher import DurablePublisher, Sender
 from stream.delivery.spool import Spool
 from stream.errors import BadInput, DeliveryError
+from stream.events import AnyDocument
 from stream.transport.zenoh_bus import ZenohBus
 from stream.worker.estimated_signals import EstimatedSignals
 
+INTERRUPTED = 130  # exit code
+PATIENCE_S = 5.0
 _LONGEST_FOLDER_BYTES = 200
 _RECORDER_PATIENCE_S = 3.0
+
+
+class Destination(NamedTuple):
+    """Where a run goes.
+
+    Parameters
+    ----------
+    folder: The store.
+    connect: Where the recorder listens; None where this process records.
+    spools: Folder of the spools, or, where `is_given`, that of this run's.
+    spool_bytes: How much may wait in the spool.
+    """
+
+    folder: Path
+    connect: str | None
+    spools: Path
+    spool_bytes: int
+    is_given: bool
+
+    @classmethod
+    def chosen(
+        cls, run: str | None, folder: Path, connect: str | None, spool_folder: Path | None, spool_mb: int
+    ) -> "Destination":
+        """What the options say.
+
+        Raises
+        ------
+        BadInput: If the run's name is too long for a folder.
+        """
+        connect = connect or writer_endpoint(folder)
+        if spool_folder is None:
+            check_spool_name(run or "")
+        spools = spool_folder or spools_of(folder, is_remote=connect is not None)
+        return cls(folder, connect, spools, spool_mb << 20, spool_folder is not None)
 
 
 class Elsewhere(NamedTuple):
@@ -30,7 +68,7 @@ class Elsewhere(NamedTuple):
 
 
 class RunPath(NamedTuple):
-    """Where a run is sent to; `folder` is the store, None where it is another process's."""
+    """Where a run is sent; `folder` is the store, None where another process records."""
 
     sender: Sender
     publisher: DurablePublisher
@@ -40,30 +78,24 @@ class RunPath(NamedTuple):
 
 
 class TroubleWatch:
-    """Tells what keeps samples from being recorded: once when it begins or changes, and once when it is over.
+    """Reports what keeps samples from being recorded: once when it begins or changes, and once when it is over."""
 
-    Parameters
-    ----------
-    publisher: What sends them.
-    tell: Takes the sentence.
-    """
-
-    def __init__(self, publisher: DurablePublisher, tell: Callable[[str], None]) -> None:
+    def __init__(self, publisher: DurablePublisher, report: Callable[[str], None]) -> None:
         self._publisher = publisher
-        self._tell = tell
+        self._report = report
         self._trouble: str | None = None
 
     def look(self) -> None:
-        """Say what has changed since the last look."""
+        """Report what has changed since the last look."""
         paused = self._publisher.paused
         trouble = self._publisher.warning or (f"the recorder pauses: {paused}" if paused else None)
         if trouble != self._trouble:
             self._trouble = trouble
-            self._tell(f"warning: {trouble}" if trouble else "recording goes on")
+            self._report(f"warning: {trouble}" if trouble else "recording goes on")
 
 
 def spools_of(folder: Path, *, is_remote: bool) -> Path:
-    """Where the spools of a store's runs lie: in it; where samples go elsewhere, in no folder that could become one.
+    """Folder of the spools of a store's runs: in the store, or beside a folder that is no store of this computer.
 
     Examples
     --------
@@ -86,9 +118,7 @@ def check_spool_name(run: str) -> None:
 
 @contextmanager
 def recorder_at(connect: str | None) -> Iterator[Elsewhere | None]:
-    """Reach the recorder that listens at `connect`; None for the one in this process.
-
-    It is reached before a spool is opened: what cannot be sent to anybody leaves no folders behind.
+    """Connect to the recorder at `connect`, before a spool is made; None for the one in this process.
 
     Raises
     ------
@@ -103,14 +133,7 @@ def recorder_at(connect: str | None) -> Iterator[Elsewhere | None]:
 
 @contextmanager
 def opened_spool(folder: Path, spool_folder: Path, max_bytes: int, *, is_remote: bool) -> Iterator[Spool]:
-    """Open a run's spool, and say what was found damaged in it.
-
-    Parameters
-    ----------
-    folder: The store. Where this process records, it is made first: a folder that holds a spool could not become one.
-    spool_folder: The spool's own.
-    max_bytes: How much may wait in it.
-    is_remote: Whether another process records.
+    """Open a run's spool and report damage in it; where this process records, the store is made before it.
 
     Raises
     ------
@@ -133,18 +156,15 @@ def path_to(
     every_s: float | None = None,
     estimated: EstimatedSignals = EstimatedSignals(),  # noqa: B008  immutable
     units: Sequence[str] = (),
+    on_document: Callable[[AnyDocument], None] | None = None,
 ) -> Iterator[RunPath]:
-    """Open the way to a recorder, or record in this process.
+    """Send to a recorder elsewhere, or record and estimate in this process.
 
     Parameters
     ----------
-    folder: The store, where it is recorded in this process.
-    run: Id of the run.
-    elsewhere: The recorder in another process, if there is one; it is left to the caller to close.
-    spool: Keeps what the recorder does not have yet.
-    every_s: Interval between estimates, seconds of the signals' time; by default that which the run was begun with.
-    estimated: Which signals are estimated, where it is recorded in this process.
-    units: Units of the run, which nobody else may send in it to the same recorder meanwhile.
+    every_s: Interval between estimates, seconds of the signals' time; by default that of the run so far.
+    units: Units that nobody else may send to the same recorder in this run.
+    on_document: Takes the estimates of this process.
 
     Raises
     ------
@@ -170,23 +190,43 @@ def path_to(
         # of the same interval as those of a `gyrofleet estimate` that may have begun them, else they would differ
         every_s = every_s or estimated_every_s(folder, run)
         with EmbeddedPipeline(
-            folder, "gyrofleet run", spool=spool, estimate_every_s=every_s, estimated=estimated
+            folder, "gyrofleet run", spool=spool, estimate_every_s=every_s, estimated=estimated, on_document=on_document
         ) as pipeline:
             where = f"recorded in this process to {folder}"
             yield RunPath(pipeline, pipeline.publisher, pipeline.finish, where, folder)
 
 
 def _client(bus: ZenohBus, folder: Path, spool: Spool) -> RecorderClient | None:
-    """The recorder of the store that has the run already, or of that in `folder`, or whichever is there.
-
-    None where none answers: what is measured waits in the spool until one does.
-    """
+    """The recorder of the store that has the run, else of `folder`, else any; None where none answers yet."""
     wanted = spool.store
     if not wanted and (folder / "store.json").exists():
         wanted = Store.open(folder).identity
     try:
         return RecorderClient(bus, wanted=wanted or None, patience_s=_RECORDER_PATIENCE_S)
     except DeliveryError:
-        told = "no recorder answers yet; whether another source sends the same run is not known"
-        notes().print(f"warning: {told}", soft_wrap=True, markup=False)
+        warning = "warning: no recorder answers yet; whether another source sends the same run is not known"
+        notes().print(warning, soft_wrap=True, markup=False)
         return None
+
+
+def left_behind(path: RunPath, where: str, hint: str) -> str:
+    """Wait a little for the recorder; what waits in the spool, and how to resume."""
+    until = time.monotonic() + PATIENCE_S
+    path.publisher.drain(lambda: time.monotonic() > until)
+    left = path.publisher.outstanding
+    if left:
+        path.publisher.abandon()
+    else:
+        path.finish()
+    kept = f"{left} messages wait in {where}; " if left else ""
+    return f"{kept}give the same command {hint}, with --end to end it"
+
+
+def drain(path: RunPath, trouble: TroubleWatch, stop: Stop) -> None:
+    """Wait until all of it is recorded; after a request to stop, not for long."""
+
+    def is_given_up() -> bool:
+        trouble.look()
+        return stop.asked_at is not None and time.monotonic() > stop.asked_at + PATIENCE_S
+
+    path.publisher.drain(is_given_up)

@@ -1,19 +1,17 @@
-"""How far a live run is: one small file beside its spool, there whole or not at all."""
+"""How far a run of simulated units is: one small file beside its spool, there whole or not at all."""
 
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 
 from ingest.moment import moment_ns
+from ingest.run_record import Outcome, Phase
 from ingest.simulator.station import PowerCycle
-from ingest.state_file import read_state, write_state
+from ingest.state_file import read_state
 from stream.errors import BadInput
 
-_FILE = "run.json"
+RUN_FILE = "run.json"
 _FORMAT = 1
-
-Outcome = Literal["completed", "stopped"]
 
 
 class RunParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -43,11 +41,9 @@ class RunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     parameters: What it was started with.
     began_ns: The station's clock when it was started.
     t0_ns: Time of its first sample.
-    starts: How often a process took it up.
+    starts: How many processes have worked on it.
     power_cycles: The power-ons of its units so far.
-    phase: ``starting`` until its first documents are kept, ``running``, ``ending`` when nothing more is measured, and
-        ``ended`` when a recorder has everything.
-    outcome: How it ended.
+    phase, outcome: How far it is, and how it ended.
     """
 
     format: int = _FORMAT
@@ -57,16 +53,16 @@ class RunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     t0_ns: int
     starts: int = 1
     power_cycles: tuple[PowerCycle, ...] = msgspec.field(name="power_ups")  # as written by earlier versions
-    phase: Literal["starting", "running", "ending", "ended"] = "starting"
+    phase: Phase = "starting"
     outcome: Outcome = "completed"
 
 
 def begin_run(run: str, parameters: RunParameters, now_ns: int) -> RunState:
-    """A run that starts now; unless it says when, no sample of it lies in the future when it is sent.
+    """A run that starts now; without `start`, no sample of it lies in the future when it is sent.
 
     Raises
     ------
-    BadInput: If it says when in a way that cannot be read.
+    BadInput: If `start` cannot be read.
 
     Examples
     --------
@@ -82,14 +78,14 @@ def begin_run(run: str, parameters: RunParameters, now_ns: int) -> RunState:
 
 
 def read_run(folder: Path, run: str, parameters: RunParameters) -> RunState | None:
-    """The run of that id, which is kept in a folder; None where there is none.
+    """The run that is kept in a folder; None where there is none.
 
     Raises
     ------
     BadInput: If it was started with other parameters, or the folder is that of another run.
     StoreError: If it cannot be read.
     """
-    state = read_state(folder / _FILE, RunState)
+    state = read_state(folder / RUN_FILE, RunState)
     if state is None:
         return None
     if state.run != run:
@@ -101,16 +97,7 @@ def read_run(folder: Path, run: str, parameters: RunParameters) -> RunState | No
     ]
     if others:
         raise BadInput(
-            f"run {state.run} was started otherwise: {'; '.join(others)}; give the same command again, or another --run"
+            f"run {state.run} was started with other options: {'; '.join(others)}; give the same command again, or "
+            "another --run"
         )
     return state
-
-
-def write_run(folder: Path, state: RunState) -> RunState:
-    """Put the state in the place of the one before; returns it.
-
-    Raises
-    ------
-    StoreError: If it cannot be written; the one before is then still there.
-    """
-    return write_state(folder / _FILE, state)

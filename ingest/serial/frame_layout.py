@@ -1,4 +1,4 @@
-"""How the frames of a serial gyro are laid out, as a TOML file says it."""
+"""Layout of the frames of a serial gyro, from a TOML file."""
 
 import math
 from pathlib import Path
@@ -7,7 +7,9 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from ingest.serial.frame_checksum import CHECKSUM_BYTES, ByteArray, ChecksumKind
+from ingest.checksums import SERIAL_CHECKSUM_BYTES as CHECKSUM_BYTES
+from ingest.checksums import ByteArray
+from ingest.checksums import SerialChecksum as ChecksumKind
 from stream.batch import FloatArray, IntArray
 from stream.errors import BadInput
 from stream.identity import check_name
@@ -36,10 +38,9 @@ class FrameField(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class FrameNumber(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A whole number in a frame that is no quantity: its counter, its length.
+    """The counter or the length in a frame.
 
-    A counter starts anew at `modulus`, by default at what its type holds. A length counts the whole frame once `add` is
-    added to it.
+    A counter wraps at `modulus`, by default at the range of its type. A length plus `add` is that of the whole frame.
     """
 
     at: Index
@@ -67,18 +68,10 @@ class FrameLayout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     ----------
     sync: Bytes with which each frame begins, in hexadecimal: ``"AA 55"``.
     interval_s: Nominal time between frames, seconds.
-    length: Bytes of a frame, from its first sync byte to its last; or
-    length_field: where the frame says it.
-    longest: Bytes of the longest frame, where the frame says it: a length beyond it is garbage.
-    byte_order: ``big`` or ``little``, where a field does not say.
-    fields: Its quantities.
-    counter: Its counter, by which lost frames are found.
-    checksum: Its checksum.
-    data_bits, parity, stop_bits: Of the serial line.
-
-    Raises
-    ------
-    BadInput: By `check`, if it contradicts itself.
+    length, length_field: Bytes of a frame including sync, or the field that holds it.
+    longest: Bytes of the longest frame with a length field: a length beyond it is garbage.
+    byte_order: ``big`` or ``little``, unless a field has its own.
+    counter: Tells lost frames.
 
     Examples
     --------
@@ -114,7 +107,7 @@ class FrameLayout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     @property
     def sync_bytes(self) -> bytes:
-        """The sync bytes themselves."""
+        """The sync bytes."""
         return bytes.fromhex(self.sync)
 
     @property
@@ -129,12 +122,7 @@ class FrameLayout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return max(ends)
 
     def check(self, where: str) -> None:
-        """Refuse a layout that contradicts itself.
-
-        Raises
-        ------
-        BadInput: Naming what, after `where`.
-        """
+        """Raise BadInput, with `where` before it, if the layout contradicts itself."""
         try:
             is_there = bool(self.sync_bytes)
         except ValueError:
@@ -153,7 +141,7 @@ class FrameLayout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
                 self.length is not None or shortest <= self.longest <= _LONGEST,
                 f"longest is {self.longest}, but its parts need {shortest} bytes, and {_LONGEST} are allowed",
             ),
-            (bool(self.fields), "it has no fields: nothing would come of it"),
+            (bool(self.fields), "it has no fields: it would give no samples"),
             (len({each.signal for each in self.fields}) == len(self.fields), "two fields have the same signal"),
             (
                 all(math.isfinite(each.scale) and each.scale and math.isfinite(each.offset) for each in self.fields),
@@ -180,12 +168,7 @@ class FrameLayout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 def decode_layout(text: bytes, where: str) -> FrameLayout:
-    """Read a layout from TOML.
-
-    Raises
-    ------
-    BadInput: Naming `where` and the place in it.
-    """
+    """Read a layout from TOML; raises BadInput, with `where` before it."""
     try:
         layout = decode_toml(text, FrameLayout)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
@@ -195,12 +178,7 @@ def decode_layout(text: bytes, where: str) -> FrameLayout:
 
 
 def load_layout(path: Path) -> FrameLayout:
-    """Read a layout from a TOML file.
-
-    Raises
-    ------
-    BadInput: If the file cannot be read, or is no layout.
-    """
+    """Read a layout from a TOML file; raises BadInput if it cannot be read or is no layout."""
     try:
         text = path.read_bytes()
     except OSError as error:
@@ -223,5 +201,5 @@ def floats(data: ByteArray, at: int, kind: str, order: ByteOrder) -> FloatArray:
     """Floating-point numbers of one place in many frames, shape (n,)."""
     size = SIZES[kind]
     part = np.ascontiguousarray(data[:, at : at + size])
-    with np.errstate(invalid="ignore"):  # a device may well send a signalling NaN: it is passed on as NaN
+    with np.errstate(invalid="ignore"):  # a signalling NaN becomes a NaN
         return np.asarray(part.view(f"{'>' if order == 'big' else '<'}f{size}").ravel(), np.float64)

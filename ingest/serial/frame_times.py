@@ -1,4 +1,4 @@
-"""When numbered frames were sampled: by their counter and nominal interval, held to their times of arrival."""
+"""Sampling times of numbered frames, from counter and nominal interval, steered by the times of arrival."""
 
 import math
 from typing import NamedTuple
@@ -22,22 +22,20 @@ class Placed(NamedTuple):
 class FrameTimes:
     """Places frames on a grid of their nominal interval.
 
-    The first frame is anchored at its arrival. From then on counters tell how many intervals have passed, so that the
-    jitter of the line does not matter. The device's clock is not the station's: once in 10 s the grid is steered
-    towards the promptest arrival of those 10 s, by half of what it is off and by at most 0.1 % of the interval. Where
-    neither counter nor interval explain an arrival within `resync_s` (the device has started anew), the grid is
-    anchored anew.
+    The first frame is anchored at its arrival. From then on counters give the number of intervals passed, so that the
+    jitter of the line does not matter. The device's clock is not the station's: every 10 s the grid is steered towards
+    the earliest arrival of those 10 s, by half its error and at most 0.1 % of the interval. If neither counter nor
+    interval explain an arrival within `resync_s` (the device has restarted), the grid is anchored again.
 
     Parameters
     ----------
-    interval_s: Nominal time between frames, seconds.
-    modulus: Where the counter starts anew; None where there is no counter, so that only time tells of lost frames.
+    modulus: Where the counter wraps; None without a counter, so that only time tells lost frames.
     resync_s: Largest delay of the line, seconds.
 
     Attributes
     ----------
-    lost, repeated, restarts: Frames lost, frames that came twice, times that the counter started anew.
-    steering: By how much the interval is stretched now, relative; it comes to the device's own error.
+    lost, repeated, restarts: Missing and repeated frames, restarts of the counter.
+    steering: Relative stretch of the interval now; it converges to the device's own error.
 
     Examples
     --------
@@ -55,7 +53,7 @@ class FrameTimes:
         self._counter: int | None = None
         self._number = 0  # of the last frame
         self._base = (0, 0, self._interval_ns)  # number, its time, interval from there on
-        self._promptest_ns = math.inf
+        self._earliest_ns = math.inf
         self.steering = 0.0
         self.lost = 0
         self.repeated = 0
@@ -70,9 +68,9 @@ class FrameTimes:
         if is_first:
             self._base = (0, t_ns - round(float(steps.sum()) * self._interval_ns), self._interval_ns)
         else:
-            anew = self._explain(steps, t_ns)
-            if anew is not None:
-                return Placed(is_new, self._restart(steps, anew, t_ns))
+            restart = self._explain(steps, t_ns)
+            if restart is not None:
+                return Placed(is_new, self._restart(steps, restart, t_ns))
             self.lost += int(steps.sum()) - len(steps)
         if is_first:
             self.lost += int(steps.sum()) - len(steps) + 1
@@ -83,7 +81,7 @@ class FrameTimes:
         return Placed(is_new, times_ns)
 
     def _steps(self, counters: IntArray | None, n: int) -> tuple[IntArray, BoolArray]:
-        """By how many intervals each new frame follows the one before, and which are new."""
+        """Intervals from each new frame to the one before, and which are new."""
         if counters is None or self._modulus is None:
             steps = np.ones(n, np.int64)
             if self._counter is None and n:
@@ -100,7 +98,7 @@ class FrameTimes:
         return steps[is_new], is_new
 
     def _explain(self, steps: IntArray, t_ns: int) -> int | None:
-        """Add whole turns of the counter where the time asks for them; where it started anew, if it did."""
+        """Add whole turns of the counter that the time requires; index of its restart, None without one."""
         turn = self._modulus or 1
         jumps = np.flatnonzero(steps != 1)
         late_ns = self._late_ns(steps, t_ns)
@@ -111,17 +109,17 @@ class FrameTimes:
             return None
         return int(np.argmax(steps))
 
-    def _restart(self, steps: IntArray, anew: int, t_ns: int) -> IntArray:
-        """Times of frames of which number `anew` and those after it are counted from a new start."""
+    def _restart(self, steps: IntArray, restart: int, t_ns: int) -> IntArray:
+        """Times of frames, counted from a new start from index `restart` on."""
         self.restarts += 1
-        self.lost += int(steps[:anew].sum()) - anew + int(steps[anew + 1 :].sum()) - (len(steps) - anew - 1)
-        before = self._at(self._number + np.cumsum(steps[:anew]))
-        last_ns = int(self._at(np.array([self._number + int(steps[:anew].sum())]))[0])
-        after = np.concatenate(([0], np.cumsum(steps[anew + 1 :])))
+        self.lost += int(steps[:restart].sum()) - restart + int(steps[restart + 1 :].sum()) - (len(steps) - restart - 1)
+        before = self._at(self._number + np.cumsum(steps[:restart]))
+        last_ns = int(self._at(np.array([self._number + int(steps[:restart].sum())]))[0])
+        after = np.concatenate(([0], np.cumsum(steps[restart + 1 :])))
         start_ns = max(t_ns - round(float(after[-1]) * self._interval_ns), last_ns + round(self._interval_ns))
         self._number = int(after[-1])
         self._base = (0, start_ns, self._interval_ns)
-        self._promptest_ns = math.inf
+        self._earliest_ns = math.inf
         return np.concatenate((before, self._at(after)))
 
     def _late_ns(self, steps: IntArray, t_ns: int) -> float:
@@ -134,10 +132,10 @@ class FrameTimes:
     def _steer(self, t_ns: int) -> None:
         base, base_ns, interval_ns = self._base
         passed_ns = round((self._number - base) * interval_ns)
-        self._promptest_ns = min(self._promptest_ns, t_ns - (base_ns + passed_ns))
+        self._earliest_ns = min(self._earliest_ns, t_ns - (base_ns + passed_ns))
         if passed_ns < _WINDOW_S * _NS:
             return
-        steering = 0.5 * self._promptest_ns / passed_ns
+        steering = 0.5 * self._earliest_ns / passed_ns
         self.steering = float(np.clip(steering, -_MOST_STEERING, _MOST_STEERING))
         self._base = (self._number, base_ns + passed_ns, self._interval_ns * (1.0 + self.steering))
-        self._promptest_ns = math.inf
+        self._earliest_ns = math.inf

@@ -6,27 +6,27 @@ from uuid import UUID
 
 import numpy as np
 
-from ingest.serial.frame_checksum import CHECKSUM_BYTES, ByteArray, checksums
+from ingest.checksums import SERIAL_CHECKSUM_BYTES as CHECKSUM_BYTES
+from ingest.checksums import ByteArray, checksums
 from ingest.serial.frame_layout import SIZES, FrameField, FrameLayout, decode_layout, floats, integers, load_layout
 from ingest.serial.frame_times import FrameTimes
 from stream.batch import BoolArray, IntArray, SampleBatch
 
-__all__ = ["FrameCounts", "FrameLayout", "SerialFrames", "decode_layout", "load_layout"]
+__all__ = ["FrameLayout", "SerialCounts", "SerialFrames", "decode_layout", "load_layout"]
 
-_REGULAR = 0.05  # of an interval: what times may differ from an exact grid and still be given as one
+_REGULAR = 0.05  # of an interval: largest distance of times from an exact grid to be stored as one
 _FIT_INT32 = {"u8", "i8", "u16", "i16", "u24", "i24", "i32"}
 
 
 @dataclass
-class FrameCounts:
-    """What became of the bytes of a line.
+class SerialCounts:
+    """Account of the bytes of a line.
 
     Attributes
     ----------
-    frames: Whole frames found.
-    bad_checksums, bad_lengths: Places that began like a frame and were none.
+    bad_checksums, bad_lengths: Sync bytes that began no frame.
     dropped_bytes: Bytes that belong to no frame.
-    lost, repeated, restarts: Frames that the counters miss, frames that came twice, times that the counter began anew.
+    lost, repeated, restarts: Missing and repeated frames, restarts of the counter.
     """
 
     frames: int = 0
@@ -56,17 +56,13 @@ class _Candidates(NamedTuple):
 class SerialFrames:
     """Decodes the bytes of one gyro.
 
-    Bytes are read from left to right. Where the sync bytes begin a stretch of a legal length with the right checksum,
-    that stretch is a frame and reading goes on behind it; else one byte is dropped. So every whole frame is found,
-    except where bytes before it look like a frame themselves (sync, length and checksum) and reach into it. With
-    garbage that holds no sync bytes that cannot be, and nothing but the garbage is dropped. How the bytes are cut into
-    pieces makes no difference to which frames are found.
+    Bytes are read from left to right. Sync bytes followed by a legal length and the right checksum are a frame, and
+    reading continues behind it; otherwise one byte is dropped. So every whole frame is found, unless bytes before it
+    look like a frame themselves (sync, length and checksum) and reach into it; garbage without sync bytes cannot. The
+    result does not depend on how the bytes are cut into pieces.
 
     Parameters
     ----------
-    layout: The frames.
-    unit, run: Whose samples they are.
-    epoch: What they are numbered under.
     resync_s: Largest delay of the line, see `FrameTimes`.
 
     Examples
@@ -87,7 +83,7 @@ class SerialFrames:
     def __init__(self, layout: FrameLayout, unit: str, run: str, epoch: UUID, *, resync_s: float = 0.25) -> None:
         layout.check(f"unit {unit}: layout of its frames")
         self.layout = layout
-        self.counts = FrameCounts()
+        self.counts = SerialCounts()
         self._unit, self._run, self._epoch = unit, run, epoch
         self._sync = np.frombuffer(layout.sync_bytes, np.uint8)
         self._shortest = layout.shortest
@@ -100,11 +96,11 @@ class SerialFrames:
         self._seq = 0
 
     def feed(self, data: bytes, t_ns: int) -> list[SampleBatch]:
-        """Take bytes, the last of which arrived at `t_ns`: a batch of each signal, none where no frame is complete."""
+        """Decode bytes, the last of which arrived at `t_ns`: a batch of each signal, none if no frame is complete."""
         return self._decode(self._kept + data, t_ns, is_last=False)
 
     def finish(self, t_ns: int) -> list[SampleBatch]:
-        """Take it that no more bytes come: what waited for the rest of a frame is looked through for shorter ones."""
+        """No more bytes come: bytes that waited for the rest of a frame are searched for shorter ones."""
         return self._decode(self._kept, t_ns, is_last=True)
 
     def _decode(self, data: bytes, t_ns: int, *, is_last: bool) -> list[SampleBatch]:
@@ -159,7 +155,7 @@ class SerialFrames:
         )
 
     def _find(self, data: ByteArray, *, is_last: bool) -> _Found:
-        """Go through the places that begin like a frame, from left to right."""
+        """Check the candidates from left to right."""
         candidates = self._candidates(data)
         found = _Found()
         counts = self.counts
@@ -184,7 +180,7 @@ class SerialFrames:
         return found
 
     def _rest(self, data: ByteArray, end: int) -> int:
-        """Where the sync bytes may have begun at the end of the bytes; their length if nowhere."""
+        """Place where sync bytes may have begun at the end; the number of bytes if nowhere."""
         text = data[max(end, len(data) - len(self._sync) + 1) :].tobytes()
         sync = self.layout.sync_bytes
         for n in range(len(text), 0, -1):
@@ -215,7 +211,7 @@ class SerialFrames:
         lengths = np.full(len(starts), -1, np.int64)
         known = starts + number.at + SIZES[number.type] <= len(data)
         head = data[starts[known][:, None] + np.arange(number.at + SIZES[number.type])]
-        # a negative length is as illegal as 0, and must not be taken for one that is not known yet
+        # -1 means not known yet: a negative length becomes 0, which is illegal too
         lengths[known] = np.maximum(0, integers(head, number.at, number.type, self.layout.order(number)) + number.add)
         return lengths
 
@@ -226,5 +222,5 @@ class SerialFrames:
         at = part.at % length if part.at < 0 else part.at
         kind = "u8" if CHECKSUM_BYTES[part.kind] == 1 else "u16"
         covered = frames[:, part.start : at if part.stop is None else part.stop]
-        said = integers(frames, at, kind, self.layout.order(part))
-        return np.asarray(checksums(part.kind, covered, part.initial) == said)
+        received = integers(frames, at, kind, self.layout.order(part))
+        return np.asarray(checksums(part.kind, covered, part.initial) == received)

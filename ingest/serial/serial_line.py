@@ -1,4 +1,4 @@
-"""A serial port with a gyro: read in a thread, opened again when it was unplugged."""
+"""A serial port with a gyro: read in a thread, opened again after it was unplugged."""
 
 import threading
 import time
@@ -16,7 +16,7 @@ _LOOK_S = 0.05
 _MOST_BYTES = 1 << 16
 _FIRST_PAUSE_S = 0.5
 _LONGEST_PAUSE_S = 10.0
-_COMPLAIN_EVERY_S = 10.0
+_REPORT_EVERY_S = 10.0
 
 
 class SerialLine:
@@ -25,21 +25,15 @@ class SerialLine:
     Parameters
     ----------
     port: ``/dev/ttyUSB0``, or any address that pyserial opens.
-    baud: Bits a second.
-    layout: Its frames.
-    unit, run: Whose samples they are.
-    epoch: What they are numbered under.
-    clock: The station's clock.
-    deliver: Given each batch, in this line's thread. While it does not return nothing is read, and once the operating
-        system's buffer is full frames are lost, which their counters tell. If it raises, reading ends and that is
-        reported.
-    report: Given sentences for people.
+    deliver: Called with each batch, in this line's thread. While it waits nothing is read, and once the operating
+        system's buffer is full frames are lost, which their counters tell. If it raises, reading ends with a report.
+    report: Called with sentences for the user.
     batch_s: How long bytes are collected for a batch, seconds of the computer.
 
     Attributes
     ----------
     frames: The decoder, with its counts.
-    error: What ended it before its time.
+    error: The error that ended reading.
     """
 
     def __init__(
@@ -66,18 +60,13 @@ class SerialLine:
         self._port: Any = None
         self._bytes = bytearray()
         self._arrived_ns = 0
-        self._said = (0, 0, 0, 0)
-        self._said_s = -_COMPLAIN_EVERY_S
+        self._reported = (0, 0, 0, 0)
+        self._reported_s = -_REPORT_EVERY_S
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
 
     def open(self) -> None:
-        """Open the port.
-
-        Raises
-        ------
-        InstrumentError: If it cannot be opened.
-        """
+        """Open the port; raises InstrumentError if it fails."""
         if self._port is None:
             self._port = open_port(self._address, self._baud, self.frames.layout, self._who)
 
@@ -88,7 +77,7 @@ class SerialLine:
             self._thread.start()
 
     def stop(self) -> None:
-        """Deliver what has come, and end; never raises."""
+        """Deliver the received frames and end; never raises."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
@@ -96,17 +85,17 @@ class SerialLine:
     def _run(self) -> None:
         try:
             try:
-                self._read_on()
+                self._read_reconnecting()
             finally:
                 self._close()
             self._decode()
             self._give(self.frames.finish(self._clock.now_ns()))
-            self._complain(at_once=True)
-        except Exception as error:  # noqa: BLE001  whatever it is, people are to know that nothing is read any more
+            self._report_losses(at_once=True)
+        except Exception as error:  # noqa: BLE001  whatever it is, the user must know that reading has ended
             self.error = error
             self._report(f"{self._who} is not read any more: {error}")
 
-    def _read_on(self) -> None:
+    def _read_reconnecting(self) -> None:
         pause_s, is_down = _FIRST_PAUSE_S, False
         while not self._stop.is_set():
             try:
@@ -140,20 +129,20 @@ class SerialLine:
             data = bytes(self._bytes)
             self._bytes.clear()
             self._give(self.frames.feed(data, self._arrived_ns))
-            self._complain()
+            self._report_losses()
 
     def _give(self, batches: list[SampleBatch]) -> None:
         for batch in batches:
             self._deliver(batch)
 
-    def _complain(self, *, at_once: bool = False) -> None:
-        """Say what went wrong since it was last said, not more than once in 10 s."""
+    def _report_losses(self, *, at_once: bool = False) -> None:
+        """Report losses since the last report, at most once in 10 s."""
         counts = self.frames.counts
         now = (counts.lost, counts.repeated, counts.dropped_bytes, counts.restarts)
-        if now == self._said or not (at_once or time.monotonic() - self._said_s >= _COMPLAIN_EVERY_S):
+        if now == self._reported or not (at_once or time.monotonic() - self._reported_s >= _REPORT_EVERY_S):
             return
-        lost, repeated, dropped, restarts = (after - before for after, before in zip(now, self._said, strict=True))
-        self._said, self._said_s = now, time.monotonic()
+        lost, repeated, dropped, restarts = (after - before for after, before in zip(now, self._reported, strict=True))
+        self._reported, self._reported_s = now, time.monotonic()
         self._report(
             f"{self._who}: {lost} frames lost, {repeated} repeated, {dropped} bytes that belong to no frame, "
             f"{restarts} new starts of the counter; {counts.frames} frames in all are good"
@@ -162,17 +151,12 @@ class SerialLine:
     def _close(self) -> None:
         port, self._port = self._port, None
         if port is not None:
-            with suppress(Exception):  # what cannot be closed is gone
+            with suppress(Exception):  # a port that cannot be closed is gone
                 port.close()
 
 
 def open_port(address: str, baud: int, layout: FrameLayout, who: str) -> Any:
-    """Open a serial port for frames of a layout; a port of pyserial.
-
-    Raises
-    ------
-    InstrumentError: If it cannot be opened.
-    """
+    """Open a serial port of pyserial for frames of a layout; raises InstrumentError if it fails."""
     import serial
 
     try:

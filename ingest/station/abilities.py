@@ -24,7 +24,7 @@ def check_station(station: Station, procedure: Procedure, parameters: Mapping[st
 def check_limits(
     station: Station, instruments: Mapping[str, Instrument], procedure: Procedure, parameters: Mapping[str, str]
 ) -> None:
-    """Raise BadInput where a procedure goes beyond what an instrument may be set to, or switches power that is none."""
+    """Raise BadInput where a procedure exceeds an instrument's range, or switches power without a supply."""
     for each in procedure.requirements(parameters):
         name = station.settings[each.setting]
         instrument = instruments[name]

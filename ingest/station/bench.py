@@ -1,4 +1,4 @@
-"""The instruments of a station, as a run uses them: by the settings of a procedure, and by what powers the units."""
+"""The instruments of a station as a run uses them: by a procedure's settings, and as the supplies of the units."""
 
 from collections.abc import Mapping
 
@@ -10,14 +10,9 @@ _UNPOWERED_V = 0.5
 
 
 class StationBench:
-    """Sets, asks and brings to rest what stands at a station.
+    """Sets, reads and makes safe the instruments of a station.
 
-    Every method but `check` raises InstrumentError where an instrument cannot be reached or refuses.
-
-    Parameters
-    ----------
-    station: Where.
-    instruments: By name.
+    Every method but `rest` and `supplies` raises InstrumentError where an instrument cannot be reached or refuses.
     """
 
     def __init__(self, station: Station, instruments: Mapping[str, Instrument]) -> None:
@@ -25,7 +20,7 @@ class StationBench:
         self._instruments = instruments
 
     def rest(self) -> dict[str, str]:
-        """Make the instruments safe, what moves before what powers the units; why it failed, by instrument."""
+        """Make the instruments safe, supplies of the units last; failures by instrument."""
         troubles: dict[str, str] = {}
         supplies = self.supplies()
         for name in sorted(self._instruments, key=lambda name: name in supplies):
@@ -38,7 +33,7 @@ class StationBench:
         return troubles
 
     def is_dead(self) -> bool:
-        """Whether a supply of the units measures that it gives no voltage."""
+        """Whether a supply of the units measures no voltage."""
         for name in self.supplies():
             instrument = self._instruments[name]
             with instrument.lock:
@@ -48,7 +43,7 @@ class StationBench:
         return False
 
     def switch(self, on: float) -> bool:
-        """Give the units power (1) or take it (0); True, as it is done."""
+        """Switch the units on (1) or off (0); True when done."""
         for name in self.supplies():
             with self._instruments[name].lock:
                 self._instruments[name].set("output", on)
@@ -61,7 +56,7 @@ class StationBench:
         return sorted(named) or able
 
     def set(self, what: str, value: float) -> bool:
-        """Command a setting of a procedure; True, as it is done."""
+        """Command a setting of a procedure; True when done."""
         instrument = self._instruments[self._station.settings[what]]
         with instrument.lock:
             instrument.set(what, value)

@@ -1,4 +1,4 @@
-"""Where on Earth a station stands, and by which clock its days are: what runs measured there remember of it."""
+"""Location and time zone of a station, as runs record them."""
 
 import math
 from collections.abc import Callable
@@ -15,14 +15,14 @@ _GRAVITY_M_PER_S2 = (9.7, 9.9)
 
 
 class StationLocation(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a station stands; what is not known is None.
+    """Location of a station; what is not known is None.
 
     Parameters
     ----------
-    latitude_deg: Geodetic latitude, positive north, deg.
-    time_zone: IANA name, such as ``Asia/Shanghai``: what is "the same day".
-    altitude_m: Above the ellipsoid (or the sea, which makes no difference here), m.
-    gravity_m_per_s2: As it was measured there; else it follows from latitude and altitude.
+    latitude_deg: Geodetic latitude, positive north.
+    time_zone: IANA name, such as ``Asia/Shanghai``; it defines "the same day".
+    altitude_m: Above the ellipsoid or the sea.
+    gravity_m_per_s2: Measured value; else it follows from latitude and altitude.
     """
 
     latitude_deg: float | None = None
@@ -31,16 +31,7 @@ class StationLocation(msgspec.Struct, frozen=True, kw_only=True):
     gravity_m_per_s2: float | None = None
 
     def check(self, named: Callable[[str], str]) -> "StationLocation":
-        """Return it as it is.
-
-        Parameters
-        ----------
-        named: How the message names one of the fields.
-
-        Raises
-        ------
-        BadInput: If it is no place on Earth.
-        """
+        """Return it; raise BadInput, with fields as `named` names them, if it is no place on Earth."""
         for name, value, least, most, unit in (
             ("latitude_deg", self.latitude_deg, -90.0, 90.0, ""),
             ("altitude_m", self.altitude_m, _DEEPEST_M, _HIGHEST_M, " m"),
@@ -59,7 +50,7 @@ class StationLocation(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def details(self) -> dict[str, str]:
-        """What the first document of a run says of it.
+        """Details in the first document of a run.
 
         Examples
         --------

@@ -14,20 +14,18 @@ from ingest.procedures.procedure import PlannedStep
 from ingest.station.run import RunStopped
 from stream.console import Stop
 
-_TOLD_EVERY_S = 5.0
+_REPORT_EVERY_S = 5.0
 _WORDS = {"p": "pause", "pause": "pause", "c": "continue", "continue": "continue", "a": "abort", "abort": "abort"}
-_HELP = "p Enter pauses, c Enter goes on, a Enter aborts; Ctrl-C stops, to go on later"
+_HELP = "p Enter pauses, c Enter goes on, a Enter aborts; Ctrl-C stops, to resume later"
 
 
 class ConsoleOperator:
-    """Attends a run at a terminal, or, where there is none, tells how it goes on.
+    """Attends a run at a terminal, or, where there is none, reports its progress.
 
     Parameters
     ----------
-    console: Where it is told.
-    stop: Whether the process was asked to end.
-    says_yes: Whether every prompt is taken as done.
-    quiet: Tell nothing but what is wrong.
+    says_yes: Whether every prompt is answered with yes.
+    quiet: Report troubles only.
     listens: Whether words are read from standard input.
     """
 
@@ -40,7 +38,7 @@ class ConsoleOperator:
         self._paused = self._aborted = False
         self._done = 0
         self._asked: str | None = None
-        self._told_at = time.monotonic()
+        self._reported_at = time.monotonic()
         self._progress = Progress(
             TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(), console=console,
             disable=quiet or not console.is_terminal, transient=True,
@@ -48,7 +46,7 @@ class ConsoleOperator:
         self._task = self._progress.add_task("", total=1.0)
         self._total_s = 0.0
         self._look: Callable[[], None] | None = None
-        self._hears = listens
+        self._listens = listens
         if listens:
             signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # in the background reading fails, and the run goes on
             threading.Thread(target=self._listen, name="gyrofleet-operator", daemon=True).start()
@@ -61,10 +59,10 @@ class ConsoleOperator:
         self._progress.stop()
 
     def watch(self, look: Callable[[], None]) -> None:
-        """Have `look` called now and then, which tells what else is wrong."""
+        """Have `look` called repeatedly, which reports other troubles."""
         self._look = look
 
-    def told(self, text: str) -> None:
+    def report(self, text: str) -> None:
         """Print what has happened."""
         self._console.print(text, soft_wrap=True, markup=False)
 
@@ -86,14 +84,14 @@ class ConsoleOperator:
             self._asked = None
             self._done = 0
             return True
-        if not self._hears and self._words.empty():
+        if not self._listens and self._words.empty():
             raise RunStopped(
                 f"nobody can confirm {prompt!r}: standard input has ended; run it at a terminal, or say --yes"
             )
         return False
 
     def poll_request(self) -> str | None:
-        """What was asked for by word or by signal; asked all the time, so other troubles are told meanwhile."""
+        """What was asked for by word or by signal."""
         self._read()
         if self._look is not None:
             self._look()
@@ -104,13 +102,13 @@ class ConsoleOperator:
         return "pause" if self._paused else None
 
     def at(self, step: PlannedStep, doing: str, left_s: float) -> None:
-        """Show the step, what is done, and the time left; at the station's pace."""
+        """Show the step, what is done, and the time left at the station."""
         self._total_s = max(self._total_s, left_s)
         text = f"step {step.number} {step.words.step or ''}: {doing}, {_hours(left_s)} left"
         self._progress.update(self._task, description=text, completed=1.0 - left_s / max(self._total_s, 1e-9))
         now = time.monotonic()
-        if not self._quiet and not self._console.is_terminal and now - self._told_at >= _TOLD_EVERY_S:
-            self._told_at = now
+        if not self._quiet and not self._console.is_terminal and now - self._reported_at >= _REPORT_EVERY_S:
+            self._reported_at = now
             self._console.print(text, soft_wrap=True, markup=False)
 
     def _listen(self) -> None:
@@ -120,7 +118,7 @@ class ConsoleOperator:
         except (OSError, ValueError):  # in the background, or what is typed is no text
             pass
         finally:
-            self._hears = False
+            self._listens = False
 
     def _read(self) -> None:
         while True:

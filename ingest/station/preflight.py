@@ -1,4 +1,4 @@
-"""What stands in the way of a run at a station, found before the run has a name and before anything is written."""
+"""Checks before a run at a station: obstacles are found before anything is written."""
 
 import ctypes
 import datetime as dt
@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo
 from ingest.instruments.base import Instrument
 from ingest.station.sources import StationSources
 from ingest.station.station import Station
-from storage.recording.disk_watch import DiskWatch, told_bytes
+from storage.recording.disk_watch import DiskWatch, format_bytes
 from storage.segments.disk import DISK, Disk
 from storage.sql.catalog import Catalog
 from storage.store import Store
@@ -24,13 +24,7 @@ _TIME_ERROR = 5  # of adjtimex(2): nothing keeps the clock right
 
 
 class Preflight(NamedTuple):
-    """What was found.
-
-    Parameters
-    ----------
-    instruments: What each instrument says it is, by its name.
-    warnings: What does not stand in the way and is to be known.
-    """
+    """Identity of each instrument by its name, and warnings that do not prevent the run."""
 
     instruments: Mapping[str, str]
     warnings: tuple[str, ...]
@@ -47,23 +41,18 @@ def preflight(
     duration_s: float,
     disk: Disk = DISK,
 ) -> Preflight:
-    """Look at instruments, buses, serial lines, disks, clock and calibration dates, all of them before one is told of.
+    """Check instruments, buses, serial lines, disks, clock and calibration dates; all obstacles are reported at once.
 
     Parameters
     ----------
-    stack: Instruments stay open until it is left.
-    station: Where.
-    instruments: By name; opened here.
-    sources: Its buses and lines are opened and closed.
-    folders: What will be written to; those that do not exist are looked at where they would be made. With the newest
-        run of those that are stores the clock is compared.
+    stack: Keeps the instruments open until it is left.
+    folders: Folders that will be written. The clock is compared with the newest run of those that are stores.
     now_ns: Time at the station, nanoseconds UTC.
     duration_s: How long the run will take.
-    disk: Whose room.
 
     Raises
     ------
-    InstrumentError: If the run could not be recorded; the message has everything that stands in its way.
+    InstrumentError: If the run could not be recorded; the message has every obstacle.
     """
     stops: list[str] = []
     found: dict[str, str] = {}
@@ -92,7 +81,7 @@ def _day(station: Station, t_ns: int) -> dt.date:
 
 
 def _opened(stack: ExitStack, instrument: Instrument, station: Station) -> str:
-    """Connect to an instrument until the stack is left; what it says it is."""
+    """Connect to an instrument until the stack is left; its identity."""
     try:
         identity = instrument.open()
     except InstrumentError as error:
@@ -115,8 +104,8 @@ def _disk_trouble(folder: Path, disk: Disk) -> str | None:
     if space.free >= 2 * reserve:
         return None
     return (
-        f"{told_bytes(space.free)} free of {told_bytes(space.total)} on the disk of {folder}, and recording pauses "
-        f"below {told_bytes(reserve)}: free space, or give --store on another disk"
+        f"{format_bytes(space.free)} free of {format_bytes(space.total)} on the disk of {folder}, and recording pauses "
+        f"below {format_bytes(reserve)}: free space, or give --store on another disk"
     )
 
 
@@ -135,7 +124,7 @@ def _clock_trouble(now_ns: int, folders: Sequence[Path]) -> str | None:
 
 
 def _newest_ns(store: Path) -> int | None:
-    """When the newest run that was measured here ended; None where none was, or it cannot be told."""
+    """End of the newest run that was measured here; None where there is none, or the store cannot be read."""
     if not (store / "store.json").exists():
         return None
     query = (
@@ -146,13 +135,13 @@ def _newest_ns(store: Path) -> int | None:
         with Catalog(Store.open(store)) as catalog:
             (row,) = [row for batch in catalog.batches(query) for row in batch.to_pylist()]
     except GyrofleetError:
-        return None  # whoever opens the store to write says what is wrong with it
+        return None  # opening the store to write reports what is wrong with it
     newest: int | None = row["newest"]
     return newest
 
 
 def _drifting_clock(read: Callable[[], int | None] | None = None) -> str | None:
-    """What to warn of where nothing keeps the computer's clock right."""
+    """A warning where nothing synchronises the computer's clock."""
     if (read or _clock_state)() != _TIME_ERROR:
         return None
     return (
@@ -162,7 +151,7 @@ def _drifting_clock(read: Callable[[], int | None] | None = None) -> str | None:
 
 
 def _clock_state() -> int | None:
-    """What the kernel says of its clock, see adjtimex(2); None where it cannot be asked."""
+    """State of the kernel's clock, see adjtimex(2); None where it cannot be read."""
     try:
         library = ctypes.CDLL(None, use_errno=True)
         return int(library.adjtimex(ctypes.create_string_buffer(512)))  # all zero: it is only read

@@ -9,7 +9,7 @@ from ingest.instruments.base import Instrument
 from ingest.procedures.procedure import PlannedStep
 from ingest.procedures.run_steps import lasts_s, settings_before
 from ingest.station.bench import StationBench
-from ingest.station.log import RunLog
+from ingest.station.run_log import RunLog
 from ingest.station.station import Station
 from ingest.station_clock import StationClock
 from stream.errors import InstrumentError, RunAborted
@@ -34,35 +34,35 @@ class Source(Protocol):
 class Operator(Protocol):
     """Whoever attends the run."""
 
-    def told(self, text: str) -> None:
-        """Something has happened that people should know."""
+    def report(self, text: str) -> None:
+        """Report what has happened."""
 
     def ready(self, prompt: str) -> bool:
-        """Whether what a prompt asks for has been done; asked again and again until it has."""
+        """Whether what a prompt asks for has been done; called repeatedly until it has."""
 
     def poll_request(self) -> str | None:
-        """``pause``, ``stop`` (to go on later) or ``abort``; None to go on."""
+        """``pause``, ``stop`` (to resume later) or ``abort``; None to go on."""
 
     def at(self, step: PlannedStep, doing: str, left_s: float) -> None:
-        """The step that is worked on, what is being done, and how long the rest of the run will take."""
+        """Show the step that is worked on, what is being done, and how long the rest of the run takes."""
 
 
 class RunStopped(RunAborted):
-    """A run that was stopped and can be gone on with."""
+    """A run that was stopped and can be resumed."""
 
 
 class StationRun:
-    """Works off the steps of a procedure that are left.
+    """Carries out the remaining steps of a procedure.
 
     Parameters
     ----------
-    log: What is said of the run, and how far it is.
+    log: Documents of the run, and how far it is.
     steps: All its steps.
     station: Where.
     instruments: The station's instruments, by name.
     operator: Who attends.
     clock: The station's clock.
-    settle_timeout_s: Seconds at the station after which an instrument that has not settled is given up.
+    settle_timeout_s: Longest settling time of an instrument, seconds at the station.
 
     Attributes
     ----------
@@ -90,12 +90,12 @@ class StationRun:
         self.unsafe: tuple[str, ...] = ()
 
     def report(self, text: str) -> None:
-        """Remember what a source or instrument says, and tell the operator; from any thread."""
+        """Note a report of a source or instrument in the run, and show it to the operator; from any thread."""
         self._log.note(text)
-        self._operator.told(text)
+        self._operator.report(text)
 
     def go(self, sources: Callable[[], Sequence[Source]], samplers: Sequence[Source] = ()) -> None:
-        """Work off the steps; the station is made safe behind the last one, and whatever happens.
+        """Carry out the steps; the station is made safe after the last one, and whatever happens.
 
         Parameters
         ----------
@@ -104,7 +104,7 @@ class StationRun:
 
         Raises
         ------
-        RunStopped: If the operator stops it, or an instrument fails; it can be gone on with.
+        RunStopped: If the operator stops it, or an instrument fails; it can be resumed.
         RunAborted: If the operator aborts it.
         InstrumentError: If a source cannot be started.
         """
@@ -123,34 +123,34 @@ class StationRun:
             raise
         finally:
             cut_ns = self._clock.now_ns()
-            troubles = self._bench.rest()  # before anything is said, which may have to wait for a recorder
+            troubles = self._bench.rest()  # before anything is sent, which may have to wait for a recorder
             rest_ns = self._clock.now_ns()
             _stop(active)
             _stop(list(samplers))
             self._log.end_steps(outcome, cut_ns)
-            self._tell_rest(troubles, rest_ns)
+            self._report_rest(troubles, rest_ns)
 
     def make_safe(self) -> None:
-        """Bring every instrument to where it can be left alone; what fails is said, and hinders no other."""
+        """Make every instrument safe; failures are reported and stop no other."""
         troubles = self._bench.rest()
-        self._tell_rest(troubles, self._clock.now_ns())
+        self._report_rest(troubles, self._clock.now_ns())
 
-    def _tell_rest(self, troubles: Mapping[str, str], rest_ns: int) -> None:
+    def _report_rest(self, troubles: Mapping[str, str], rest_ns: int) -> None:
         self.unsafe = tuple(troubles)
         supplies = self._bench.supplies()
         if supplies and not any(name in troubles for name in supplies):
             self._log.power_off(rest_ns)
         for name, trouble in troubles.items():
-            self.report(f"warning: {name} could not be made safe: {trouble}; see to it by hand")
+            self.report(f"warning: {name} could not be made safe: {trouble}; make it safe by hand")
 
     def _power_up(self) -> None:
-        """Have the units powered, unless the step that is due begins without power; whoever lost it has a new epoch."""
+        """Power the units, unless the step that is due begins without power; units that lost it have a new epoch."""
         if self._log.state.is_powered and self._bench.is_dead():
             self.report("the units have lost their power since the run was left")
-            self._log.save(is_powered=False)
+            self._log.mark_unpowered()
         if self._log.state.is_powered:
             return
-        self._log.power_off()  # where a crash came before it was said
+        self._log.power_off()  # where a crash came before it was sent
         rest = self._steps[self._log.state.step :]
         if rest and rest[0].power not in {"cycle", "off"}:
             self._bench.switch(1.0)
@@ -168,7 +168,7 @@ class StationRun:
             prompt = f"{step.prompt.en} / {step.prompt.zh}"
             self._until(step, "waiting for the operator", partial(self._operator.ready, prompt), None)
         if step.power in {"cycle", "off"}:
-            self._log.save(is_powered=False)  # before it is: who takes the run up after a crash switches on, or off
+            self._log.mark_unpowered()  # before it is: a resumed run then switches on, or off
             self._until(step, "switching off", partial(self._bench.switch, 0.0), self._settle_timeout_s)
             off_ns = self._clock.now_ns()
             _stop(active)
@@ -179,7 +179,7 @@ class StationRun:
             self._until(
                 step, f"setting {what} to {value:g}", partial(self._bench.set, what, value), self._settle_timeout_s
             )
-        # what was set before an interruption has to be reached anew
+        # what was set before an interruption has to be reached again
         for what in dict.fromkeys([*(each for each in due if each not in step.settings), *step.wait_settled]):
             self._until(step, f"{what} settles", partial(self._bench.is_settled, what), self._settle_timeout_s)
         if step.power in {"cycle", "on"}:
@@ -197,11 +197,10 @@ class StationRun:
             self._log.end_steps("completed", end_ns - 1)
         else:
             self._pause(step, "settling", step.settle_s)
-            state = self._log.state
-            self._log.save(step=state.step + 1, steps_done=state.steps_done + 1)
+            self._log.pass_step()
 
     def _await_last(self, step: PlannedStep) -> None:
-        """Wait until the samples of a step have come, which they do a little later; say which units lack some."""
+        """Wait for the last samples of a step; report the units that lack some."""
         coverage = self._log.coverage
         until_s = time.monotonic() + _ARRIVE_S + self._clock.computer_s(2.0 * coverage.longest_interval_s)
         is_enough = lambda: coverage.is_whole or time.monotonic() > until_s  # noqa: E731
@@ -209,25 +208,25 @@ class StationRun:
         named = step.words.step or step.words.procedure
         lacking = coverage.lacking()
         for unit, what in lacking:
-            text = f"warning: step {step.number} ({named}), unit {unit}: {what}; see its wiring and power"
+            text = f"warning: step {step.number} ({named}), unit {unit}: {what}; check its wiring and power"
             self._log.note(text, unit)
-            self._operator.told(text)
+            self._operator.report(text)
         if lacking:
-            self._log.save(short_records=self._log.state.short_records + len(dict(lacking)))
+            self._log.add_short_records(len(dict(lacking)))
 
     def _due(self, step: PlannedStep) -> dict[str, float]:
-        """What is to be commanded: what is new, and after an interruption, since all was made safe, what held then."""
+        """Settings to command: the new ones, and after an interruption, which made all safe, the earlier ones."""
         due = {} if self._is_set_up else settings_before(self._steps, self._log.state.step)
         self._is_set_up = True
         return due | step.settings
 
     def _pause(self, step: PlannedStep, doing: str, station_s: float, since_ns: int | None = None) -> None:
-        """Wait so long at the station, while the operator may pause or stop the run."""
+        """Wait so long at the station; the operator may pause or stop the run meanwhile."""
         end_ns = (self._clock.now_ns() if since_ns is None else since_ns) + round(station_s * 1e9)
         self._until(step, doing, lambda: self._clock.now_ns() >= end_ns, None)
 
     def _until(self, step: PlannedStep, doing: str, is_so: Callable[[], bool], timeout_s: float | None) -> None:
-        """Wait until it is so; an instrument that fails meanwhile is opened and tried again for as long."""
+        """Wait until `is_so`; an instrument that fails meanwhile is tried again for as long."""
         began_ns = self._clock.now_ns()
         asked_ns = 0
         trouble = ""
@@ -255,7 +254,7 @@ class StationRun:
                 )
             self._operator.at(step, doing, self._left_s(step, passed_s))
             if now_ns - self._log.state.seen_ns > _SAVE_EVERY_S * self._clock.speed * 1e9:
-                self._log.save()
+                self._log.mark_seen()
             time.sleep(_LOOK_S)
 
     def _obey(self) -> None:

@@ -1,17 +1,17 @@
 """How far a procedure's run at a station is: one small file, there whole or not at all."""
 
+import datetime as dt
+import string
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 
-from ingest.state_file import read_state, write_state
+from ingest.run_record import Outcome, Phase
+from ingest.state_file import read_state
 from stream.errors import BadInput
 
 STATE_FILE = "procedure.json"
-
-Outcome = Literal["completed", "stopped", "aborted"]
-Phase = Literal["starting", "running", "ending", "ended"]
 
 
 class StationRunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -23,17 +23,14 @@ class StationRunState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     procedure, plan: Name of the procedure, and the SHA-256 of its steps as they were planned.
     units: Serial numbers.
     t0_ns, seen_ns: The station's clock when it started, and when it was last seen going on.
-    starts: How often a process took it up.
-    phase, outcome: ``starting`` until its first documents are kept, ``running``, ``ending`` when nothing more is
-        measured, ``ended`` when a recorder has everything; and how it ended.
-    step: Index of the step that is worked on.
-    open_steps: Of the step that is being recorded: the identity of its document by unit.
+    starts: How many processes have worked on it.
+    phase, outcome: How far it is, and how it ended.
+    step, steps_done: Index of the step that is worked on, and how many are completed.
+    open_steps: Identity of the document of the step that is being recorded, by unit.
     epochs: Epoch of every unit's power-on by unit; none for one that is off.
-    steps_done: Steps that were completed.
-    is_powered: Whether the units have power.
-    powered_ns: When they were given it.
-    closed_steps, closed_as, closed_ns: Of the step that has ended last: the identity of its document by unit, how and
-        when it has ended. It is said again after a crash, which may have come before it was said.
+    is_powered, powered_ns: Whether the units have power, and since when.
+    closed_steps, closed_as, closed_ns: The step that has ended last: the identity of its document by unit, how and
+        when it ended; sent again after a crash.
     short_records: Records of a unit in a step that lack samples.
     """
 
@@ -69,18 +66,8 @@ def read_station_run(folder: Path) -> StationRunState | None:
     return read_state(folder / STATE_FILE, StationRunState)
 
 
-def write_station_run(folder: Path, state: StationRunState) -> StationRunState:
-    """Put the state in the place of the one before; returns it.
-
-    Raises
-    ------
-    StoreError: If it cannot be written; the one before is then still there.
-    """
-    return write_state(folder / STATE_FILE, state)
-
-
 def check_same(state: StationRunState, procedure: str, plan: str, units: tuple[str, ...]) -> None:
-    """Raise BadInput where a run that is to go on was started as another one."""
+    """Raise BadInput where a run that is to be resumed was started as another one."""
     if state.procedure != procedure:
         raise BadInput(f"run {state.run} is one of procedure {state.procedure}, not {procedure}: give another --run")
     if set(state.units) != set(units):
@@ -100,3 +87,32 @@ def unfinished_runs(spool: Path) -> list[StationRunState]:
     """Runs of procedures in a store's spool that have not ended, in the order of their start."""
     found = [read_station_run(path.parent) for path in sorted(spool.glob(f"*/{STATE_FILE}"))]
     return sorted((each for each in found if each is not None and each.phase != "ended"), key=lambda each: each.t0_ns)
+
+
+def left_run(spools: Path, procedure: str, units: tuple[str, ...]) -> str | None:
+    """The run of this procedure and these units that is to be resumed; None where there is none."""
+    for state in unfinished_runs(spools):
+        if state.procedure == procedure and set(state.units) == set(units):
+            return state.run
+    return None
+
+
+def other_unfinished(spools: Path, procedure: str, run: str) -> Iterator[str]:
+    """A warning for each run of this procedure that was left unfinished with other units."""
+    for state in unfinished_runs(spools):
+        if state.procedure == procedure and state.run != run:
+            units = f"{', '.join(state.units[:4])}{' and others' if len(state.units) > 4 else ''}"
+            yield (
+                f"warning: run {state.run} of {units} was left unfinished at step {state.step + 1}; give its --units "
+                "to resume it, with --end to end it"
+            )
+
+
+def fresh_id(spools: Path, procedure: str, day: dt.date) -> str:
+    """A run's id: the day, the procedure and a letter."""
+    letters = string.ascii_uppercase
+    for n in range(26 * 26):
+        name = f"{day}-{procedure}-{letters[n // 26 - 1] if n >= 26 else ''}{letters[n % 26]}"
+        if not any((spools / name).glob("*.json")):  # a run was begun there
+            return name
+    raise BadInput(f"there are {26 * 26} runs of {procedure} on {day}: give this one a name with --run")

@@ -1,4 +1,4 @@
-"""Reads an instrument again and again, and makes batches of what it measures."""
+"""Reads an instrument periodically and makes batches of its readings."""
 
 import math
 import threading
@@ -23,16 +23,14 @@ _NS = 1e9
 class Sampler:
     """Reads one instrument at its `sample_interval_s`, in a thread of its own.
 
-    Where the instrument cannot be read it is said once; it is then opened anew after 0.5 s, 1 s, 2 s and so on to 30 s,
-    until it answers, which is said too. What was not measured meanwhile is a gap in the times.
+    A failure is reported once; the instrument is reopened after 0.5 s, 1 s, 2 s and so on to 30 s, until it answers,
+    which is reported too. The time between is a gap.
 
     Parameters
     ----------
     instrument: Opened; its name is the unit of its samples.
-    run: The run that the samples belong to.
-    epoch: What they are numbered under.
-    deliver: Given each batch, in this sampler's thread. If it raises, sampling ends and that is reported.
-    report: Given sentences for people.
+    deliver: Takes each batch, in this sampler's thread. If it raises, sampling ends and that is reported.
+    report: Takes sentences for people.
     lock: Held while the instrument is used; by default the instrument's own.
     batch_s: Longest time that a sample waits for its batch, seconds of the computer.
     first_seq: Number of the first sample of a signal; by default 0.
@@ -40,8 +38,8 @@ class Sampler:
     Attributes
     ----------
     samples: Delivered so far, all signals together.
-    missed: Moments at which it was to be read and was not.
-    error: What ended it before its time.
+    missed: Readings that were due and not made.
+    error: What ended the sampler early.
 
     Examples
     --------

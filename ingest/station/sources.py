@@ -4,19 +4,21 @@ from collections.abc import Callable, Mapping
 from uuid import uuid4
 
 from ingest.can.bus.bus import CanBus
-from ingest.can.bus.clock import ReceiveClock
-from ingest.can.bus.intake import open_intake
-from ingest.can.mapping import CanPlan, load_mapping
+from ingest.can.bus.columns import ReceiveClock
+from ingest.can.bus.interface import open_intake
+from ingest.can.mapping import load_mapping
+from ingest.can.plan import CanPlan
 from ingest.can.stream import CanDecoder
 from ingest.instruments.base import Instrument
 from ingest.serial.frame_layout import load_layout
 from ingest.serial.serial_line import SerialLine, open_port
-from ingest.station.log import RunLog
 from ingest.station.run import Source
+from ingest.station.run_log import RunLog
 from ingest.station.sampling import Sampler
 from ingest.station.station import Station
 from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError
+from stream.quantities import is_angular_rate
 
 
 class StationSources:
@@ -24,14 +26,12 @@ class StationSources:
 
     Parameters
     ----------
-    station: Where.
     instruments: Opened, by name.
-    clock: The station's clock.
-    units: The units that are tested; each must come from a bus or a line.
+    units: The units that are tested; each must be on a bus or a line.
 
     Raises
     ------
-    BadInput: If a database, mapping or layout cannot be read, or a unit comes from nowhere.
+    BadInput: If a database, mapping or layout cannot be read, or a unit is on no bus or line.
     """
 
     def __init__(
@@ -58,8 +58,19 @@ class StationSources:
         if taken := sorted(self._units & set(instruments)):
             raise BadInput(f"{', '.join(taken)}: a unit and an instrument of {station.path} have the same name")
 
+    def rate_signals(self) -> dict[str, list[str]]:
+        """Angular rates that each unit delivers."""
+        found: dict[str, list[str]] = {unit: [] for unit in sorted(self._units)}
+        came = [signal for plan in self._plans.values() for signal in plan.signals]
+        for name, line in self._station.lines.items():
+            came += [(line.unit, field.signal, field.unit) for field in self._layouts[name].fields]
+        for unit, signal, unit_of_measure in came:
+            if unit in found and is_angular_rate(unit_of_measure):
+                found[unit].append(signal)
+        return found
+
     def _check_twice(self) -> None:
-        """Refuse a signal that comes on two ways: its samples could not be numbered."""
+        """Refuse a signal that has two sources: its samples could not be numbered."""
         ways: dict[tuple[str, str], str] = {}
         found = [
             (f"buses.{name}", unit, signal) for name, plan in self._plans.items() for unit, signal, _ in plan.signals
@@ -75,7 +86,7 @@ class StationSources:
                 )
 
     def cannot_be_opened(self) -> list[str]:
-        """Which buses and lines cannot be opened now, each as a sentence; each is closed again."""
+        """A sentence for each bus and line that cannot be opened now."""
         found = []
         for name in self._plans:
             try:
@@ -91,7 +102,7 @@ class StationSources:
         return found
 
     def make(self, log: RunLog, report: Callable[[str], None]) -> list[Source]:
-        """Sources for the power-ons as they are; of units that are not tested nothing is taken."""
+        """Sources for the present power-ons, of the tested units only."""
         made: list[Source] = [
             CanBus(
                 self._station.buses[name].bus,
@@ -99,7 +110,7 @@ class StationSources:
                 CanDecoder(plan, run=log.state.run, epoch_of=log.epoch_of),
                 log.deliver,
                 report,
-                wanted={route.arbitration_id for route in plan.routes},
+                wanted=plan.wanted,
             )
             for name, plan in self._plans.items()
         ]
@@ -121,7 +132,7 @@ class StationSources:
         return made
 
     def samplers(self, log: RunLog, report: Callable[[str], None]) -> list[Source]:
-        """Samplers of all instruments, for the whole of a process."""
+        """Samplers of all instruments."""
         return [
             Sampler(instrument, log.state.run, self._epoch, log.deliver, report)
             for instrument in self._instruments.values()
@@ -134,4 +145,4 @@ def _of_units(plan: CanPlan, units: frozenset[str]) -> CanPlan:
 
 
 def _nobody(_sentence: str) -> None:
-    """Nothing of a bus that is closed at once is told."""
+    """Ignore reports of a bus that is closed at once."""

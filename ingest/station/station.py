@@ -1,4 +1,4 @@
-"""A station: where it is, its instruments and buses, and which unit sits where; a TOML file."""
+"""A station: its place, instruments, buses and slots; a TOML file."""
 
 import datetime as dt
 import fcntl
@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from ingest.can.bus.open import CanBusOptions
+from ingest.can.bus.interface import CanBusOptions
 from ingest.instruments.base import Instrument, Options, instrument_kinds
 from ingest.instruments.scpi import ScpiOptions
 from ingest.instruments.visa import resource_trouble
@@ -29,14 +29,7 @@ class ClockTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class BusTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`[buses.NAME]`: a CAN bus with gyros.
-
-    Parameters
-    ----------
-    bus: The interface, as python-can knows it.
-    dbc: Database files, beside the station file.
-    mapping: Which signal of the database is which unit's; beside the station file.
-    """
+    """`[buses.NAME]`: a CAN bus with gyros; `dbc` databases and `mapping` (signals of units) lie beside the file."""
 
     bus: CanBusOptions
     dbc: tuple[str, ...]
@@ -97,11 +90,8 @@ class Station(msgspec.Struct, frozen=True, kw_only=True):
     Parameters
     ----------
     path: The file; other files that it names lie beside it.
-    table: Names and place.
-    clock: Its clock.
     instruments: Kind and options of every instrument by its name.
-    buses, lines, slots: CAN buses, serial lines, and places for units, by name.
-    settings: Which instrument a setting of a procedure goes to: ``{"rate": "table"}``.
+    settings: Instrument of each setting of a procedure: ``{"rate": "table"}``.
     """
 
     path: Path
@@ -136,7 +126,7 @@ class Station(msgspec.Struct, frozen=True, kw_only=True):
         BadInput: If another run of this computer has it.
         """
         with self.path.open("rb") as file:
-            with suppress(OSError):  # where files cannot be locked, people see to it
+            with suppress(OSError):  # some file systems have no locks
                 try:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except BlockingIOError:
@@ -214,7 +204,7 @@ def _options(path: Path, name: str, table: dict[str, Any]) -> tuple[str, Options
     if kind not in kinds:
         known = ", ".join(sorted(kinds))
         raise BadInput(f"{path}: instruments.{name}.kind is {kind!r}; gyrofleet knows {known}")
-    # TOML has days of its own, and who leaves the quotes out means the same
+    # a date without quotes is a TOML date
     rest = {key: value.isoformat() if isinstance(value, dt.date) else value for key, value in table.items()}
     del rest["kind"]
     try:
@@ -240,12 +230,12 @@ def _slot(path: Path, name: str, slot: SlotTable, instruments: Mapping[str, tupl
         raise BadInput(f"{path}: slots.{name}.power is {slot.power!r}, which is no instrument of this station")
     kind, _ = instruments[slot.power]
     if "output" not in instrument_kinds()[kind].settings:
-        raise BadInput(f"{path}: slots.{name}.power is {slot.power!r}, a {kind}, which switches nothing on or off")
+        raise BadInput(f"{path}: slots.{name}.power is {slot.power!r}, a {kind}, which has no output to switch")
     return slot
 
 
 def _settings(path: Path, given: Mapping[str, str], instruments: Mapping[str, tuple[str, Options]]) -> dict[str, str]:
-    """Which instrument each setting goes to: what the file says, else the only one that has it."""
+    """Instrument of each setting: as the file says, else the only one that has it."""
     kinds = instrument_kinds()
     able: dict[str, list[str]] = {}
     for name, (kind, _) in instruments.items():

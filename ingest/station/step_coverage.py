@@ -1,4 +1,4 @@
-"""Whether the units deliver in a step what their sample intervals promise."""
+"""Whether the units deliver as many samples in a step as their sample intervals imply."""
 
 import threading
 from collections import deque
@@ -21,11 +21,7 @@ class _Seen:
 
 
 class StepCoverage:
-    """Counts the samples of units in the evaluated part of a step; batches come from any thread.
-
-    Parameters
-    ----------
-    units: Serial numbers; samples of others are not counted.
+    """Counts the samples of `units` in the evaluated part of a step; batches come from any thread.
 
     Examples
     --------
@@ -48,7 +44,7 @@ class StepCoverage:
         self._lock = threading.Lock()
 
     def begin(self, begin_ns: int, end_ns: int) -> None:
-        """Count from now on what lies from one moment to before another."""
+        """Count samples from `begin_ns` to before `end_ns` from now on."""
         with self._lock:
             self._begin_ns, self._end_ns = begin_ns, end_ns
             for seen in self._seen.values():

@@ -1,4 +1,4 @@
-"""Which units are tested, and in which slots: a table, or what a barcode reader has typed, one serial a line."""
+"""Which units are tested, and in which slots: a table, or serials from a barcode reader, one a line."""
 
 import csv
 import io
@@ -23,7 +23,7 @@ _DELIMITERS = (",", ";", "\t")
 _ENCODINGS = ("utf-8-sig", "gb18030")
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _COLUMN = re.compile(r"[^\x00-\x1f\"']{1,64}")
-_TOLD_PROBLEMS = 20
+_LISTED = 20
 _NAMESPACE = uuid5(NAMESPACE_URL, "gyrofleet/unit-mounted")
 
 
@@ -33,10 +33,8 @@ class UnitEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     Parameters
     ----------
     serial: Its serial number, which is its name in the data.
-    slot: Where it stands.
-    lot, operator, fixture, firmware, product: What belongs to it.
-    details: Whatever else the file says of it, by the title of the column.
-    line: Line of the file that it stands in, from 1.
+    details: The file's other columns, by their titles.
+    line: Its line in the file, from 1.
     """
 
     serial: str
@@ -120,9 +118,9 @@ def parse_units(content: bytes, source: str, slots: Iterable[str] | None = None)
         entries = list(_plain(rows, problems))
     problems += _conflicts(entries, None if slots is None else tuple(slots))
     if problems:
-        told = "; ".join(problems[:_TOLD_PROBLEMS])
-        more = f"; and {len(problems) - _TOLD_PROBLEMS} more" if len(problems) > _TOLD_PROBLEMS else ""
-        raise BadInput(f"units {source}: {told}{more}. Nothing of it is taken; correct these lines")
+        listed = "; ".join(problems[:_LISTED])
+        more = f"; and {len(problems) - _LISTED} more" if len(problems) > _LISTED else ""
+        raise BadInput(f"units {source}: {listed}{more}. Nothing of it is taken; correct these lines")
     if not entries:
         raise BadInput(f"units {source}: titles, but no unit below them")
     return UnitsFile(source=source, entries=tuple(entries), encoding=encoding, empty_lines=empty)
@@ -150,15 +148,7 @@ def assigned(entries: Sequence[UnitEntry], slots: Sequence[str]) -> tuple[UnitEn
 
 
 def mounted_documents(entries: Iterable[UnitEntry], run: str, t_ns: int) -> tuple[UnitMounted, ...]:
-    """What is said of the units in the data.
-
-    The documents' identities come from what they say: given again for the same run and moment, they are the same.
-
-    Parameters
-    ----------
-    entries: The units.
-    run: The run.
-    t_ns: When they were mounted, nanoseconds on the station's clock.
+    """Documents of the units; for the same run and `t_ns` on the station's clock they have the same identities.
 
     Examples
     --------
@@ -173,13 +163,8 @@ def mounted_documents(entries: Iterable[UnitEntry], run: str, t_ns: int) -> tupl
                 _NAMESPACE, msgspec.json.encode([run, t_ns, msgspec.structs.replace(entry, line=0)]).decode()
             ).hex,
             unit=entry.serial,
-            product=entry.product,
-            lot=entry.lot,
-            slot=entry.slot,
-            fixture=entry.fixture,
-            operator=entry.operator,
-            firmware=entry.firmware,
             details=entry.details,
+            **{name: getattr(entry, name) for name in COLUMNS[1:]},
         )
         for entry in entries
     )
@@ -240,14 +225,14 @@ def _table(rows: list[tuple[int, list[str]]], source: str, problems: list[str]) 
         if len(cells) > len(named):
             problems.append(f"line {line}: {len(cells)} columns, the titles name {len(named)}")
             continue
-        said = {title: cell for title, cell in zip(named, cells, strict=False) if cell}
-        if long := [title for title, cell in said.items() if len(cell) > _MOST_CHARACTERS]:
+        given = {title: cell for title, cell in zip(named, cells, strict=False) if cell}
+        if long := [title for title, cell in given.items() if len(cell) > _MOST_CHARACTERS]:
             problems.append(f"line {line}: more than {_MOST_CHARACTERS} characters in column {long[0]!r}")
-        elif "serial" not in said:
+        elif "serial" not in given:
             problems.append(f"line {line}: no serial")
-        elif _is_good("unit", said["serial"], line, problems):
-            known = {name: said.pop(name, None) for name in COLUMNS[1:]}
-            yield UnitEntry(serial=said.pop("serial"), **known, details=said, line=line)
+        elif _is_good("unit", given["serial"], line, problems):
+            known = {name: given.pop(name, None) for name in COLUMNS[1:]}
+            yield UnitEntry(serial=given.pop("serial"), **known, details=given, line=line)
 
 
 def _is_good(kind: str, name: str, line: int, problems: list[str]) -> bool:

@@ -1,4 +1,4 @@
-"""From pieces of a signal, however a file is cut, to batches of equal size."""
+"""Samples of one signal, in pieces of any size, cut into batches of equal size."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -6,12 +6,15 @@ from uuid import UUID
 
 import numpy as np
 
-from ingest.tables.grid import is_gap
+from ingest.tables.grid import Sampling, is_gap
 from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
+
+# Batches are split at gaps if that leaves at least this many samples per batch on average.
+_SAMPLES_PER_GAP = 50
 
 
 @dataclass(frozen=True)
-class BatchHead:
+class SignalHead:
     """What all batches of one signal share; the fields are those of SampleBatch."""
 
     unit: str
@@ -23,6 +26,32 @@ class BatchHead:
     irregular: bool
     scale: float = 1.0
     offset: float = 0.0
+
+    def batch(
+        self, seq: int, times_ns: IntArray, data: FloatArray | CountArray, *, is_even: bool, irregular: bool
+    ) -> SampleBatch:
+        """A batch; times are left out of it if they are `is_even`."""
+        return SampleBatch(
+            unit=self.unit,
+            signal=self.signal,
+            run=self.run,
+            epoch=self.epoch,
+            seq=seq,
+            t0_ns=int(times_ns[0]),
+            dt_ns=self.dt_ns,
+            unit_of_measure=self.unit_of_measure,
+            counts=data if data.dtype == np.int32 else None,  # type: ignore[arg-type]
+            values=data if data.dtype == np.float64 else None,  # type: ignore[arg-type]
+            times_ns=None if is_even else times_ns,
+            irregular=irregular,
+            scale=self.scale,
+            offset=self.offset,
+        )
+
+
+def splits_at_gaps(sampling: Sampling) -> bool:
+    """Whether a signal has few enough gaps to end a batch at each."""
+    return sampling.gaps * _SAMPLES_PER_GAP <= sampling.samples
 
 
 class Batcher:
@@ -36,7 +65,7 @@ class Batcher:
 
     Examples
     --------
-    >>> head = BatchHead("G1", "rate", "r1", UUID(int=1), 10, "deg/s", irregular=False)
+    >>> head = SignalHead("G1", "rate", "r1", UUID(int=1), 10, "deg/s", irregular=False)
     >>> batcher = Batcher(head, batch_samples=2, splits_at_gaps=True)
     >>> [len(batch) for batch in batcher.push(np.array([0, 10, 20]), np.zeros(3))]
     [2]
@@ -44,18 +73,18 @@ class Batcher:
     [2]
     """
 
-    def __init__(self, head: BatchHead, batch_samples: int, *, splits_at_gaps: bool) -> None:
+    def __init__(self, head: SignalHead, batch_samples: int, *, splits_at_gaps: bool) -> None:
         self._head = head
         self._batch_samples = batch_samples
         self._splits_at_gaps = splits_at_gaps
-        self._waiting: tuple[IntArray, FloatArray | CountArray] | None = None
+        self._buffer: tuple[IntArray, FloatArray | CountArray] | None = None
         self._seq = 0
 
     def push(self, times_ns: IntArray, data: FloatArray | CountArray) -> Iterator[SampleBatch]:
-        """Take samples; give out the batches that are full."""
-        if self._waiting is not None:
-            times_ns = np.concatenate([self._waiting[0], times_ns])
-            data = np.concatenate([self._waiting[1], data])
+        """Add samples; give out the batches that are full."""
+        if self._buffer is not None:
+            times_ns = np.concatenate([self._buffer[0], times_ns])
+            data = np.concatenate([self._buffer[1], data])
         else:
             # the pieces may be views of a reader's buffer, which a batch must not keep alive
             times_ns, data = times_ns.copy(), data.copy()
@@ -63,21 +92,19 @@ class Batcher:
         uneven = intervals_ns != self._head.dt_ns
         begin = 0
         for end in self._ends(intervals_ns, len(data)):
-            is_even = not uneven[begin : end - 1].any()
-            yield self._batch(times_ns[begin:end], data[begin:end], is_even=is_even)
+            yield self._batch(times_ns[begin:end], data[begin:end], is_even=not uneven[begin : end - 1].any())
             begin = end
-        self._waiting = (times_ns[begin:].copy(), data[begin:].copy()) if begin < len(data) else None
+        self._buffer = (times_ns[begin:].copy(), data[begin:].copy()) if begin < len(data) else None
 
     def flush(self) -> Iterator[SampleBatch]:
-        """Give out what waits for a full batch."""
-        if self._waiting is not None:
-            times_ns, data = self._waiting
-            self._waiting = None
-            is_even = bool((np.diff(times_ns) == self._head.dt_ns).all())
-            yield self._batch(times_ns, data, is_even=is_even)
+        """Give out the buffered samples."""
+        if self._buffer is not None:
+            times_ns, data = self._buffer
+            self._buffer = None
+            yield self._batch(times_ns, data, is_even=bool((np.diff(times_ns) == self._head.dt_ns).all()))
 
     def _ends(self, intervals_ns: IntArray, samples: int) -> Iterator[int]:
-        """Where batches end; what is behind the last one waits."""
+        """Ends of the full batches."""
         gaps = np.flatnonzero(is_gap(intervals_ns, self._head.dt_ns)) + 1 if self._splits_at_gaps else np.array([], int)
         begin = 0
         for gap in gaps.tolist():
@@ -87,22 +114,6 @@ class Batcher:
         yield from range(begin + self._batch_samples, samples + 1, self._batch_samples)
 
     def _batch(self, times_ns: IntArray, data: FloatArray | CountArray, *, is_even: bool) -> SampleBatch:
-        head = self._head
-        seq = self._seq
+        batch = self._head.batch(self._seq, times_ns, data, is_even=is_even, irregular=self._head.irregular)
         self._seq += len(data)
-        return SampleBatch(
-            unit=head.unit,
-            signal=head.signal,
-            run=head.run,
-            epoch=head.epoch,
-            seq=seq,
-            t0_ns=int(times_ns[0]),
-            dt_ns=head.dt_ns,
-            unit_of_measure=head.unit_of_measure,
-            counts=data if data.dtype == np.int32 else None,  # type: ignore[arg-type]
-            values=data if data.dtype == np.float64 else None,  # type: ignore[arg-type]
-            times_ns=None if is_even else times_ns,
-            irregular=head.irregular,
-            scale=head.scale,
-            offset=head.offset,
-        )
+        return batch

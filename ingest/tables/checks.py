@@ -1,4 +1,4 @@
-"""Rows of a table compared with the contract: names, times, step words; what passes comes by unit and run."""
+"""Rows of a table checked against the contract: names, times, step words; good rows are grouped by unit and run."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ _LONGEST_S = 1e8
 
 
 class Owner(NamedTuple):
-    """Whose rows these are."""
+    """Unit and run of rows."""
 
     unit: str
     run: str
@@ -38,7 +38,6 @@ class GoodRows:
 
     Parameters
     ----------
-    owner: Unit and run.
     times_ns: shape (n,); strictly increasing, on the run's clock.
     signals: By name of the signal, shape (n,) each.
     stretches: Consecutive stretches of rows (from, to, words of their step).
@@ -53,18 +52,7 @@ class GoodRows:
 
 
 class RowFilter:
-    """Lets the good rows of a file through, block after block, and logs the bad ones.
-
-    Parameters
-    ----------
-    path: The file, for messages and the run's default name.
-    columns: What its columns are.
-    options: What the command line adds.
-
-    Raises
-    ------
-    BadInput: If a name given by the options cannot be used.
-    """
+    """Selects the good rows of a file, block by block, and logs the bad ones."""
 
     def __init__(self, path: Path, columns: Columns, options: TableOptions) -> None:
         self._path = path
@@ -83,7 +71,7 @@ class RowFilter:
         """Good rows of the next block, by unit and run."""
         units = self._names(block, "unit", self._columns.unit)
         runs = self._names(block, "run", self._columns.run)
-        words = [self._words(block, number) for number in range(len(self._columns.words))]
+        words = [_read_texts(block, column.title, column.read) for column in self._columns.words]
         passed: list[tuple[Owner, IndexArray, IntArray]] = []
         owned = list(self._owned(units, runs, len(block.numbers)))
         written_ns = self._written_times(block, owned)
@@ -112,12 +100,8 @@ class RowFilter:
                 raise BadInput("a name without white space or / * $ ? #") from error
 
         names = _read_texts(block, title, read)
-        _refuse_empty(block, title, names, f"the name of a {kind}")
+        block.sieve.refuse(np.flatnonzero(names.codes < 0), _unreadable(block, title, "", f"the name of a {kind}"))
         return names
-
-    def _words(self, block: CellBlock, number: int) -> TextCells:
-        column = self._columns.words[number]
-        return _read_texts(block, column.title, column.read)
 
     def _owned(self, units: TextCells | None, runs: TextCells | None, n: int) -> Iterator[tuple[Owner, IndexArray]]:
         if units is None and runs is None:
@@ -172,7 +156,7 @@ class RowFilter:
         if owner not in self._last_ns and len(self._last_ns) >= _MOST_OWNERS:
             raise BadInput(f"{self._path}: more than {_MOST_OWNERS} units and runs; does column 'unit' hold names?")
         times = times_ns[rows]
-        # a late row never is the latest: the running maximum of all rows is that of the good ones
+        # a late row is never the latest: the running maximum of all rows is that of the good ones
         latest = np.maximum.accumulate(np.concatenate([[self._last_ns.get(owner, _NEVER_NS)], times]))
         self._last_ns[owner] = int(latest[-1])
         late = times <= latest[:-1]
@@ -212,8 +196,8 @@ class RowFilter:
                 cells.values[code[begin]] if code[begin] >= 0 else None
                 for cells, code in zip(words, codes, strict=True)
             ]
-            said = with_common_words(step_words(self._columns.words, values), self._common_words)
-            stretches.append((begin, end, said))
+            words_here = with_common_words(step_words(self._columns.words, values), self._common_words)
+            stretches.append((begin, end, words_here))
         return stretches
 
 
@@ -227,7 +211,7 @@ def _run_name(path: Path, run: str | None) -> str:
 
 
 def _read_texts(block: CellBlock, title: str, read: Callable[[object], Any]) -> TextCells:
-    """Read every distinct cell once; equal meanings share a code, empty ones and unreadable ones have -1."""
+    """Read every distinct cell once; equal meanings share a code, empty and unreadable cells have -1."""
     cells = block.texts[title]
     meanings: dict[Any, int] = {}
     codes = np.full(len(cells.values) + 1, -1, np.int32)
@@ -246,10 +230,6 @@ def _read_texts(block: CellBlock, title: str, read: Callable[[object], Any]) -> 
 
 def _unreadable(block: CellBlock, title: str, found: str, expected: str) -> Callable[[int], BadRow]:
     return lambda row: BadRow(block.place, int(block.numbers[row]), title, found, expected)
-
-
-def _refuse_empty(block: CellBlock, title: str, names: TextCells, expected: str) -> None:
-    block.sieve.refuse(np.flatnonzero(names.codes < 0), _unreadable(block, title, "", expected))
 
 
 def _taken(cells: NumberCells, rows: IndexArray) -> NumberCells:

@@ -1,14 +1,15 @@
-"""The header of a table: what each column is, by the import contract.
+"""The header of a table: the meaning of each column.
 
-``signal[unit]`` is a signal, ``time[s]`` (or another unit of time) the time; ``unit`` and ``run`` say whose
-samples a row holds, the step words in which step it lies. Nothing else is accepted.
+``signal[unit]`` is a signal, ``time[s]`` (or another unit of time) the time; ``unit`` and ``run`` say whose samples a
+row holds, the step words in which step it lies. Titles of other programs, ``Gyro X (deg/s)``, ``Time (s)``, are
+understood: blanks in such a name become ``_``, and it is written in lower case.
 """
 
 import difflib
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,13 +18,16 @@ import msgspec
 
 from ingest.tables.steps import WORD_NAMES, WordColumn, word_column
 from ingest.tables.times import MAX_NS, ns_per_unit
+from ingest.tables.units import column_unit
 from stream.errors import BadInput
 from stream.events import StepWords
 from stream.identity import check_name
-from stream.quantities import check_unit
 
 _TITLE = re.compile(r"\s*([^\[\]]*?)\s*(?:\[([^\[\]]*)\])?\s*")
-_LOOKS_LIKE_TIME = frozenset({"t", "time", "timestamp", "times", "epoch", "clock", "date", "datetime"})
+_ROUND_TITLE = re.compile(r"\s*([^\[\]]*?)\s*\(((?:[^()\[\]]|\([^()\[\]]*\))*)\)\s*")
+_LOOKS_LIKE_TIME = frozenset({"t", "time", "timestamp", "times", "epoch", "clock", "date", "datetime", "elapsedtime"})
+_STAMP_UNITS = frozenset({"iso", "iso8601", "utc", "datetime", "date"})
+_SQUARE = "name it like 'rate[deg/s]'"
 
 
 @dataclass(frozen=True)
@@ -32,13 +36,14 @@ class TableOptions:
 
     Parameters
     ----------
-    unit, run: Whose samples these are, where no column says so. Without a run, it is named as the file is, less the
-        suffix.
+    unit, run: Whose samples these are, if no column says so. The default run is the file's name without suffix.
     start_ns: The run's start, nanoseconds UTC: added to times that count from it.
     sample_rate_hz: Sampling rate in Hz of a file without a time column.
     skip_bad: Leave bad rows out instead of refusing the file.
     batch_samples: Most samples in a batch.
-    words: Words of a step that hold for all rows, where no column says them.
+    words: Step words of all rows, if no column has them.
+    renames: Title of a column, or its name without unit, and what it is to be called: ``gyro_x`` or ``gyro_x[deg/s]``.
+    time_zone: Of time stamps that name none.
 
     Raises
     ------
@@ -57,6 +62,8 @@ class TableOptions:
     skip_bad: bool = False
     batch_samples: int = 1000
     words: StepWords | None = None
+    renames: tuple[tuple[str, str], ...] = ()
+    time_zone: str | None = None
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -80,21 +87,23 @@ class SignalColumn:
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """The column of times, in units of `ns_per_unit` nanoseconds."""
+    """The column of times: numbers of `ns_per_unit` nanoseconds, or ISO 8601 time stamps."""
 
     title: str
     ns_per_unit: int
+    is_stamp: bool = False
 
 
 @dataclass
 class Columns:
-    """What the columns of a table are; `unit` and `run` are titles of columns, where there are such."""
+    """Meaning of the columns of a table; `unit` and `run` are titles of columns."""
 
     signals: list[SignalColumn] = field(default_factory=list)
     time: TimeColumn | None = None
     unit: str | None = None
     run: str | None = None
     words: list[WordColumn] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
 
     @property
     def text_titles(self) -> list[str]:
@@ -102,8 +111,8 @@ class Columns:
         return [title for title in (self.unit, self.run) if title is not None] + [word.title for word in self.words]
 
 
-def read_header(path: Path, titles: Sequence[str], options: TableOptions) -> Columns:
-    """Say what the columns with `titles` are.
+def read_header(path: Path, titles: Sequence[str], options: TableOptions, stamps: Collection[str] = ()) -> Columns:
+    """Find the meaning of the columns with `titles`; those of `stamps` hold ISO 8601 time stamps.
 
     Raises
     ------
@@ -115,11 +124,12 @@ def read_header(path: Path, titles: Sequence[str], options: TableOptions) -> Col
     >>> columns.signals
     [SignalColumn(title='rate[deg/s]', name='rate', unit_of_measure='deg/s')]
     """
-    columns = Columns()
     try:
         _refuse_repeated("column", titles)
+        reader = _HeaderReader(titles, options, stamps)
         for number, title in enumerate(titles, 1):
-            _add(columns, title, number)
+            reader.add(title, number)
+        columns = reader.columns
         _refuse_repeated("signal", [signal.name for signal in columns.signals])
         _refuse_repeated("column", [word.word for word in columns.words])
         _check_complete(columns, titles, options)
@@ -134,60 +144,133 @@ def _refuse_repeated(kind: str, names: Sequence[str]) -> None:
         raise BadInput(f"{kind} {repeated[0]!r} stands in the header more than once; remove or rename one")
 
 
-def _add(columns: Columns, title: str, number: int) -> None:
-    match = _TITLE.fullmatch(title)
-    name, unit = (match[1], match[2]) if match else (title.strip(), None)
-    if not title.strip():
-        raise BadInput(f"column {number} has no title; name it like 'rate[deg/s]' or remove it")
-    if name == "time":
-        _add_time(columns, title, unit)
-    elif name in {"unit", "run"}:
-        _add_owner(columns, title, name, unit)
-    elif name in WORD_NAMES:
-        columns.words.append(word_column(title, name, unit))
-    elif unit is None or not name:
-        raise BadInput(_how_to_name(title, name, match is not None))
-    else:
+class _HeaderReader:
+    """Reads titles one after the other."""
+
+    def __init__(self, titles: Sequence[str], options: TableOptions, stamps: Collection[str]) -> None:
+        self.columns = Columns()
+        self._stamps = stamps
+        self._renames = {}
+        for old, new in options.renames:
+            found = [title for title in titles if old in {title, _parts(title)[0]}]
+            if len(found) != 1:
+                many = f"{len(found)} columns are called so" if found else f"the columns are {', '.join(titles)}"
+                raise BadInput(f"--rename {old!r}: {many}; give the title of one column")
+            self._renames[found[0]] = new
+
+    def add(self, title: str, number: int) -> None:
+        if not title.strip():
+            raise BadInput(f"column {number} has no title; {_SQUARE} or remove it")
+        name, unit, is_foreign = _parts(title)
+        if title in self._renames:
+            name, new_unit, _ = _parts(self._renames[title])
+            unit, is_foreign = unit if new_unit is None else new_unit, False
+            unit = None if name in {"unit", "run"} | WORD_NAMES and new_unit is None else unit
+        is_time = _is_time_name(name)
+        is_stamp = title in self._stamps and (unit is None or is_foreign or _plain_letters(unit) in _STAMP_UNITS)
+        if name == "time" or (is_time and (is_stamp or (is_foreign and _is_of_time(unit)))):
+            self._add_time(title, unit, is_stamp=is_stamp)
+        elif name in {"unit", "run"}:
+            self._add_owner(title, name, unit)
+        elif name in WORD_NAMES:
+            self.columns.words.append(word_column(title, name, unit))
+        elif unit is None or not name:
+            raise BadInput(_how_to_name(title, name))
+        else:
+            self._add_signal(title, name, unit, is_foreign=is_foreign)
+
+    def _add_time(self, title: str, unit: str | None, *, is_stamp: bool) -> None:
+        if self.columns.time is not None:
+            raise BadInput(f"columns {self.columns.time.title!r} and {title!r} are both times; keep one")
+        if is_stamp:
+            self.columns.time = TimeColumn(title, 1, is_stamp=True)
+            return
+        if unit is None:
+            raise BadInput(f"column {title!r} has no unit; name it 'time[s]' or 'time[ns]'")
+        if _plain_letters(unit) in _STAMP_UNITS:
+            raise BadInput(f"column {title!r} begins with no ISO 8601 time stamp, like 2026-11-21T18:00:00.5Z")
         try:
-            columns.signals.append(SignalColumn(title, check_name("signal", name), check_unit(unit.strip())))
+            self.columns.time = TimeColumn(title, ns_per_unit(unit.strip()))
         except BadInput as error:
-            raise type(error)(f"column {title!r}: {error}") from error
+            raise type(error)(f"column {title!r}: {error}; name it 'time[s]' or 'time[ns]'") from error
+
+    def _add_owner(self, title: str, name: str, unit: str | None) -> None:
+        if unit is not None:
+            raise BadInput(f"column {title!r} holds names and takes no unit; name it {name!r}")
+        if (other := getattr(self.columns, name)) is not None:
+            raise BadInput(f"columns {other!r} and {title!r} both say the {name}; keep one")
+        setattr(self.columns, name, title)
+
+    def _add_signal(self, title: str, name: str, unit: str, *, is_foreign: bool) -> None:
+        signal = re.sub(r"[\s/*$?#]+", "_", name).strip("_.@").lower() if is_foreign else name
+        try:
+            if is_foreign and name != signal and not _is_usable(name):
+                self.columns.remarks.append(f"column {title!r} is signal {check_name('signal', signal)}")
+            else:
+                signal = check_name("signal", name)
+            measure, remark = column_unit(unit, signal)
+        except BadInput as error:
+            hint = "" if _is_usable(name) else f"; or give --rename {title}={re.sub('[^a-zA-Z0-9_]+', '_', name)}"
+            raise type(error)(f"column {title!r}: {error}{hint}") from error
+        if remark:
+            is_warning = remark.startswith("warning: ")
+            text = f"column {title!r}: {remark.removeprefix('warning: ')}"
+            self.columns.remarks.append(f"warning: {text}" if is_warning else text)
+        self.columns.signals.append(SignalColumn(title, signal, measure))
 
 
-def _add_time(columns: Columns, title: str, unit: str | None) -> None:
-    if columns.time is not None:
-        raise BadInput(f"columns {columns.time.title!r} and {title!r} are both times; keep one")
-    if unit is None:
-        raise BadInput(f"column {title!r} has no unit; name it 'time[s]' or 'time[ns]'")
+def _parts(title: str) -> tuple[str, str | None, bool]:
+    """Name and unit of a title, and whether its unit is in round brackets, as other programs write it."""
+    if match := _ROUND_TITLE.fullmatch(title):
+        return match[1], match[2], True
+    match = _TITLE.fullmatch(title)
+    return (match[1], match[2], False) if match else ("", None, False)
+
+
+def _plain_letters(text: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", text.lower())
+
+
+def _is_time_name(name: str) -> bool:
+    return _plain_letters(name) in _LOOKS_LIKE_TIME
+
+
+def _is_of_time(unit: str | None) -> bool:
     try:
-        columns.time = TimeColumn(title, ns_per_unit(unit.strip()))
-    except BadInput as error:
-        raise type(error)(f"column {title!r}: {error}; name it 'time[s]' or 'time[ns]'") from error
+        return unit is not None and (_plain_letters(unit) in _STAMP_UNITS or ns_per_unit(unit.strip()) > 0)
+    except BadInput:
+        return False
 
 
-def _add_owner(columns: Columns, title: str, name: str, unit: str | None) -> None:
-    if unit is not None:
-        raise BadInput(f"column {title!r} holds names and takes no unit; name it {name!r}")
-    if getattr(columns, name) is not None:
-        raise BadInput(f"columns {getattr(columns, name)!r} and {title!r} both say the {name}; keep one")
-    setattr(columns, name, title)
+def _is_usable(name: str) -> bool:
+    try:
+        check_name("signal", name)
+    except BadInput:
+        return False
+    return True
 
 
-def _how_to_name(title: str, name: str, is_readable: bool) -> str:
-    if not is_readable or not name:
-        return f"column {title!r} cannot be read; name it like 'rate[deg/s]'"
+def _how_to_name(title: str, name: str) -> str:
+    if not name:
+        return f"column {title!r} cannot be read; {_SQUARE}"
     if _is_number(name):
         return f"column {title!r} is a number: the first line must be the header, like 'time[s],rate[deg/s]'"
-    if name.lower() in _LOOKS_LIKE_TIME:
-        return f"column {title!r} has no unit; if it is the time, give it in seconds and name it 'time[s]'"
+    if _is_time_name(name):
+        return (
+            f"column {title!r} has no unit; if it is the time, give it in seconds and name it 'time[s]', "
+            f"or as ISO 8601 time stamps, like 2026-11-21T18:00:00.5Z"
+        )
     near = difflib.get_close_matches(name.lower(), [*WORD_NAMES, "unit", "run"], n=1, cutoff=0.8)
     hint = f" (or did you mean {near[0]!r}?)" if near else ""
-    return f"column {title!r} has no unit; name it like '{name}[deg/s]', or '{name}[1]' if it has none{hint}"
+    return (
+        f"column {title!r} has no unit; name it like '{name}[deg/s]', or '{name}[1]' if it has none{hint}; "
+        f"without changing the file: --rename '{title.strip()}={_plain_letters(name)}[1]'"
+    )
 
 
 def _is_number(text: str) -> bool:
     try:
-        float(text)
+        float(text.replace(",", "."))
     except ValueError:
         return False
     return True
@@ -198,7 +281,7 @@ def _check_complete(columns: Columns, titles: Sequence[str], options: TableOptio
         raise BadInput("no column holds a signal; name at least one like 'rate[deg/s]'")
     if columns.time is None and options.sample_rate_hz is None:
         near = [title for title in titles if title.partition("[")[0].strip().lower() in _LOOKS_LIKE_TIME]
-        hint = f" ({near[0]!r} is not it: rename it)" if near else ""
+        hint = f" ({near[0]!r} is not it: rename it, as with --rename '{near[0]}=time')" if near else ""
         raise BadInput(f"no column 'time[s]' or 'time[ns]'{hint}; add one, or give --sample-rate")
     if columns.time is not None and options.sample_rate_hz is not None:
         raise BadInput(f"--sample-rate is given, but column {columns.time.title!r} says the times; leave out one")

@@ -1,6 +1,7 @@
-"""Delimited text files, block by block: parsed at speed where good, line by line where not."""
+"""Delimited text files, block by block: parsed at speed if good, line by line if not."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -9,9 +10,10 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from ingest.tables.columns import Columns
-from ingest.tables.csv_lines import LineReader, split_line
+from ingest.tables.csv_dialect import COMMENT, Dialect, find_dialect, without_blanks
+from ingest.tables.csv_lines import LineReader
 from ingest.tables.rows import CellBlock, NumberCells, Sieve, TextCells
-from ingest.tables.times import decimal_places, ns_from_decimals, ns_from_floats
+from ingest.tables.times import decimal_places, ns_from_decimals, ns_from_floats, ns_from_stamps
 from stream.batch import IntArray
 from stream.errors import BadInput
 
@@ -23,83 +25,118 @@ _PARTS = 8
 _SPARE_DIGITS = 15
 _ARROW_BLOCK_BYTES = 1 << 20
 _BOM = b"\xef\xbb\xbf"
-_DELIMITERS = "\t;,"
+_SAMPLE_LINES = 1000
 
 
 class CsvTable:
-    """A CSV file (comma, semicolon or tab, found from the header) as blocks of rows.
+    """A text file of cells separated by comma, semicolon, tab or blanks, as blocks of rows.
+
+    Lines that begin with ``#`` are comments.
 
     Parameters
     ----------
-    path: The file.
     block_bytes: How much is read at a time.
-
-    Raises
-    ------
-    BadInput: If it is empty, not UTF-8, or holds nothing but a header.
     """
 
     def __init__(self, path: Path, block_bytes: int = BLOCK_BYTES) -> None:
         self._path = path
         self._block_bytes = block_bytes
         self._size = max(path.stat().st_size, 1)
-        with path.open("rb") as file:
-            header = self._read_header(file)
-            self._first_byte = file.tell()
-            if not any(line.strip() for line in iter(lambda: file.readline(LONGEST_LINE_BYTES), b"")):
-                raise BadInput(f"{path}: a header and no rows; nothing to import")
-        self._delimiter = max(_DELIMITERS, key=header.count)
-        self._titles = tuple(title.strip() for title in self._split_header(header))
+        self._dialect = self._find_dialect()
         # Digits after the point that times need beyond whole nanoseconds: none until the first that has them.
         self._spare_digits = 0
+        self._comments = 0
+        self._time_zone = "UTC"
+        self._has_stamps_without_zone = False
 
     @property
     def titles(self) -> tuple[str, ...]:
         """Titles of the columns."""
-        return self._titles
+        return self._dialect.titles
 
     @property
     def integer_titles(self) -> frozenset[str]:
         """No column of a text file has a type."""
         return frozenset()
 
-    def bind(self, columns: Columns) -> None:
-        """Take what the columns mean."""
+    @property
+    def stamp_titles(self) -> frozenset[str]:
+        """Titles of the columns whose first cell is an ISO 8601 time stamp."""
+        return self._dialect.stamp_titles
+
+    @property
+    def remarks(self) -> list[str]:
+        """What was interpreted, once the rows are read."""
+        found = []
+        if self._comments:
+            found.append(f"{self._comments:,} comment line{'s' * (self._comments > 1)} (beginning with #) skipped")
+        if self._dialect.is_header_comment:
+            found.append("the header is the last comment before the rows")
+        if self._decimal_mark == ",":
+            found.append("numbers are read with a decimal comma")
+        if self._has_stamps_without_zone:
+            found.append(f"time stamps without a zone are taken as {self._time_zone}")
+        return found
+
+    def bind(self, columns: Columns, time_zone: str = "UTC") -> None:
+        """Set the meaning of the columns."""
         self._columns = columns
-        self._lines = LineReader(self._titles, columns, self._delimiter)
+        self._time_zone = time_zone
+        numeric = [signal.title for signal in columns.signals]
+        if columns.time is not None and not columns.time.is_stamp:
+            numeric.append(columns.time.title)
+        self._decimal_mark = self._dialect.decimal_mark(numeric)
+        columns.words = [replace(word, decimal_mark=self._decimal_mark) for word in columns.words]
+        self._lines = LineReader(self.titles, columns, self._dialect.delimiter, self._decimal_mark, time_zone)
         self._places = None if columns.time is None else decimal_places(columns.time.ns_per_unit)
+        if columns.time is not None and columns.time.is_stamp:
+            self._has_stamps_without_zone = self._dialect.lacks_zone(columns.time.title)
 
     def blocks(self) -> Iterator[CellBlock]:
         """Read the rows from the beginning."""
-        line = self._header_line + 1
+        line = self._dialect.first_line
+        self._comments = self._dialect.comments
         with self._path.open("rb") as file:
-            file.seek(self._first_byte)
+            file.seek(self._dialect.first_byte)
             for block in self._whole_lines(file, line):
                 self._check_text(block, line)
+                if b"#" in block:  # a comment becomes a blank line, so that lines keep their numbers
+                    block, comments = COMMENT.subn(b"", block)
+                    self._comments += comments
+                if self._dialect.delimiter == " ":
+                    block = without_blanks(block)
                 yield from self._parse(block, line, file.tell() / self._size)
                 line += _lines(block)
 
-    def _read_header(self, file: BinaryIO) -> str:
-        self._header_line = 0
-        while raw := file.readline(LONGEST_LINE_BYTES):
-            self._header_line += 1
-            if self._header_line == 1:
-                raw = raw.removeprefix(_BOM)
-            if raw[:2] in {b"\xff\xfe", b"\xfe\xff"}:
-                raise BadInput(f"{self._path}: UTF-16 text; save it as UTF-8")
-            self._check_text(raw, self._header_line)
-            if raw.strip():
+    def _find_dialect(self) -> Dialect:
+        """Read the lines up to the first rows."""
+        lines: list[tuple[str, int]] = []
+        rows = 0
+        with self._path.open("rb") as file:
+            while rows <= _SAMPLE_LINES and (raw := file.readline(LONGEST_LINE_BYTES)):
+                if not lines:
+                    raw = raw.removeprefix(_BOM)
+                if raw[:2] in {b"\xff\xfe", b"\xfe\xff"}:
+                    raise BadInput(f"{self._path}: UTF-16 text; save it as UTF-8")
+                if rows and (len(raw) == LONGEST_LINE_BYTES or not _is_text(raw)):
+                    break  # found with its line when the rows are read
+                self._check_text(raw, len(lines) + 1)
                 text = raw.decode().rstrip("\r\n")
-                if "\r" in text:
+                rows += bool(text.strip()) and not text.startswith("#")
+                if rows == 1 and "\r" in text:
                     raise BadInput(f"{self._path}: lines end with a carriage return alone; save it with line feeds")
-                return text
-        raise BadInput(f"{self._path}: the file is empty; expected a header like 'time[s],rate[deg/s]'")
-
-    def _split_header(self, header: str) -> list[str]:
+                lines.append((text, file.tell()))
+            has_more = bool(file.read(1))
+        if not rows:
+            raise BadInput(f"{self._path}: the file is empty; expected a header like 'time[s],rate[deg/s]'")
         try:
-            return split_line(header, self._delimiter)
+            dialect = find_dialect(lines)
         except BadInput as error:
-            raise BadInput(f"{self._path}, line {self._header_line}: {error}") from error
+            header = next(i for i, (text, _) in enumerate(lines, 1) if text.strip() and not text.startswith("#"))
+            raise BadInput(f"{self._path}, line {header}: {error}") from error
+        if not dialect.has_rows and not has_more:
+            raise BadInput(f"{self._path}: a header and no rows; nothing to import")
+        return dialect
 
     def _check_text(self, block: bytes, line: int) -> None:
         if block.isascii():
@@ -142,10 +179,10 @@ class CsvTable:
                 begin = end
 
     def _parse_fast(self, block: bytes, line: int, done: float) -> CellBlock | None:
-        """Parse a block in which nothing is wrong; None where something may be."""
+        """Parse a block in which nothing is wrong; None if something may be."""
         if b"\r" in block and block.count(b"\r") != block.count(b"\r\n"):
             return None
-        if not _quotes_enclose_cells(block, self._delimiter):
+        if not _quotes_enclose_cells(block, self._dialect.delimiter):
             return None
         table = self._read_typed(block)
         if table is None:
@@ -169,10 +206,14 @@ class CsvTable:
             try:
                 table = arrow_csv.read_csv(
                     pa.BufferReader(block),
-                    read_options=arrow_csv.ReadOptions(column_names=self._titles, block_size=_ARROW_BLOCK_BYTES),
-                    parse_options=arrow_csv.ParseOptions(delimiter=self._delimiter),
+                    read_options=arrow_csv.ReadOptions(column_names=self.titles, block_size=_ARROW_BLOCK_BYTES),
+                    parse_options=arrow_csv.ParseOptions(delimiter=self._dialect.delimiter),
                     convert_options=arrow_csv.ConvertOptions(
-                        column_types=self._types(spare), null_values=[""], strings_can_be_null=True, check_utf8=False
+                        column_types=self._types(spare),
+                        null_values=[""],
+                        strings_can_be_null=True,
+                        check_utf8=False,
+                        decimal_point=self._decimal_mark,
                     ),
                 )
             except pa.ArrowInvalid:
@@ -184,21 +225,32 @@ class CsvTable:
     def _types(self, spare_digits: int) -> dict[str, pa.DataType]:
         types = dict.fromkeys(self._columns.text_titles, pa.dictionary(pa.int32(), pa.string()))
         types |= {signal.title: pa.float64() for signal in self._columns.signals}
-        if self._columns.time is not None:
+        if (time := self._columns.time) is not None:
             exact = None if self._places is None else pa.decimal128(38, self._places + spare_digits)
-            types[self._columns.time.title] = exact or pa.float64()
+            types[time.title] = pa.string() if time.is_stamp else exact or pa.float64()
         return types
 
     def _times(self, column: pa.ChunkedArray) -> IntArray | None:
+        time = self._columns.time
+        assert time is not None
         array = column.combine_chunks()
         if array.null_count:
             return None
+        if time.is_stamp:
+            return ns_from_stamps(array, self._time_zone)
         if self._places is not None:
             times_ns, wrong = ns_from_decimals(array, self._places)
         else:
-            assert self._columns.time is not None
-            times_ns, wrong = ns_from_floats(array.to_numpy(), self._columns.time.ns_per_unit)
+            times_ns, wrong = ns_from_floats(array.to_numpy(), time.ns_per_unit)
         return None if wrong.any() else times_ns
+
+
+def _is_text(raw: bytes) -> bool:
+    try:
+        raw.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def _numbers(column: pa.ChunkedArray) -> NumberCells:

@@ -8,27 +8,33 @@ import numpy as np
 
 from ingest.tables.columns import Columns
 from ingest.tables.rows import BadRow, CellBlock, NumberCells, Sieve, TextCells
-from ingest.tables.times import NUMBER, ns_from_text
+from ingest.tables.times import NUMBER, STAMP, ns_from_stamp, ns_from_text
 from stream.batch import IntArray
 from stream.errors import BadInput
 
 _BLANK = " \t"
+_RANGE = "a time within 146 years of 1970 (or of the run's start)"
 
 
 class LineReader:
-    """Reads single lines of a file whose columns are known.
+    """Reads single lines of a file with known columns.
 
     Parameters
     ----------
     titles: Titles of the columns, in order.
-    columns: What they are.
     delimiter: Character between cells.
+    decimal_mark: ``.`` or ``,``.
+    time_zone: Of time stamps that name none.
     """
 
-    def __init__(self, titles: Sequence[str], columns: Columns, delimiter: str) -> None:
+    def __init__(
+        self, titles: Sequence[str], columns: Columns, delimiter: str, decimal_mark: str = ".", time_zone: str = "UTC"
+    ) -> None:
         self._titles = titles
         self._columns = columns
         self._delimiter = delimiter
+        self._decimal_mark = decimal_mark
+        self._time_zone = time_zone
         self._signals = {column.title: column.name for column in columns.signals}
         self._texts = frozenset(columns.text_titles)
 
@@ -72,22 +78,44 @@ class LineReader:
         text = cell.strip(_BLANK)
         if title in self._signals:
             if text:
-                rows.put_number(self._signals[title], row, _finite(title, text))
+                rows.put_number(self._signals[title], row, self._finite(title, text))
             return
-        assert self._columns.time is not None
-        _check_number(title, text, "a time")
-        time_ns = ns_from_text(text, self._columns.time.ns_per_unit)
-        if time_ns is None:
-            raise _BadCell(title, text, "a time within 146 years of 1970 (or of the run's start)")
-        rows.times_ns[row] = time_ns
+        rows.times_ns[row] = self._time_ns(title, text)
+
+    def _time_ns(self, title: str, text: str) -> int:
+        time = self._columns.time
+        assert time is not None
+        if time.is_stamp:
+            if STAMP.fullmatch(text) is None:
+                raise _BadCell(title, text, "an ISO 8601 time stamp, like 2026-11-21T18:00:00.5Z")
+            found, expected = ns_from_stamp(text, self._time_zone), "a moment that exists, within 146 years of 1970"
+        else:
+            found, expected = ns_from_text(self._number(title, text, "a time"), time.ns_per_unit), _RANGE
+        if found is None:
+            raise _BadCell(title, text, expected)
+        return found
+
+    def _number(self, title: str, text: str, what: str) -> str:
+        """The text of a number, with a decimal point."""
+        mark, other = (",", ".") if self._decimal_mark == "," else (".", ",")
+        if NUMBER.fullmatch(text.replace(mark, ".")) and (mark == "." or "." not in text):
+            return text.replace(mark, ".")
+        if NUMBER.fullmatch(text.replace(other, ".", 1)):
+            names = ("comma", "point, as in the first rows") if mark == "," else ("point", "comma")
+            raise _BadCell(title, text, f"{what} with a decimal {names[0]}, not a {names[1]}")
+        raise _BadCell(title, text, f"{what}, as a number")
+
+    def _finite(self, title: str, text: str) -> float:
+        if text.lower().lstrip("+-") in {"nan", "inf", "infinity"}:
+            raise _BadCell(title, text, "a finite number (leave the cell empty for no sample)")
+        value = float(self._number(title, text, "a value"))
+        if not math.isfinite(value):
+            raise _BadCell(title, text, "a number below 1.8e308")
+        return value
 
 
 def split_line(line: str, delimiter: str) -> list[str]:
     """Take a line apart into cells.
-
-    Raises
-    ------
-    BadInput: If quotes do not match or a carriage return stands within the line; the text says what was expected.
 
     Examples
     --------
@@ -110,24 +138,6 @@ class _BadCell(BadInput):
         self.column = column
         self.found = found
         self.expected = expected
-
-
-def _check_number(title: str, text: str, what: str) -> None:
-    if NUMBER.fullmatch(text):
-        return
-    if NUMBER.fullmatch(text.replace(",", ".", 1)):
-        raise _BadCell(title, text, f"{what} with a decimal point, not a comma")
-    raise _BadCell(title, text, f"{what}, as a number")
-
-
-def _finite(title: str, text: str) -> float:
-    if text.lower().lstrip("+-") in {"nan", "inf", "infinity"}:
-        raise _BadCell(title, text, "a finite number (leave the cell empty for no sample)")
-    _check_number(title, text, "a value")
-    value = float(text)
-    if not math.isfinite(value):
-        raise _BadCell(title, text, "a number below 1.8e308")
-    return value
 
 
 class _Rows:

@@ -1,7 +1,7 @@
 """Tables of samples: CSV and Parquet files that keep the import contract, in two passes.
 
-The first pass checks every row and finds out how each signal is sampled; the second delivers batches and
-steps. Neither holds more than a few blocks of the file.
+The first pass checks every row and finds the sampling of each signal; the second delivers batches and steps. Neither
+holds more than a few blocks of the file.
 """
 
 from collections.abc import Callable, Iterator
@@ -10,17 +10,15 @@ from uuid import UUID
 
 import numpy as np
 
-from ingest.tables.batches import Batcher, BatchHead
+from ingest.tables.batches import Batcher, SignalHead, splits_at_gaps
 from ingest.tables.checks import GoodRows, Owner, RowFilter
 from ingest.tables.columns import SignalColumn, TableOptions, read_header
 from ingest.tables.csv_chunks import CsvTable
-from ingest.tables.file_stamp import FileStamp
 from ingest.tables.grid import SamplingGrid
 from ingest.tables.parquet_chunks import ParquetTable
 from ingest.tables.rows import BadRows, NumberCells, TableReader
-from ingest.tables.sample_file import Keep, Progress
+from ingest.tables.sample_file import FileStamp, Keep, Progress, SignalChunk, SignalSummary, TableSummary
 from ingest.tables.steps import StepTracker
-from ingest.tables.summary import SignalChunk, SignalSummary, TableSummary
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.errors import BadInput
 from stream.events import StepEnded, StepStarted
@@ -30,8 +28,6 @@ PARQUET_SUFFIXES = frozenset({".parquet", ".pq"})
 COUNT_UNITS = frozenset({"count", "LSB"})
 
 _INT32 = np.iinfo(np.int32)
-# Batches are split at gaps where that leaves at least this many samples in one on average.
-_SAMPLES_PER_GAP = 50
 
 
 class TableFile:
@@ -40,7 +36,7 @@ class TableFile:
     Parameters
     ----------
     path: The file: .csv, .tsv, .txt, .parquet or .pq.
-    options: What its columns do not say.
+    options: What the command line adds to its columns.
 
     Raises
     ------
@@ -64,19 +60,14 @@ class TableFile:
         self._path = path
         self._options = options
         self._reader = _open(path)
-        self._columns = read_header(path, self._reader.titles, options)
-        self._reader.bind(self._columns)
+        self._columns = read_header(path, self._reader.titles, options, self._reader.stamp_titles)
+        self._reader.bind(self._columns, options.time_zone or "UTC")
         self._stamp = FileStamp(path)
         self._summary: TableSummary | None = None
-        # the names that the options give are checked before anything is read
-        self._new_filter()
+        self._new_filter()  # the names that the options give are checked before anything is read
 
     def check(self, progress: Progress | None = None) -> TableSummary:
-        """Read the whole file, hold every row against the contract, and say what the file holds.
-
-        Parameters
-        ----------
-        progress: Called with the fraction of the file that is read, 0 to 1.
+        """Read the whole file and check every row; `progress` is called with the fraction that is read, 0 to 1.
 
         Raises
         ------
@@ -113,16 +104,17 @@ class TableFile:
                 SignalSummary(owner.unit, owner.run, name, units[name], may_be_counts[name], grid.finish())
                 for (owner, name), grid in grids.items()
             ),
+            remarks=(*self._columns.remarks, *self._reader.remarks),
             words=self._options.words,
         )
         return self._summary
 
     def chunks(self, progress: Progress | None = None) -> Iterator[SignalChunk]:
-        """Every sample of the good rows, signal by signal and block by block.
+        """Every sample of the good rows, signal by signal and block by block; runs `check` if it has not run.
 
         Raises
         ------
-        BadInput: As `check`, which runs first where it has not; and if the file has changed since.
+        BadInput: As `check`, and if the file has changed since.
         """
         counts = self._counts()
         for good in self._good_rows(self._new_filter(), progress):
@@ -141,13 +133,12 @@ class TableFile:
         Parameters
         ----------
         epoch_of: From unit and run to the epoch of their samples.
-        keep: From unit, run, signal and times (ndarray of int64, nanoseconds) to a mask of those to deliver. Steps are
-            delivered whatever it says.
-        progress: Called with the fraction of the file that is read, 0 to 1.
+        keep: From unit, run, signal and times in nanoseconds to a mask of the samples to deliver; steps are always
+            delivered.
 
         Raises
         ------
-        BadInput: As `check`, which runs first where it has not; and if the file has changed since.
+        BadInput: As `check`, which runs first if it has not run; and if the file has changed since.
         """
         counts = self._counts()
         batchers = self._batchers(epoch_of)
@@ -195,7 +186,7 @@ class TableFile:
         batchers: dict[Owner, dict[str, Batcher]] = {}
         for found in self._checked().signals:
             sampling = found.sampling
-            head = BatchHead(
+            head = SignalHead(
                 unit=found.unit,
                 signal=found.signal,
                 run=found.run,
@@ -204,8 +195,7 @@ class TableFile:
                 unit_of_measure=found.unit_of_measure,
                 irregular=sampling.irregular,
             )
-            splits_at_gaps = sampling.gaps * _SAMPLES_PER_GAP <= sampling.samples
-            batcher = Batcher(head, self._options.batch_samples, splits_at_gaps=splits_at_gaps)
+            batcher = Batcher(head, self._options.batch_samples, splits_at_gaps=splits_at_gaps(sampling))
             batchers.setdefault(Owner(found.unit, found.run), {})[found.signal] = batcher
         return batchers
 

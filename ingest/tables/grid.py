@@ -1,4 +1,4 @@
-"""How a signal of a table is sampled: its nominal interval, and whether every interval lies on the grid."""
+"""Sampling of a signal: its nominal interval, and whether every interval lies on the grid."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,11 +8,10 @@ import numpy as np
 from stream.batch import IntArray
 
 MEDIAN_INTERVALS = 10_000
-GRID_TOLERANCE = 0.1
+_GRID_TOLERANCE = 0.1
 _LONE_SAMPLE_DT_NS = 10**9
-# An interval longer than this many nominal ones is a gap.
 _GAP = 1.5
-# After a gap this long the source may have begun anew: its grid is then another one, and the gap proves nothing.
+# After a gap longer than this many intervals the source may have restarted with another grid.
 _RESTART = 10.5
 
 
@@ -22,13 +21,11 @@ class Sampling:
 
     Parameters
     ----------
-    samples: How many there are.
-    t_first_ns, t_last_ns: First and last time, nanoseconds.
-    dt_ns: Nominal interval, nanoseconds: the mean of the first 10,000 intervals, gaps counted by how many nominal ones
-        they last. (Their median is wrong by up to a rounding step where times are rounded: 102.4 Hz in whole
-        milliseconds has a median of 10 ms.)
-    off_grid: Intervals further than a tenth of the nominal one from every multiple of it. Gaps of more than ten
-        intervals are not counted: a source that begins anew after one has a grid of its own.
+    dt_ns: Nominal interval, nanoseconds: the mean of the first 10,000 intervals, a gap divided by the intervals it
+        lasts. (The median is wrong by up to a rounding step if times are rounded: 102.4 Hz in whole milliseconds has
+        a median of 10 ms.)
+    off_grid: Intervals further than a tenth of the nominal one from every multiple of it, gaps of more than ten
+        intervals excepted: after such a gap the source may have restarted with another grid.
     worst_ns: Largest distance of such an interval from a multiple of the nominal one, nanoseconds.
     gaps: Intervals longer than 1.5 nominal ones.
     """
@@ -48,11 +45,11 @@ class Sampling:
 
 
 class SamplingGrid:
-    """Follows the times of one signal through a file, however they are cut in pieces.
+    """Finds the sampling of one signal from its times, in pieces of any size.
 
     Parameters
     ----------
-    nominal: From the first intervals and what they say the nominal one is to the nominal one, all in nanoseconds.
+    nominal: From the first intervals and their measured nominal interval to the nominal interval, all nanoseconds.
 
     Examples
     --------
@@ -65,23 +62,19 @@ class SamplingGrid:
     def __init__(self, nominal: Callable[[IntArray, int], int] | None = None) -> None:
         self._from_measured = nominal
         self._early: list[IntArray] = []
-        self._samples = 0
-        self._first_ns = 0
-        self._last_ns = 0
+        self._samples = self._first_ns = self._last_ns = 0
         self._dt_ns: int | None = None
-        self._off_grid = 0
-        self._worst_ns = 0
-        self._gaps = 0
+        self._off_grid = self._worst_ns = self._gaps = 0
 
     def add(self, times_ns: IntArray) -> None:
-        """Take the times that follow, strictly increasing, nanoseconds."""
+        """Add the times that follow, strictly increasing, nanoseconds."""
         if not len(times_ns):
             return
         if not self._samples:
             self._first_ns = int(times_ns[0])
         self._samples += len(times_ns)
         if self._dt_ns is not None:
-            self._judge(np.diff(times_ns, prepend=np.int64(self._last_ns)))
+            self._judge(np.diff(times_ns, prepend=np.int64(self._last_ns)), self._dt_ns)
         else:
             self._early.append(times_ns)
             if self._samples > MEDIAN_INTERVALS:
@@ -89,34 +82,36 @@ class SamplingGrid:
         self._last_ns = int(times_ns[-1])
 
     def finish(self) -> Sampling:
-        """Say what was seen; at least one sample must have been."""
-        if self._dt_ns is None:
-            self._settle()
-        assert self._dt_ns is not None
-        return Sampling(
-            self._samples, self._first_ns, self._last_ns, self._dt_ns, self._off_grid, self._worst_ns, self._gaps
-        )
+        """The sampling of all times added, at least one."""
+        dt_ns = self._settle() if self._dt_ns is None else self._dt_ns
+        return Sampling(self._samples, self._first_ns, self._last_ns, dt_ns, self._off_grid, self._worst_ns, self._gaps)
 
-    def _settle(self) -> None:
+    def _settle(self) -> int:
         times_ns = np.concatenate(self._early)
         intervals_ns = times_ns[1:] - times_ns[:-1]
         self._early.clear()
-        self._dt_ns = _nominal(intervals_ns[:MEDIAN_INTERVALS]) if len(intervals_ns) else _LONE_SAMPLE_DT_NS
+        dt_ns = _nominal(intervals_ns[:MEDIAN_INTERVALS]) if len(intervals_ns) else _LONE_SAMPLE_DT_NS
         if self._from_measured is not None:
-            self._dt_ns = self._from_measured(intervals_ns, self._dt_ns)
-        self._judge(intervals_ns)
+            dt_ns = self._from_measured(intervals_ns, dt_ns)
+        self._dt_ns = dt_ns
+        self._judge(intervals_ns, dt_ns)
+        return dt_ns
 
-    def _judge(self, intervals_ns: IntArray) -> None:
-        assert self._dt_ns is not None
-        others = intervals_ns[intervals_ns != self._dt_ns]
-        if not len(others):
-            return
-        within = others[others <= _RESTART * self._dt_ns]
-        multiples = np.maximum(np.rint(within / self._dt_ns).astype(np.int64), 1)
-        distances_ns = np.abs(within - multiples * self._dt_ns)
-        self._off_grid += int(np.count_nonzero(distances_ns > GRID_TOLERANCE * self._dt_ns))
-        self._worst_ns = max(self._worst_ns, int(distances_ns.max(initial=0)))
-        self._gaps += int(np.count_nonzero(is_gap(others, self._dt_ns)))
+    def _judge(self, intervals_ns: IntArray, dt_ns: int) -> None:
+        others = intervals_ns[intervals_ns != dt_ns]
+        if len(others):
+            off_grid, worst_ns = off_grid_intervals(others, dt_ns)
+            self._off_grid += off_grid
+            self._worst_ns = max(self._worst_ns, worst_ns)
+            self._gaps += int(np.count_nonzero(is_gap(others, dt_ns)))
+
+
+def off_grid_intervals(intervals_ns: IntArray, dt_ns: int) -> tuple[int, int]:
+    """Intervals off the grid of `dt_ns` (see `Sampling`), and the largest distance from it, nanoseconds."""
+    within = intervals_ns[intervals_ns <= _RESTART * dt_ns]
+    multiples = np.maximum(np.rint(within / dt_ns).astype(np.int64), 1)
+    distances_ns = np.abs(within - multiples * dt_ns)
+    return int(np.count_nonzero(distances_ns > _GRID_TOLERANCE * dt_ns)), int(distances_ns.max(initial=0))
 
 
 def is_gap(intervals_ns: IntArray, dt_ns: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -125,7 +120,7 @@ def is_gap(intervals_ns: IntArray, dt_ns: int) -> np.ndarray[tuple[int], np.dtyp
 
 
 def _nominal(intervals_ns: IntArray) -> int:
-    """Mean interval, of those that lie near a multiple of the median; rounded times make the median a rough guess."""
+    """Mean of the intervals near a multiple of the median, which is a rough guess where times are rounded."""
     dt_ns = _median(intervals_ns)
     for _ in range(2):
         multiples = np.maximum(np.rint(intervals_ns / dt_ns).astype(np.int64), 1)

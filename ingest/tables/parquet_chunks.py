@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 
 from ingest.tables.columns import Columns
 from ingest.tables.rows import BadRow, CellBlock, NumberCells, Sieve, TextCells
-from ingest.tables.times import decimal_places, ns_from_decimals, ns_from_floats, ns_from_integers
+from ingest.tables.times import decimal_places, ns_from_decimals, ns_from_floats, ns_from_integers, ns_from_timestamps
 from stream.batch import BoolArray, IntArray
 from stream.errors import BadInput
 
@@ -25,12 +25,7 @@ class ParquetTable:
 
     Parameters
     ----------
-    path: The file.
-    block_rows: Most rows in a block; fewer where there are many columns.
-
-    Raises
-    ------
-    BadInput: If it is no Parquet file, or holds no rows.
+    block_rows: Most rows in a block; fewer if there are many columns.
     """
 
     def __init__(self, path: Path, block_rows: int = BLOCK_ROWS) -> None:
@@ -45,6 +40,7 @@ class ParquetTable:
             raise self._damaged(error) from error
         if self._rows == 0:
             raise BadInput(f"{path}: no rows; nothing to import")
+        self._time_zone = "UTC"
         self._block_rows = max(1, min(block_rows, _BLOCK_CELLS // max(len(self._titles), 1)))
 
     @property
@@ -57,16 +53,24 @@ class ParquetTable:
         """Titles of the columns that hold integers by their type."""
         return frozenset(title for title, kind in self._types.items() if pa.types.is_integer(kind))
 
-    def bind(self, columns: Columns) -> None:
-        """Take what the columns mean.
+    @property
+    def stamp_titles(self) -> frozenset[str]:
+        """Titles of the columns that hold time stamps by their type."""
+        return frozenset(title for title, kind in self._types.items() if pa.types.is_timestamp(kind))
 
-        Raises
-        ------
-        BadInput: If a signal or the time is not numeric, or a name or word is neither text nor a number.
-        """
+    @property
+    def remarks(self) -> list[str]:
+        """What was interpreted."""
+        time = self._columns.time
+        lacks_zone = time is not None and time.is_stamp and self._types[time.title].tz is None
+        return [f"time stamps without a zone are taken as {self._time_zone}"] if lacks_zone else []
+
+    def bind(self, columns: Columns, time_zone: str = "UTC") -> None:
+        """Set the meaning of the columns."""
         self._columns = columns
+        self._time_zone = time_zone
         numeric = [signal.title for signal in columns.signals]
-        if columns.time is not None:
+        if columns.time is not None and not columns.time.is_stamp:
             numeric.append(columns.time.title)
         for title in numeric:
             if not (_is_numeric(self._types[title]) or pa.types.is_null(self._types[title])):
@@ -114,7 +118,7 @@ class ParquetTable:
         if isinstance(error, BadInput):
             return error
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        return BadInput(f"{self._path}: not a Parquet file, or a damaged one ({reason}); write it anew")
+        return BadInput(f"{self._path}: not a Parquet file, or a damaged one ({reason}); write it again")
 
     def _block(self, batch: pa.RecordBatch, first: int) -> CellBlock:
         sieve = Sieve(batch.num_rows)
@@ -127,14 +131,8 @@ class ParquetTable:
             signals[signal.name] = cells
             wrong = ~np.isfinite(cells.values)
             if wrong.any():
-                self._refuse(
-                    sieve,
-                    first,
-                    signal.title,
-                    wrong,
-                    batch.column(signal.title),
-                    "a finite number (null for no sample)",
-                )
+                expected = "a finite number (null for no sample)"
+                self._refuse(sieve, first, signal.title, wrong, batch.column(signal.title), expected)
         texts = {title: _texts(batch.column(title)) for title in self._columns.text_titles}
         numbers = np.arange(first + 1, first + 1 + batch.num_rows, dtype=np.int64)
         done = (first + batch.num_rows) / self._rows
@@ -149,6 +147,9 @@ class ParquetTable:
             self._refuse(sieve, first, title, empty, array, "a time")
         if pa.types.is_null(kind):
             return np.zeros(len(array), np.int64)
+        if pa.types.is_timestamp(kind):
+            times_ns, wrong = ns_from_timestamps(_decoded(array).fill_null(pa.scalar(0, kind)), self._time_zone)
+            return self._placed(times_ns, wrong, array, first, sieve)
         filled = _decoded(array).fill_null(pa.scalar(Decimal(0) if pa.types.is_decimal(kind) else 0, kind))
         if pa.types.is_decimal(kind) and (places := decimal_places(ns_per_unit)) is not None:
             times_ns, wrong = ns_from_decimals(filled, places)
@@ -159,8 +160,13 @@ class ParquetTable:
             times_ns, wrong = ns_from_integers(filled.cast(pa.int64()).to_numpy(), ns_per_unit)
         else:
             times_ns, wrong = ns_from_floats(_float64(filled).to_numpy(), ns_per_unit)
+        return self._placed(times_ns, wrong, array, first, sieve)
+
+    def _placed(self, times_ns: IntArray, wrong: BoolArray, array: pa.Array, first: int, sieve: Sieve) -> IntArray:
         if wrong.any():
-            self._refuse(sieve, first, title, wrong, array, "a finite time within 146 years of 1970")
+            assert self._columns.time is not None
+            expected = "a finite time within 146 years of 1970"
+            self._refuse(sieve, first, self._columns.time.title, wrong, array, expected)
         return times_ns
 
     def _refuse(self, sieve: Sieve, first: int, title: str, wrong: BoolArray, array: pa.Array, expected: str) -> None:

@@ -1,4 +1,4 @@
-"""What a table reader hands on: blocks of rows as arrays, and the rows that do not keep the contract."""
+"""Blocks of rows as arrays, as a table reader gives them, and the rows that do not keep the contract."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -28,9 +28,7 @@ class BadRow:
     ----------
     place: What `number` counts: ``line`` of a text file (as an editor counts, the header among them) or ``row`` of a
         Parquet file, both from 1.
-    number: Which one.
-    column: Title of the column, or '' where the row as a whole is meant.
-    found, expected: What stands there, and what should.
+    column: Title of the column, or '' for the row as a whole.
 
     Examples
     --------
@@ -51,13 +49,7 @@ class BadRow:
 
 
 class BadRows(BadInput):
-    """A file with rows that do not keep the contract.
-
-    Attributes
-    ----------
-    bad: The first 1000 of them.
-    count: How many there are in all.
-    """
+    """A file with `count` rows that do not keep the contract; `bad` holds the first 1000."""
 
     def __init__(self, path: Path, bad: tuple[BadRow, ...], count: int) -> None:
         shown = [f"  {row}" for row in bad[:BAD_ROWS_SHOWN]]
@@ -110,7 +102,7 @@ class BadRowLog:
     kept: list[BadRow] = field(default_factory=list)
 
     def add(self, count: int, reasons: Iterable[BadRow]) -> None:
-        """Count `count` rows more and keep their reasons while there is room."""
+        """Count `count` more rows and keep the first of their reasons."""
         self.count += count
         for reason in reasons:
             if len(self.kept) >= BAD_ROWS_KEPT:
@@ -128,7 +120,7 @@ class TextCells:
 
 @dataclass(frozen=True)
 class NumberCells:
-    """Cells of one signal: `values`, and where some are empty `valid` says which are not."""
+    """Cells of one signal: `values`, and which of them are not empty (None: all)."""
 
     values: FloatArray
     valid: BoolArray | None
@@ -136,16 +128,16 @@ class NumberCells:
 
 @dataclass(frozen=True)
 class CellBlock:
-    """A block of rows as it stands in the file.
+    """A block of n rows of the file.
 
     Parameters
     ----------
     place: ``line`` or ``row``.
     numbers: shape (n,); line or row number of every row.
-    times_ns: shape (n,); times as written, in nanoseconds; None where the file has no time column.
+    times_ns: shape (n,); times as written, in nanoseconds; None without a time column.
     signals: By name of the signal.
     texts: By title of the column: unit, run and the step words.
-    sieve: Rows that are bad already; what their cells hold has no meaning.
+    sieve: Rows that are bad already; their cells have no meaning.
     done: Fraction of the file that is read, 0 to 1.
     """
 
@@ -159,7 +151,7 @@ class CellBlock:
 
 
 class TableReader(Protocol):
-    """A table as blocks of rows, whatever the format of its file."""
+    """A table of any format as blocks of rows."""
 
     @property
     def titles(self) -> tuple[str, ...]:
@@ -169,8 +161,16 @@ class TableReader(Protocol):
     def integer_titles(self) -> frozenset[str]:
         """Titles of the columns that hold integers by their type."""
 
-    def bind(self, columns: "Columns") -> None:
-        """Take what the columns mean; raise BadInput where a type does not fit."""
+    @property
+    def stamp_titles(self) -> frozenset[str]:
+        """Titles of the columns that hold ISO 8601 time stamps."""
+
+    @property
+    def remarks(self) -> list[str]:
+        """Sentences for the user, once the rows are read."""
+
+    def bind(self, columns: "Columns", time_zone: str = "UTC") -> None:
+        """Set the meaning of the columns, and the zone of stamps that name none; raise BadInput if a type is wrong."""
 
     def blocks(self) -> Iterator[CellBlock]:
         """Read the rows from the beginning, some at a time."""

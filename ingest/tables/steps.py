@@ -1,14 +1,15 @@
-"""Steps of a run from the step words that stand beside its samples."""
+"""Steps of a run, from the step words beside its samples."""
 
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 from uuid import NAMESPACE_URL, uuid5
 
 import msgspec
 
+from ingest.tables.times import NUMBER
 from stream.errors import BadInput
 from stream.events import StepEnded, StepStarted, StepWords
 from stream.quantities import check_unit, conversion, is_angular_rate
@@ -26,33 +27,22 @@ WORD_NAMES = _TEXT_WORDS | _NUMBER_WORDS.keys() | {"repeat", "room"}
 
 _YES_NO = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 _INTEGER = re.compile(r"[+-]?[0-9]{1,18}(?:\.0*)?")
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _MOST_CHARACTERS = 1000
 _NAMESPACE = uuid5(NAMESPACE_URL, "gyrofleet/step")
 
 
 @dataclass(frozen=True)
 class WordColumn:
-    """A column of step words.
-
-    Parameters
-    ----------
-    title: As it stands in the file.
-    word: Field of StepWords that it fills.
-    factor, offset: From the column's unit of measure to the field's.
-    """
+    """A column of the field `word` of StepWords; factor and offset convert its unit of measure to the field's."""
 
     title: str
     word: str
     factor: float = 1.0
     offset: float = 0.0
+    decimal_mark: str = field(default=".", repr=False)
 
     def read(self, cell: object) -> Any:
-        """Value of a cell, None where it is empty.
-
-        Raises
-        ------
-        BadInput: If the cell cannot be read; the text says what is expected.
+        """Value of a cell, None if it is empty; BadInput says what is expected instead of an unreadable one.
 
         Examples
         --------
@@ -74,18 +64,15 @@ class WordColumn:
             if text.lower() not in _YES_NO:
                 raise BadInput("yes or no (also true, false, 1, 0)")
             return _YES_NO[text.lower()]
-        value = float(text) * self.factor + self.offset if _NUMBER.fullmatch(text) else math.nan
+        text = text.replace(self.decimal_mark, ".")
+        value = float(text) * self.factor + self.offset if NUMBER.fullmatch(text) else math.nan
         if not math.isfinite(value):
-            raise BadInput("a number with a decimal point")
+            raise BadInput(f"a number with a decimal {'point' if self.decimal_mark == '.' else 'comma'}")
         return value
 
 
 def cell_text(cell: object) -> str:
-    """Text of a cell of a name or a step word, whatever its type in the file; '' where it is empty.
-
-    Raises
-    ------
-    BadInput: If the cell is NaN or infinite.
+    """Text of a cell of a name or a step word of any type; '' if it is empty, BadInput if it is NaN or infinite.
 
     Examples
     --------
@@ -100,11 +87,7 @@ def cell_text(cell: object) -> str:
 
 
 def word_column(title: str, name: str, unit: str | None) -> WordColumn:
-    """Column of the step word `name`, whose values are in `unit` (None where the title names none).
-
-    Raises
-    ------
-    BadInput: If the word needs a unit and has none, has one and takes none, or has one of another quantity.
+    """Column of the step word `name`, whose values are in `unit` (None if the title names none).
 
     Examples
     --------
@@ -129,7 +112,7 @@ def word_column(title: str, name: str, unit: str | None) -> WordColumn:
 
 
 def step_words(columns: Iterable[WordColumn], values: Iterable[Any]) -> StepWords | None:
-    """Words of a step from the values of its columns; None where all are empty.
+    """Words of a step from the values of its columns; None if all are empty.
 
     Examples
     --------
@@ -142,7 +125,7 @@ def step_words(columns: Iterable[WordColumn], values: Iterable[Any]) -> StepWord
 
 
 def with_common_words(words: StepWords | None, common: StepWords | None) -> StepWords | None:
-    """Words of a step with those that hold for all of a file, where it does not say them itself.
+    """Words of a step, completed by those that apply to the whole file.
 
     Examples
     --------
@@ -152,14 +135,14 @@ def with_common_words(words: StepWords | None, common: StepWords | None) -> Step
     """
     if common is None or words is None:
         return words or common
-    said = {name: value for name in words.__struct_fields__ if (value := getattr(words, name)) is not None}
-    return msgspec.structs.replace(common, **said)
+    own = {name: value for name in words.__struct_fields__ if (value := getattr(words, name)) is not None}
+    return msgspec.structs.replace(common, **own)
 
 
 class StepTracker:
-    """The step that every unit of every run is in; turns changes of its words into documents.
+    """Tracks the step of every unit of every run; turns changes of its words into documents.
 
-    The documents' identities come from what they say, so that one file gives the same documents each time.
+    The documents' identities are hashes of their content, so that one file gives the same documents each time.
 
     Examples
     --------
@@ -178,7 +161,7 @@ class StepTracker:
     def follow(
         self, unit: str, run: str, words: StepWords | None, *, first_ns: int, last_ns: int
     ) -> tuple[StepEnded | None, StepStarted | None]:
-        """Take a stretch of rows with the same words; return the step that ended and the one that begins."""
+        """Add a stretch of rows with the same words; return the step that ended and the one that begins."""
         current = self._open.get((unit, run))
         if current is not None and current[0].words == words:
             self._open[unit, run] = current[0], last_ns
@@ -192,7 +175,7 @@ class StepTracker:
         return ended, started
 
     def close(self, unit: str, run: str) -> StepEnded | None:
-        """End the step that the unit is in, at its last row; None where it is in none."""
+        """End the step that the unit is in, at its last row; None if it is in none."""
         current = self._open.pop((unit, run), None)
         if current is None:
             return None
@@ -201,6 +184,6 @@ class StepTracker:
         return StepEnded(run=run, unit=unit, t_ns=last_ns, step_uid=started.uid, uid=uid)
 
     def is_open(self, unit: str, run: str, words: StepWords | None) -> bool:
-        """Whether the unit is in a step of just these words (or in none, where `words` is None)."""
+        """Whether the unit is in a step of exactly these words (None: in no step)."""
         current = self._open.get((unit, run))
         return (current[0].words if current is not None else None) == words

@@ -1,7 +1,9 @@
 """Times of a table: from cells to int64 nanoseconds, exactly rounded, and onto the run's clock."""
 
 import re
+from datetime import UTC, datetime, timedelta
 from decimal import ROUND_HALF_EVEN, Context, Decimal
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pyarrow as pa
@@ -14,17 +16,21 @@ from stream.quantities import conversion
 MAX_NS = 2**62
 UTC_FROM_NS = 10**17
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+STAMP = re.compile(
+    r"(?P<date>\d{4}-\d\d-\d\d)(?:[T ](?P<time>\d\d:\d\d(?::\d\d)?)(?:(?<=:\d\d:\d\d)[.,](?P<fraction>\d+))?"
+    r"\s?(?P<zone>Z|[+-]\d\d(?::?\d\d)?)?)?",
+    re.ASCII,
+)
 
 _NS_PER_S = 10**9
 _MOST_DIGITS = 40
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_PLAIN_STAMP = r"^\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d{1,9})?)?"
+_ZONE = r"(Z|[+-]\d\d(:?\d\d)?)$"
 
 
 def ns_per_unit(unit: str) -> int:
     """Nanoseconds in one `unit` of time.
-
-    Raises
-    ------
-    BadInput: If `unit` measures no time, or one is no whole number of nanoseconds.
 
     Examples
     --------
@@ -38,7 +44,7 @@ def ns_per_unit(unit: str) -> int:
 
 
 def decimal_places(ns: int) -> int | None:
-    """Decimal places that a number of units of `ns` nanoseconds needs; None where `ns` is no power of ten."""
+    """Decimal places that a number of units of `ns` nanoseconds needs; None if `ns` is no power of ten."""
     places = len(str(ns)) - 1
     return places if ns == 10**places and places <= 9 else None
 
@@ -46,7 +52,7 @@ def decimal_places(ns: int) -> int | None:
 def ns_from_floats(times: FloatArray, ns: int) -> tuple[IntArray, BoolArray]:
     """Nanoseconds nearest to `times` in units of `ns` nanoseconds; and which are out of range or not finite.
 
-    The whole part is taken apart first: it is exact, and so the fraction is all that is rounded.
+    The whole part is split off first: it is exact, so that only the fraction is rounded.
     """
     with np.errstate(invalid="ignore"):
         wrong = ~(np.abs(times) <= MAX_NS / ns)
@@ -79,7 +85,7 @@ def ns_from_decimals(times: pa.Array, places: int) -> tuple[IntArray, BoolArray]
 
 
 def ns_from_text(text: str, ns: int) -> int | None:
-    """Nanosecond nearest to the number in `text`, in units of `ns` nanoseconds; None where out of range.
+    """Nanosecond nearest to the number in `text`, in units of `ns` nanoseconds; None if out of range.
 
     Examples
     --------
@@ -100,6 +106,59 @@ def ns_from_text(text: str, ns: int) -> int | None:
     return nearest if abs(nearest) <= MAX_NS else None
 
 
+def ns_from_stamp(text: str, zone: str) -> int | None:
+    """Nanoseconds UTC of a time stamp in ISO 8601, in `zone` if it names none; None if it is no moment.
+
+    Examples
+    --------
+    >>> ns_from_stamp("2026-11-21 18:00:00.5", "Asia/Shanghai"), ns_from_stamp("2026-11-21T10:00:00,5Z", "UTC")
+    (1795255200500000000, 1795255200500000000)
+    """
+    match = STAMP.fullmatch(text)
+    if match is None:
+        return None
+    try:
+        moment = datetime.fromisoformat(f"{match['date']}T{match['time'] or '00:00'}{match['zone'] or ''}")
+        if moment.tzinfo is None:
+            written, moment = moment, moment.replace(tzinfo=ZoneInfo(zone))
+            if moment.astimezone(UTC).astimezone(ZoneInfo(zone)).replace(tzinfo=None) != written:
+                return None  # the clock was set forward over it
+        whole_s = (moment.astimezone(UTC) - _EPOCH) // timedelta(seconds=1)
+    except (ValueError, OverflowError):
+        return None
+    fraction = Decimal("0." + (match["fraction"] or "0")[:_MOST_DIGITS]).scaleb(9, Context(prec=2 * _MOST_DIGITS))
+    found = whole_s * _NS_PER_S + int(fraction.to_integral_value(ROUND_HALF_EVEN))
+    return found if abs(found) <= MAX_NS else None
+
+
+def ns_from_stamps(cells: pa.Array, zone: str) -> IntArray | None:
+    """`ns_from_stamp` of many cells at once; None if one of them must be read by itself."""
+    cells = pc.replace_substring_regex(pc.utf8_trim(cells, " \t"), r"\s([Z+-])", r"\1")
+    cells = pc.replace_substring(cells, ",", ".")
+    try:
+        if pc.all(pc.match_substring_regex(cells, _PLAIN_STAMP + _ZONE)).as_py():
+            found = cells.cast(pa.timestamp("ns", "UTC"))
+        elif pc.all(pc.match_substring_regex(cells, _PLAIN_STAMP + "$")).as_py():
+            found = pc.assume_timezone(cells.cast(pa.timestamp("ns")), zone, ambiguous="earliest")
+        else:
+            return None
+    except pa.ArrowInvalid:
+        return None
+    times_ns = found.cast(pa.int64()).to_numpy()
+    return None if (np.abs(times_ns) > MAX_NS).any() else times_ns
+
+
+def ns_from_timestamps(times: pa.Array, zone: str) -> tuple[IntArray, BoolArray]:
+    """Nanoseconds UTC of Arrow's time stamps without nulls, in `zone` if they have none; and which are out of range."""
+    written, ns = times, {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}[times.type.unit]
+    if times.type.tz is None:
+        times = pc.assume_timezone(times, zone, ambiguous="earliest", nonexistent="latest")
+    times_ns, wrong = ns_from_integers(times.cast(pa.int64()).to_numpy(), ns)
+    if written is not times:  # the clock was set forward over a time that does not exist
+        wrong = wrong | pc.not_equal(pc.local_timestamp(times), written).to_numpy(zero_copy_only=False)
+    return times_ns, wrong
+
+
 def ns_from_index(index: IntArray, rate_hz: float) -> IntArray:
     """Times of samples `index` = 0, 1, 2, ... at `rate_hz`, nanoseconds."""
     whole_s, rest = np.divmod(index.astype(np.float64), rate_hz)
@@ -107,7 +166,7 @@ def ns_from_index(index: IntArray, rate_hz: float) -> IntArray:
 
 
 def seconds_text(ns: int) -> str:
-    """`ns` nanoseconds in seconds, every digit of it, for messages.
+    """`ns` nanoseconds in seconds with all digits, for messages.
 
     Examples
     --------
@@ -120,11 +179,7 @@ def seconds_text(ns: int) -> str:
 
 
 class RunClock:
-    """Whether a file's times are UTC or count from the run's start; the first good one decides.
-
-    Parameters
-    ----------
-    start_ns: The run's start, nanoseconds UTC, where it is given.
+    """Whether a file's times are UTC or count from the run's start `start_ns`; the first good one decides.
 
     Examples
     --------
@@ -144,19 +199,14 @@ class RunClock:
         return bool(self.is_utc) or self._start_ns is not None
 
     def settle(self, first_ns: int) -> None:
-        """Let the time `first_ns`, as written, decide.
-
-        Raises
-        ------
-        BadInput: If it is UTC and a start is given as well.
-        """
+        """Decide by the time `first_ns`, as written; raises BadInput if it is UTC and a start is given as well."""
         self.is_utc = first_ns >= UTC_FROM_NS
         if self.is_utc and self._start_ns is not None:
             first = seconds_text(first_ns)
             raise BadInput(f"the times are UTC already (the first is {first} from 1970): leave out --start")
 
     def misplaced(self, times_ns: IntArray) -> BoolArray:
-        """Which of the times, as written, are on the other side than the first."""
+        """Which of the times, as written, are of the other kind than the first."""
         return (times_ns < UTC_FROM_NS) if self.is_utc else (times_ns >= UTC_FROM_NS)
 
     def place(self, times_ns: IntArray) -> IntArray:

@@ -1,1 +1,1 @@
-"""Whether a store is what was written to it, and how it is put right."""
+"""Verification and repair of a store."""

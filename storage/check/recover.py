@@ -1,6 +1,5 @@
-"""What `gyrofleet recover` does: put a store right again, destroy nothing, and say in the log what is lost."""
+"""Repair of a store: destroys nothing, and documents losses in the log."""
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from uuid import NAMESPACE_OID, uuid5
@@ -8,16 +7,17 @@ from uuid import NAMESPACE_OID, uuid5
 import msgspec
 
 from storage.check.verify import checkpoint_findings, kept_findings, lake_findings, only_in_lake
-from storage.check.verify_lake import mend
+from storage.check.verify_lake import repair_lake
 from storage.check.verify_log import LogState, stretch_id, verify_log
-from storage.findings import KEPT_DAMAGED, Finding
+from storage.findings import KEPT_DAMAGED
 from storage.lake.lake import Lake, build_missing, builder_lock
+from storage.lake.lake import quarantine as quarantine_file
 from storage.log.event_log import EventLog
 from storage.log.files import quarantine_unknown
-from storage.log.notes import noted
 from storage.log.recovery import Recovery, examine_segment, salvage_segment
 from storage.log.sequence import LostStretch
 from storage.log.sequence import Place as Position
+from storage.log.store_documents import store_document
 from storage.manifests.log import LOST, ManifestWriter, SegmentEntry, manifest_path, read_log_manifest, rewrite_manifest
 from storage.segments.records import EVENTS, LogRecord
 from storage.specifications.copies import mend_copies
@@ -26,14 +26,14 @@ from stream.delivery.publisher import StreamId
 from stream.errors import StoreError
 from stream.events import StoreNoted, encode_event, new_uid
 from stream.identity import Place, event_key
-from stream.worker.checkpoint import keep_aside
+from stream.worker.checkpoint import quarantine as quarantine_checkpoint
 
 _NOTES_KEY = event_key(Place("store", "recover"))
-_SALVAGED = "it is what could be saved of a damaged segment"
+_SALVAGED = "it is the readable part of a damaged segment"
 
 
 class Action(msgspec.Struct, frozen=True):
-    """Something that was done."""
+    """A completed step."""
 
     what: str
     where: str
@@ -41,16 +41,9 @@ class Action(msgspec.Struct, frozen=True):
 
 
 def recover(store: Store, *, quarantine: bool = False) -> Iterator[Action]:
-    """Put right what `verify` finds; every step is yielded when it is done, and can be done again.
+    """Repair what `verify` finds; yields every step when it is done. Every step can be repeated.
 
-    Parameters
-    ----------
-    store: Which store.
-    quarantine: Also move files that are not the store's out of its log, to ``log/aside``.
-
-    Raises
-    ------
-    StoreError: If another process writes the store, or the disk refuses.
+    With `quarantine` files that are not the store's are moved to ``log/aside``.
     """
     try:
         with WriterLock(store, "gyrofleet recover"), builder_lock(store):
@@ -59,88 +52,95 @@ def recover(store: Store, *, quarantine: bool = False) -> Iterator[Action]:
             if quarantine:
                 for unknown, target in quarantine_unknown(store):
                     yield Action("file_quarantined", str(unknown.path), f"{unknown.why}; kept as {target}")
-            yield from _mend_log(store)
-            yield from _mend_lake(store)
-            yield from _mend_checkpoints(checkpoint_findings(store, verify_log(store)))
+            yield from _repair_log(store)
+            yield from _repair_lake(store)
+            for finding in checkpoint_findings(store, verify_log(store)):
+                if finding.kind == "checkpoint_damaged":
+                    aside = quarantine_checkpoint(Path(finding.where))
+                    yield Action("checkpoint_set_aside", finding.where, f"kept as {aside}")
             for aside in mend_copies(store):
-                yield Action("specification_copied", str(aside.parent), f"written from the log; as it was: {aside}")
-            yield from _mend_kept(store)
+                yield Action("specification_copied", str(aside.parent), f"written from the log; the old file: {aside}")
+            for finding in kept_findings(store):
+                # derived, and computed again on demand
+                if finding.kind == KEPT_DAMAGED and Path(finding.where).exists():
+                    kept = quarantine_file(store, Path(finding.where))
+                    yield Action("kept_set_aside", finding.where, f"kept as {kept}")
     except OSError as error:
-        raise StoreError(f"{store.folder} cannot be put right: {error}; mend the disk and give it again") from error
+        raise StoreError(f"{store.folder} cannot be repaired: {error}; repair the disk and run it again") from error
 
 
-def _mend_log(store: Store) -> Iterator[Action]:
-    """What is lost is said, durably, before anything is put in force: killed in between, the next one knows."""
-    yield from _mend_manifest(store)
+def _repair_log(store: Store) -> Iterator[Action]:
+    """Repair the log; losses are documented, durably, before anything is replaced, so that a kill loses nothing."""
+    yield from _repair_manifest(store)
     log = EventLog(store)
     for recovery in log.recovered:
-        yield Action("segment_sealed", str(store.log / recovery.segment), _told(recovery))
+        yield Action("segment_sealed", str(store.log / recovery.segment), _describe(recovery))
     state = verify_log(store)
     only = only_in_lake(store, state)
     documents = [*_of_damage(store, state), *_of_missing(store, state, only), *_of_recovered(store, log, state)]
-    said = {stretch_id(lost) for document in documents for lost in document.details.get("lost", [])}
-    undocumented = [lost for lost in state.undocumented if stretch_id(vars(lost)) not in said]
+    documented = {stretch_id(lost) for document in documents for lost in document.details.get("lost", [])}
+    undocumented = [lost for lost in state.undocumented if stretch_id(vars(lost)) not in documented]
     documents += [_document(store, "numbers_missing", str(lost), "", (lost,)) for lost in undocumented]
     _append(log, [document for document in documents if document.uid not in state.uids])
     for lost in undocumented:
         yield Action("loss_documented", f"{lost.key} {lost.epoch}", str(lost))
-    for name in state.unsaid:
+    for name in state.undocumented_salvage:
         yield Action("loss_documented", str(store.log / name), _SALVAGED)
     manifest = ManifestWriter(store)
     for path in state.damaged:
         recovery = salvage_segment(store, path, state.before[path.name])
         manifest.add(recovery.entry or _lost(path.name, manifest.found.entries.get(path.name)))
-        yield Action("segment_salvaged", str(path), _told(recovery))
+        yield Action("segment_salvaged", str(path), _describe(recovery))
     for name in (*state.gone, *(f"{segment}.mcap" for segment in only)):
         manifest.add(_lost(name, state.entries.get(name)))
         yield Action("segment_missing", str(store.log / name), "listed as lost")
 
 
-def _mend_manifest(store: Store) -> Iterator[Action]:
-    """Write a manifest anew that does not hold, with all that it says; segments it lacks are listed by the log."""
+def _repair_manifest(store: Store) -> Iterator[Action]:
+    """Rewrite a damaged manifest with its valid entries; `EventLog` adds the segments that it lacks."""
     found = read_log_manifest(store)
     is_missing = not manifest_path(store).exists() and any(store.log.glob("*.mcap"))
     if found.damage or is_missing:
         aside = rewrite_manifest(store, [*found.entries.values(), *found.lost.values()])
-        kept = "" if aside is None else f"; as it was: {aside}"
-        yield Action("manifest_written", str(store.log), f"what it said still counts{kept}")
+        kept = "" if aside is None else f"; the old file: {aside}"
+        yield Action("manifest_written", str(store.log), f"its valid entries are kept{kept}")
 
 
 def _of_damage(store: Store, state: LogState) -> Iterator[StoreNoted]:
     for path in state.damaged:
         found = examine_segment(path, state.before[path.name])
-        yield _document(store, "segment_salvaged", _told(found), path.name, found.lost)
+        yield _document(store, "segment_salvaged", _describe(found), path.name, found.lost)
 
 
 def _of_missing(store: Store, state: LogState, only: list[str]) -> Iterator[StoreNoted]:
     for name in state.gone:
         entry = state.entries[name]
-        text = f"segment {name} with {entry.samples:,} samples is not there any more"
+        text = f"segment {name} with {entry.samples:,} samples is missing"
         yield _document(store, "segment_missing", text, name, (), entry=msgspec.to_builtins(entry))
     for segment in only:
-        text = f"segment {segment}.mcap is not there any more; what it held is in the lake"
+        text = f"segment {segment}.mcap is missing; its content is in the lake"
         yield _document(store, "segment_missing", text, f"{segment}.mcap", ())
 
 
 def _of_recovered(store: Store, log: EventLog, state: LogState) -> Iterator[StoreNoted]:
-    told = set()
+    reported = set()
     for recovery in log.recovered:
         if recovery.lost or recovery.damaged_chunks:
-            told.add(recovery.segment.partition(".")[0])
-            yield _document(store, "segment_recovered", _told(recovery), recovery.segment, recovery.lost)
-    for name in state.unsaid:
-        if name.partition(".")[0] not in told:
+            reported.add(recovery.segment.partition(".")[0])
+            yield _document(store, "segment_recovered", _describe(recovery), recovery.segment, recovery.lost)
+    for name in state.undocumented_salvage:
+        if name.partition(".")[0] not in reported:
             yield _document(store, "segment_recovered", f"{name}: {_SALVAGED}", name, ())
 
 
 def _lost(name: str, entry: SegmentEntry | None) -> SegmentEntry:
-    """The line of a segment that is not there any more; its number is not given again."""
+    """Entry of a missing segment; its number is not reused."""
     known = entry or SegmentEntry(name, 0, "", 0, 0, 0, 0)
     return msgspec.structs.replace(known, origin=LOST)
 
 
 def _append(log: EventLog, documents: list[StoreNoted]) -> None:
-    """Bring documents to the log; they are durable when this returns."""
+    """Append documents to the log, durably."""
     stream = StreamId(_NOTES_KEY, new_uid())
     for seq, document in enumerate(documents):
         payload = encode_event(document, stream.epoch, seq)
@@ -152,55 +152,24 @@ def _append(log: EventLog, documents: list[StoreNoted]) -> None:
 def _document(
     store: Store, what: str, text: str, segment: str, lost: tuple[LostStretch, ...], **more: object
 ) -> StoreNoted:
-    """A document that has the same identity whenever the same is found, so that it is said once."""
+    """A document whose identity depends on its content, so that a finding is documented once."""
     details = {"segment": segment, "lost": [vars(each) for each in lost], **more}
     parts = [store.identity, what, segment, *(str(part) for each in lost for part in stretch_id(vars(each)))]
     uid = uuid5(NAMESPACE_OID, "\0".join(parts)).hex
-    return msgspec.structs.replace(noted(store.identity, what, text, details), uid=uid)
+    return msgspec.structs.replace(store_document(store.identity, what, text, details), uid=uid)
 
 
-def _mend_checkpoints(findings: list[Finding]) -> Iterator[Action]:
-    for finding in findings:
-        if finding.kind == "checkpoint_damaged":
-            aside = keep_aside(Path(finding.where))
-            yield Action("checkpoint_set_aside", finding.where, f"kept as {aside}")
-
-
-def _mend_kept(store: Store) -> Iterator[Action]:
-    """Move aside what layers keep and is not what it should be; it is derived, and computed again when asked for."""
-    for finding in kept_findings(store):
-        path = Path(finding.where)
-        if finding.kind == KEPT_DAMAGED and path.exists():
-            aside = store.folder / "lake-aside"
-            aside.mkdir(exist_ok=True)
-            kept = path.rename(aside / f"{path.name}.{time.time_ns()}")
-            yield Action("kept_set_aside", finding.where, f"kept as {kept}")
-
-
-def _mend_lake(store: Store) -> Iterator[Action]:
-    for problem in mend(store):
+def _repair_lake(store: Store) -> Iterator[Action]:
+    for problem in repair_lake(store):
         yield Action("lake_mended", str(store.lake / problem.part / problem.file), problem.remedy)
     for name in build_missing(store):
-        yield Action("lake_built", str(store.lake / name), "brought from the log to the lake")
+        yield Action("lake_built", str(store.lake / name), "built from the log")
     lake = Lake(store)
     for finding in lake_findings(store, verify_log(store)):
         if finding.kind == "lake_disagrees":
-            lake.remake(Path(finding.where).name, aside=True)
+            lake.rebuild_part(Path(finding.where).name, aside=True)
             yield Action("lake_mended", finding.where, finding.remedy)
 
 
-def _told(recovery: Recovery) -> str:
-    text = f"{recovery.records:,} messages saved of {recovery.segment}"
-    if recovery.damaged_chunks:
-        text += f", {recovery.damaged_bytes:,} bytes in {recovery.damaged_chunks} pieces could not be read"
-    lost = _told_lost(recovery.lost)
-    if lost:
-        text += f"; lost: {lost}"
-    if recovery.kept_aside is not None:
-        text += f"; as it was: {recovery.kept_aside}"
-    return text
-
-
-def _told_lost(lost: tuple[LostStretch, ...]) -> str:
-    more = f" and {len(lost) - 5} more" if len(lost) > 5 else ""
-    return "; ".join(str(each) for each in lost[:5]) + more
+def _describe(recovery: Recovery) -> str:
+    return f"{recovery}" + ("" if recovery.kept_aside is None else f"; the original: {recovery.kept_aside}")

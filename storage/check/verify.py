@@ -1,4 +1,4 @@
-"""Is a store what was written to it: log, lake, and the estimators' checkpoints, compared with each other."""
+"""Verification of a store: log, lake, and the estimators' checkpoints, compared with each other."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -21,28 +21,25 @@ from stream.worker.checkpoint import generations, read_checkpoint
 CHECKPOINT = Path("checkpoints") / "estimate.checkpoint"
 
 Check = Callable[[Store], Iterable[Finding]]
-"""Looks at what a package above this one keeps in a store; an entry point in the group `gyrofleet.verify`."""
+"""Check of what a higher package keeps in a store; an entry point in the group `gyrofleet.verify`."""
 
 
 def verify(store: Store, progress: Callable[[float], None] | None = None) -> tuple[Verification, LogState]:
-    """Read everything in a store and say what is not as it should be; nothing is changed.
+    """Read everything in a store and report what is wrong, without changes; `progress` gets the fraction read.
 
-    Parameters
-    ----------
-    store: Which store; it may be written meanwhile, what is not sealed yet is then not looked at.
-    progress: Called with the fraction of the log that is read.
+    Segments that are still being written are not verified.
     """
     began = time.monotonic()
     state = verify_log(store, progress)
     findings = [
         *state.findings,
-        *_looked_at(lambda: lake_findings(store, state), store.lake),
-        *_looked_at(lambda: checkpoint_findings(store, state), store.folder / CHECKPOINT),
-        *_looked_at(lambda: _spools(store), store.folder / "spool"),
-        *_looked_at(lambda: specification_findings(store), store.folder),
+        *_run_check(lambda: lake_findings(store, state), store.lake),
+        *_run_check(lambda: checkpoint_findings(store, state), store.folder / CHECKPOINT),
+        *_run_check(lambda: _spools(store), store.folder / "spool"),
+        *_run_check(lambda: specification_findings(store), store.folder),
     ]
     for check in checks():
-        findings += _looked_at(partial(check, store), store.folder)
+        findings += _run_check(partial(check, store), store.folder)
     findings += kept_findings(store)
     try:
         in_force = parts(store)
@@ -63,34 +60,34 @@ def verify(store: Store, progress: Callable[[float], None] | None = None) -> tup
 
 @cache
 def checks() -> tuple[Check, ...]:
-    """The further checks that are installed."""
+    """The installed checks of higher packages."""
     return tuple(each.load() for each in sorted(entry_points(group="gyrofleet.verify"), key=lambda each: each.name))
 
 
 def kept_findings(store: Store) -> list[Finding]:
-    """What is wrong with what layers of the catalogue have computed and kept."""
+    """What is wrong with what catalogue layers keep."""
     from storage.sql.catalog import layers
 
     found: list[Finding] = []
     for layer in layers():
         if any((store.folder / layer.folder).glob("*")):
-            found += _looked_at(partial(layer.findings, store), store.folder / layer.folder)
+            found += _run_check(partial(layer.findings, store), store.folder / layer.folder)
     return found
 
 
-def _looked_at(look: Callable[[], Iterable[Finding]], where: Path) -> list[Finding]:
-    """What a check finds; one that cannot go on, as over what another has found damaged, does not end the others."""
+def _run_check(check: Callable[[], Iterable[Finding]], where: Path) -> list[Finding]:
+    """Findings of a check; its failure, as by damage that another one reports, does not end the others."""
     try:
-        return list(look())
-    except Exception as error:  # noqa: BLE001  whatever it is, what the others find must be said
+        return list(check())
+    except Exception as error:  # noqa: BLE001  the other findings must be reported
         why = str(error) if isinstance(error, GyrofleetError) else f"{type(error).__name__}: {error}"
-        what = f"what it holds cannot be looked at: {why}"
-        remedy = "put right what else is found, and give `gyrofleet verify` again"
+        what = f"it cannot be checked: {why}"
+        remedy = "repair the other findings, and run `gyrofleet verify` again"
         return [Finding("check_failed", Severity.DAMAGE, str(where), what, remedy)]
 
 
 def lake_findings(store: Store, state: LogState) -> list[Finding]:
-    """What is wrong with the lake, by itself and beside the log; it may be changed meanwhile."""
+    """What is wrong with the lake, by itself and compared with the log; it may be changed meanwhile."""
     found = []
     for problem in lasting_problems(store):
         damaged_file = store.lake / problem.part / problem.file
@@ -98,15 +95,15 @@ def lake_findings(store: Store, state: LogState) -> list[Finding]:
     try:
         in_force = parts(store)
     except StoreError:
-        return found  # said above
+        return found  # reported above
     for part in in_force:
-        finding = _beside_log(store, state, part)
+        finding = _compare_with_log(store, state, part)
         if finding is not None:
             found.append(finding)
         if part.quarantined:
             what = (
                 f"{part.quarantined:,} messages of its segments cannot be built, {part.quarantined_samples:,} samples; "
-                f"the documents message_quarantined in the view events say why, the log keeps them"
+                f"the documents message_quarantined in the view events give the reasons, the log keeps them"
             )
             found.append(Finding("messages_quarantined", Severity.NOTE, str(store.lake / part.name), what))
     held = {segment for part in in_force for segment in part.segments}
@@ -117,22 +114,23 @@ def lake_findings(store: Store, state: LogState) -> list[Finding]:
     return found
 
 
-def _beside_log(store: Store, state: LogState, part: Part) -> Finding | None:
-    """What is wrong with a part of the lake compared with the segments that it was made from."""
+def _compare_with_log(store: Store, state: LogState, part: Part) -> Finding | None:
+    """What is wrong with a part of the lake compared with its segments."""
     where = str(store.lake / part.name)
     gone = {segment for segment in part.segments if not (store.log / f"{segment}.mcap").exists()}
-    unsaid = sorted(gone - _said(state))
-    if unsaid:
-        what = f"segments of it are not in the log, which does not say that they are lost: {', '.join(unsaid[:5])}"
-        remedy = "restore them from a copy; else say in the log that they are lost"
+    undeclared = sorted(gone - _declared(state))
+    if undeclared:
+        what = f"some of its segments are missing in the log without a document: {', '.join(undeclared[:5])}"
+        remedy = "restore them from a copy; else document in the log that they are lost"
         return Finding("lake_has_more", Severity.DAMAGE, where, what, remedy)
     there = [segment for segment in part.segments if segment not in gone]
-    is_uncounted = any(f"{segment}.mcap" not in state.samples for segment in there)  # sealed since the log was read
-    if is_uncounted or {path.stem for path in state.damaged}.intersection(there):  # of damage it is said
+    is_uncounted = any(f"{segment}.mcap" not in state.samples for segment in there)  # sealed since
+    if is_uncounted or {path.stem for path in state.damaged}.intersection(there):  # damage is reported
         return None
     expected = sum(state.samples[f"{segment}.mcap"] for segment in there)
     changed = gone | (salvaged(state) & set(there))
-    others = [segment for segment in there if segment not in changed and _is_of_another(state, part, segment)]
+    entries = {each: state.entries.get(f"{each}.mcap") for each in there if each not in changed}
+    others = [each for each, entry in entries.items() if entry and part.sources.get(each, entry.sha256) != entry.sha256]
     held = part.samples + part.quarantined_samples
     if held > expected and changed and not others:
         what = f"{held - expected:,} samples that the log has lost are still in the lake"
@@ -143,47 +141,42 @@ def _beside_log(store: Store, state: LogState, part: Part) -> Finding | None:
         what = f"{held:,} samples, its segments have {expected:,}"
     else:
         return None
-    return Finding("lake_disagrees", Severity.DAMAGE, where, what, "keep it aside and make it anew from the log")
+    return Finding("lake_disagrees", Severity.DAMAGE, where, what, "quarantine it and rebuild it from the log")
 
 
-def _is_of_another(state: LogState, part: Part, segment: str) -> bool:
-    entry = state.entries.get(f"{segment}.mcap")
-    return entry is not None and part.sources.get(segment, entry.sha256) != entry.sha256
-
-
-def _said(state: LogState) -> set[str]:
-    """Segments of which the log, its manifest, or another finding says that they are not there."""
-    return state.said | {name.removesuffix(".mcap") for name in (*state.lost, *state.gone)}
+def _declared(state: LogState) -> set[str]:
+    """Segments that the log, its manifest, or another finding declares missing."""
+    return state.declared | {name.removesuffix(".mcap") for name in (*state.lost, *state.gone)}
 
 
 def salvaged(state: LogState) -> set[str]:
-    """Segments that are not what was recorded, but what could be saved of it."""
+    """Segments that are the readable part of damaged ones."""
     return {name.removesuffix(".mcap") for name, entry in state.entries.items() if entry.origin == "salvaged"}
 
 
 def only_in_lake(store: Store, state: LogState) -> list[str]:
-    """Segments that are lost, and nothing but the lake knows of them."""
+    """Lost segments that only the lake knows."""
     try:
         held = {segment for part in parts(store) for segment in part.segments}
     except StoreError:
         return []
-    return sorted(each for each in held - _said(state) if not (store.log / f"{each}.mcap").exists())
+    return sorted(each for each in held - _declared(state) if not (store.log / f"{each}.mcap").exists())
 
 
 def checkpoint_findings(store: Store, state: LogState) -> list[Finding]:
-    """What is wrong with the estimators' checkpoints, by themselves and beside the log."""
+    """What is wrong with the estimators' checkpoints, by themselves and compared with the log."""
     found = []
     for path in generations(store.folder / CHECKPOINT):
         try:
             checkpoint = read_checkpoint(path)
         except EstimatorError as error:
-            remedy = "move it aside; the one before it, or the log, has all it knew"
+            remedy = "quarantine it; the previous one, or the log, has all of its data"
             found.append(Finding("checkpoint_damaged", Severity.DAMAGE, str(path), str(error), remedy))
             continue
         if checkpoint is None or writer_is_active(store.folder):
             continue
         if checkpoint.store != store.identity:
-            what = "it is of another store; it is not gone on from"
+            what = "it is of another store, and not used"
             found.append(Finding("checkpoint_foreign", Severity.NOTE, str(path), what))
             continue
         ahead = [
@@ -194,8 +187,8 @@ def checkpoint_findings(store: Store, state: LogState) -> list[Finding]:
         if not ahead or state.damaged or any(each.kind == "segment_unfinished" for each in state.findings):
             continue
         what = (
-            f"it has seen {len(ahead)} streams further than the log has them, the first {ahead[0].key}: their sources "
-            "send that again, or it is lost and said so"
+            f"it is ahead of the log in {len(ahead)} streams, the first {ahead[0].key}: their sources resend the "
+            "rest, or its loss is documented"
         )
         found.append(Finding("checkpoint_ahead", Severity.NOTE, str(path), what))
     return found
@@ -207,9 +200,9 @@ def _spools(store: Store) -> list[Finding]:
         try:
             held = held_messages(folder)
         except GyrofleetError as error:
-            found.append(Finding("spool_damaged", Severity.DAMAGE, str(folder), str(error), "look at it by hand"))
+            found.append(Finding("spool_damaged", Severity.DAMAGE, str(folder), str(error), "examine it by hand"))
             continue
         if held:
-            what = f"{held:,} messages of a source wait there to be sent; they are safe"
-            found.append(Finding("spool_waits", Severity.NOTE, str(folder), what, "give the `gyrofleet run` again"))
+            what = f"{held:,} messages of a source wait to be sent; they are safe"
+            found.append(Finding("spool_waits", Severity.NOTE, str(folder), what, "run `gyrofleet run` again"))
     return found

@@ -1,6 +1,5 @@
-"""The lake compared with its manifest and the log: what is wrong, where, and how it is put right."""
+"""Verification and repair of the lake by its manifest, the hashes of its files, and the log."""
 
-import hashlib
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,11 +7,12 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from storage.lake.lake import Lake, remade_manifest
+from storage.lake.lake import Lake, quarantine, rebuilt_manifest
 from storage.lake.part import without_samples
 from storage.lake.tables import open_table
 from storage.manifests.lake import (
     MANIFEST,
+    NEW_LAKE,
     PART,
     LakeManifestDamaged,
     Manifest,
@@ -23,46 +23,36 @@ from storage.manifests.lake import (
     read_part,
     write_manifest,
 )
-from storage.manifests.lake_switch import NEW_LAKE
+from storage.segments.disk import sha256_of
 from storage.store import Store
 from stream.errors import StoreError
 
-_BLOCK = 1 << 20
 _SETTLED_WITHIN_S = 60.0
 
 
 class LakeProblem(NamedTuple):
-    """Something wrong in the lake.
-
-    `part` is empty where the manifest itself is meant; `remedy` says what `mend` does.
-    """
+    """Damage in the lake; `part` is empty for the manifest, `remedy` is what `repair_lake` does."""
 
     part: str
     file: str
     what: str
-    segments: tuple[str, ...]
-    t_first_ns: int | None
-    t_last_ns: int | None
     remedy: str
 
 
 def lake_problems(store: Store) -> Iterator[LakeProblem]:
-    """Everything wrong in the lake of a store: every file is read and compared with its hash.
-
-    Segments that are not in the lake yet are not a problem.
-    """
+    """All damage in the lake: every file is compared with its hash. Segments that are not in it yet are no damage."""
     yield from _problems(store, {})
 
 
 def lasting_problems(store: Store) -> list[LakeProblem]:
-    """Like `lake_problems`, of a lake that may be changed meanwhile: what was changed by then is judged again."""
+    """As `lake_problems`, for a lake that may change meanwhile: changed parts are checked again."""
     sound: dict[str, Part] = {}
     until = time.monotonic() + _SETTLED_WITHIN_S
     while True:
         before = _version(store)
         found = list(_problems(store, sound))
         if found and not store.lake.is_dir() and (store.folder / NEW_LAKE).is_dir():
-            time.sleep(0.05)  # the new one is about to take its place
+            time.sleep(0.05)  # it is being replaced
         now = _version(store)
         if not found or before == now or time.monotonic() >= until:
             return found
@@ -71,7 +61,7 @@ def lasting_problems(store: Store) -> list[LakeProblem]:
 
 
 def _version(store: Store) -> tuple[int, int, int]:
-    """Which lake it is, and which manifest of it; 0 for what is not there at this moment."""
+    """Identity of the lake and of its manifest; 0 for what is missing at this moment."""
     folder, _ = _stamp(store.lake)
     return folder, *_stamp(store.lake / MANIFEST)
 
@@ -81,16 +71,16 @@ def _stamp(path: Path) -> tuple[int, int]:
         found = path.stat()
     except OSError:
         return 0, 0
-    return found.st_ino, found.st_mtime_ns  # the number of a file that has gone is given again
+    return found.st_ino, found.st_mtime_ns  # inode numbers are reused
 
 
 def _problems(store: Store, sound: dict[str, Part]) -> Iterator[LakeProblem]:
-    """Problems of the parts that are not in `sound`; those that have none are put there."""
+    """Damage of the parts that are not in `sound`; intact parts are added to it."""
     try:
         manifest = read_manifest(store)
     except LakeManifestDamaged as error:
-        remedy = "make the manifest anew from what the parts say of themselves; missing parts are made from the log"
-        yield LakeProblem("", MANIFEST, str(error), (), None, None, remedy)
+        remedy = "rebuild the manifest from the parts' descriptions, and missing parts from the log"
+        yield LakeProblem("", MANIFEST, str(error), remedy)
         manifest = Manifest(parts=tuple(found_parts(store)))
     seen: set[str] = set()
     for part in manifest.parts:
@@ -105,27 +95,26 @@ def _problems(store: Store, sound: dict[str, Part]) -> Iterator[LakeProblem]:
         seen.update(part.segments)
 
 
-def mend(store: Store) -> Iterator[LakeProblem]:
-    """Put right what `lake_problems` finds; a problem is yielded when it is. The caller holds `builder_lock`.
+def repair_lake(store: Store) -> Iterator[LakeProblem]:
+    """Repair what `lake_problems` finds, and yield it. The caller holds `builder_lock`.
 
-    What is damaged is moved to ``lake-aside/``, never removed. Parts are rebuilt from the log.
-
-    Raises
-    ------
-    StoreError: If a part cannot be rebuilt, as its segment is damaged too; the others are mended first.
+    Damaged files are moved to ``lake-aside/``, parts rebuilt from the log. If that fails for a part, StoreError is
+    raised after all others are repaired.
     """
     found = list(lake_problems(store))
     for problem in found:
         if not problem.part:
-            _remake_manifest(store)
+            if (store.lake / MANIFEST).exists():
+                quarantine(store, store.lake / MANIFEST)
+            write_manifest(store, rebuilt_manifest(store))
             yield problem
     if not any(problem.part for problem in found):
         return
     lake, failure = Lake(store), None
     for name in dict.fromkeys(problem.part for problem in found if problem.part):
         try:
-            if name in {part.name for part in lake.manifest.parts}:  # else its folder had gone, and it is missing now
-                lake.remake(name, aside=True)
+            if name in {part.name for part in lake.manifest.parts}:  # else it is built as a new one
+                lake.rebuild_part(name, aside=True)
         except StoreError as error:
             failure = failure or error
             continue
@@ -140,13 +129,13 @@ def _part_problems(store: Store, part: Part) -> Iterator[LakeProblem]:
         yield _problem(part, "", "its folder is missing")
         return
     try:
-        said = read_part(folder)
-        if said.dropped is not None and part.dropped is None:
-            is_as_listed = said == without_samples(part, said.dropped.document)  # the part says so before the manifest
+        described = read_part(folder)
+        if described.dropped is not None and part.dropped is None:
+            is_as_listed = described == without_samples(part, described.dropped.document)  # written before the manifest
         else:
-            is_as_listed = said == part
+            is_as_listed = described == part
         if not is_as_listed:
-            yield _problem(part, PART, "it does not agree with the manifest")
+            yield _problem(part, PART, "it does not match the manifest")
     except StoreError as error:
         yield _problem(part, PART, str(error))
     for name, file in part.files.items():
@@ -163,8 +152,8 @@ def _wrong_with(path: Path, file: PartFile) -> str | None:
         size = path.stat().st_size
         if size != file.bytes:
             return f"{size} bytes, {file.bytes} are expected"
-        if _sha256(path) != file.sha256:
-            return "its content does not agree with its hash"
+        if sha256_of(path) != file.sha256:
+            return "its content does not match its hash"
         with open_table(path) as table:
             rows = table.metadata.num_rows
     except FileNotFoundError:
@@ -174,19 +163,6 @@ def _wrong_with(path: Path, file: PartFile) -> str | None:
     return None if rows == file.rows else f"{rows} rows, {file.rows} are expected"
 
 
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256", _bufsize=_BLOCK).hexdigest()
-
-
 def _problem(part: Part, file: str, what: str) -> LakeProblem:
-    remedy = f"keep {part.name} aside and make its {len(part.segments)} segments anew from the log"
-    return LakeProblem(part.name, file, what, part.segments, part.t_first_ns, part.t_last_ns, remedy)
-
-
-def _remake_manifest(store: Store) -> None:
-    if (store.lake / MANIFEST).exists():
-        aside = store.folder / "lake-aside"
-        aside.mkdir(exist_ok=True)
-        (store.lake / MANIFEST).rename(aside / f"{MANIFEST}.{time.time_ns()}")
-    write_manifest(store, remade_manifest(store))
+    remedy = f"quarantine {part.name} and rebuild its {len(part.segments)} segments from the log"
+    return LakeProblem(part.name, file, what, remedy)

@@ -1,6 +1,5 @@
-"""Is the log what was written: its manifest, every byte of its segments, and the numbers of every stream."""
+"""Verification of the log: its manifest, every byte of its segments, and the numbers of every stream."""
 
-import hashlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -9,12 +8,13 @@ from uuid import UUID
 
 from storage.findings import Finding, Severity
 from storage.log.files import sealed_segments, unknown_files
-from storage.log.notes import is_foreign
 from storage.log.recovery import left_open, reached_in
 from storage.log.sequence import DOCUMENTS, LostStretch, SequenceCheck, place_of
+from storage.log.store_documents import is_foreign
 from storage.log.tail import open_records
 from storage.manifests.lake import read_manifest
 from storage.manifests.log import SegmentEntry, manifest_path, read_log_manifest
+from storage.segments.disk import sha256_of
 from storage.segments.reader import SegmentScan, read_segment
 from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store, writer_is_active
@@ -24,32 +24,31 @@ from stream.events import RunEnded, StoreNoted, decode_event
 from stream.identity import parse_key, sample_key
 from stream.wire.event_validation import invalid_reason
 
-_SALVAGE = "save what it still holds, keep the file itself in log/aside, and say in the log what is lost"
+_SALVAGE = "salvage its readable part, keep the file in log/aside, and document the loss in the log"
 _LOSSES = ("segment_salvaged", "segment_missing", "segment_recovered")
 _LISTED_WITHIN_S = 2.0
 
 
 @dataclass
 class LogState:
-    """What the log holds and what is wrong with it.
+    """Content of the log and what is wrong with it.
 
-    Parameters
+    Attributes
     ----------
-    findings: In the order of the log.
-    entries, lost: Of the manifest, and of those what is not there any more, as the log says.
-    gone: Segments that are listed and not there.
-    samples: Samples of each sealed segment, by name, as far as it can be read.
-    messages: Messages of all of them.
-    check: How far the streams have come, and what is missing in them.
-    damaged: Sealed segments that are not what was written.
-    before: How far the streams had come before each of those.
-    undocumented: What is missing without a document in the log that says so.
-    unsaid: Segments that are what could be saved of a damaged one, without a document that says so.
-    said: Segments of which a document says that they are not what was recorded, or not there.
-    uids: Documents of the store itself.
-    documented: Stretches that documents say are lost.
-    totals: Run and samples that a stream ended with.
     store: Identity of the store.
+    entries, lost: Entries of the manifest: segments, and those that are documented as lost.
+    gone: Listed segments that do not exist.
+    samples: Readable samples of each sealed segment, by name.
+    messages: Readable messages of all of them.
+    check: Positions of the streams, and what is missing in them.
+    damaged: Sealed segments that are not what was written.
+    before: Positions of the streams before each of those.
+    undocumented: Losses without a document in the log.
+    undocumented_salvage: Salvaged segments without a document in the log.
+    declared: Segments that documents declare damaged or missing.
+    uids: The store's own documents.
+    documented: Lost stretches that have a document.
+    totals: Run and number of samples at the end of each stream.
     """
 
     store: str
@@ -63,25 +62,19 @@ class LogState:
     damaged: list[Path] = field(default_factory=list)
     before: dict[str, dict[StreamId, int]] = field(default_factory=dict)
     undocumented: list[LostStretch] = field(default_factory=list)
-    unsaid: list[str] = field(default_factory=list)
-    said: set[str] = field(default_factory=set)
+    undocumented_salvage: list[str] = field(default_factory=list)
+    declared: set[str] = field(default_factory=set)
     uids: set[str] = field(default_factory=set)
     documented: set[tuple[object, ...]] = field(default_factory=set)
     totals: dict[StreamId, tuple[str, int]] = field(default_factory=dict)
 
     def add(self, kind: str, severity: Severity, where: str, what: str, remedy: str = "") -> None:
-        """Note a finding."""
+        """Add a finding."""
         self.findings.append(Finding(kind, severity, where, what, remedy))
 
 
 def verify_log(store: Store, progress: Callable[[float], None] | None = None) -> LogState:
-    """Read all of a log.
-
-    Parameters
-    ----------
-    store: Whose.
-    progress: Called with the fraction that is read.
-    """
+    """Read all of a log; `progress` is called with the fraction that is read."""
     state = LogState(store.identity)
     sealed = _verify_manifest(store, state)
     done, size = 0, max(1, sum(path.stat().st_size for path in sealed))
@@ -107,46 +100,46 @@ def verify_log(store: Store, progress: Callable[[float], None] | None = None) ->
 
 
 def _verify_manifest(store: Store, state: LogState) -> list[Path]:
-    """Hold the manifest against the files that are there; returns the sealed segments."""
+    """Compare the manifest with the files; returns the sealed segments."""
     if not store.log.is_dir():
-        what = "the folder of the log is missing, and with it every segment"
-        remedy = "restore it from a copy; else begin it anew, and say in it what is lost"
+        what = "the folder of the log is missing, with every segment"
+        remedy = "restore it from a copy; else start it again, and document in it what is lost"
         state.add("log_missing", Severity.DAMAGE, str(store.log), what, remedy)
         return []
     until = time.monotonic() + _LISTED_WITHIN_S
     while True:
-        # segments first: what is sealed after this is not looked at
+        # segments first: what is sealed later is not verified
         sealed = sealed_segments(store)
         manifest = read_log_manifest(store)
         is_listed = all(path.name in manifest.entries for path in sealed)
         if is_listed or not writer_is_active(store.folder) or time.monotonic() >= until:
             break
-        time.sleep(0.05)  # the line comes after the segment
+        time.sleep(0.05)  # the line is written after the segment
     state.entries, state.lost = manifest.entries, manifest.lost
     for unknown in unknown_files(store):
-        what = f"{unknown.why}; it is not read, and does not come to the lake"
+        what = f"{unknown.why}; it is neither read nor brought to the lake"
         remedy = "move it to log/aside, with --quarantine"
         state.add("file_unknown", Severity.NOTE, str(unknown.path), what, remedy)
     where = str(manifest_path(store))
-    anew = "write it anew from the segments, and keep what is there in log/aside"
+    remedy = "rebuild it from the segments, and keep the old one in log/aside"
     if not manifest_path(store).exists() and (len(sealed) > 1 or _is_in_use(store)):
-        state.add("manifest_missing", Severity.DAMAGE, where, "the manifest of the log is missing", anew)
+        state.add("manifest_missing", Severity.DAMAGE, where, "the manifest of the log is missing", remedy)
     for damage in manifest.damage:
-        state.add("manifest_damaged", Severity.DAMAGE, where, f"line {damage.line}: {damage.reason}", anew)
+        state.add("manifest_damaged", Severity.DAMAGE, where, f"line {damage.line}: {damage.reason}", remedy)
     for name, entry in sorted(manifest.entries.items()):
         if (store.log / name).exists():
             continue
         state.gone.append(name)
         state.add(
             "segment_missing", Severity.DAMAGE, str(store.log / name),
-            f"listed with {entry.samples:,} samples and {entry.size:,} bytes, and not there",
-            "restore it from a copy; else say in the log what is lost, and list it as lost",
+            f"listed with {entry.samples:,} samples and {entry.size:,} bytes, but missing",
+            "restore it from a copy; else document the loss in the log, and list it as lost",
         )  # fmt: skip
     return sealed
 
 
 def _is_in_use(store: Store) -> bool:
-    """Whether the lake has something, which came from the log."""
+    """Whether the lake has parts, which came from the log."""
     try:
         return bool(read_manifest(store).parts)
     except StoreError:
@@ -154,12 +147,12 @@ def _is_in_use(store: Store) -> bool:
 
 
 def _read_open(store: Store, state: LogState) -> None:
-    """A recorder that has recovered something says so in the segment that it writes now."""
+    """Read the open segment, in which a recorder documents what it has recovered."""
     for record in open_records(store):
         if record.schema == EVENTS and "/estimate/" not in record.topic:
             document = decode_event(record.data).document
             if isinstance(document, StoreNoted) and invalid_reason(document) is None:
-                _take_note(document, state)
+                _add_document(document, state)
 
 
 def _verify_segment(path: Path, state: LogState) -> bool:
@@ -170,7 +163,7 @@ def _verify_segment(path: Path, state: LogState) -> bool:
         state.add("segment_unlisted", Severity.UNFINISHED, str(path), what, "read it whole and list it")
     elif path.stat().st_size != entry.size:
         reasons.append(f"{path.stat().st_size:,} bytes instead of {entry.size:,}")
-    elif _sha256(path) != entry.sha256:
+    elif sha256_of(path) != entry.sha256:
         reasons.append("its SHA-256 is not that of the manifest")
     samples = messages = 0
     try:
@@ -181,10 +174,10 @@ def _verify_segment(path: Path, state: LogState) -> bool:
         if not reasons:
             reasons.append(str(error))
     except OutOfMemory:
-        raise  # nothing is known of it
+        raise  # nothing is known of the segment
     except GyrofleetError as error:
         reasons.append(f"it holds a message that cannot be read: {error}")
-    # of what could be saved of a segment, these are what says that its streams had come further
+    # a salvaged segment has marks of what its streams had reached
     for stream, next_seq in reached_in(path).items():
         state.check.reach(stream, next_seq)
     state.samples[path.name] = samples
@@ -199,7 +192,7 @@ def _verify_segment(path: Path, state: LogState) -> bool:
 
 
 def _follow(record: LogRecord, state: LogState) -> int:
-    """Take a message; how many samples it has."""
+    """Add a message; returns its number of samples."""
     place = place_of(record)
     if place is None:
         return 0
@@ -208,9 +201,9 @@ def _follow(record: LogRecord, state: LogState) -> int:
         document = decode_event(record.data).document
         if (reason := invalid_reason(document)) is not None:
             where = f"{record.topic} {document.uid}"
-            state.add("document_odd", Severity.NOTE, where, f"{type(document).__name__}, passed over: {reason}")
+            state.add("document_odd", Severity.NOTE, where, f"{type(document).__name__}, ignored: {reason}")
         elif isinstance(document, StoreNoted):
-            _take_note(document, state)
+            _add_document(document, state)
         elif isinstance(document, RunEnded):
             station = parse_key(record.topic).place
             for total in document.totals:
@@ -219,28 +212,28 @@ def _follow(record: LogRecord, state: LogState) -> int:
     return place.samples
 
 
-def _take_note(document: StoreNoted, state: LogState) -> None:
+def _add_document(document: StoreNoted, state: LogState) -> None:
     if is_foreign(document, state.store):
         return
     state.uids.add(document.uid)
     state.documented |= {stretch_id(lost) for lost in document.details.get("lost") or []}
     segment = document.details.get("segment")
     if document.what in _LOSSES and isinstance(segment, str):
-        state.said.add(segment.partition(".")[0])
+        state.declared.add(segment.partition(".")[0])
 
 
 def stretch_id(lost: Mapping[str, object]) -> tuple[object, ...]:
-    """What tells a lost stretch from another."""
+    """Identity of a lost stretch."""
     return lost.get("key"), lost.get("epoch"), lost.get("first_seq"), lost.get("last_seq")
 
 
 def _verify_salvaged(store: Store, state: LogState) -> None:
     for name, entry in state.entries.items():
-        if entry.origin == "salvaged" and name not in state.gone and name.removesuffix(".mcap") not in state.said:
-            state.unsaid.append(name)
+        if entry.origin == "salvaged" and name not in state.gone and name.removesuffix(".mcap") not in state.declared:
+            state.undocumented_salvage.append(name)
             state.add(
                 "salvage_undocumented", Severity.LOSS, str(store.log / name),
-                "it is what could be saved of a damaged segment, and nothing in the log says so", "say so in the log",
+                "it is the readable part of a damaged segment, without a document in the log", "document it in the log",
             )  # fmt: skip
 
 
@@ -248,22 +241,17 @@ def _verify_numbers(state: LogState) -> None:
     for stream, (run, samples) in state.totals.items():
         if state.check.next_seq.get(stream, 0) < samples:
             state.check.reach(stream, samples)
-            what = f"run {run} ended with {samples:,} samples, not all of them are there"
+            what = f"run {run} ended with {samples:,} samples, not all of them are stored"
             state.add("run_incomplete", Severity.NOTE, f"{stream.key} {stream.epoch}", what)
     # samples first, then documents
     for lost in sorted(state.check.lost, key=lambda lost: lost.signal == DOCUMENTS):
         where = f"{lost.key} {lost.epoch}"
         if stretch_id(vars(lost)) in state.documented:
-            state.add("loss_documented", Severity.NOTE, where, f"lost, and said so in the log: {lost}")
+            state.add("loss_documented", Severity.NOTE, where, f"lost, and documented in the log: {lost}")
         else:
             state.undocumented.append(lost)
-            state.add("numbers_missing", Severity.LOSS, where, str(lost), "say in the log that they are lost")
+            state.add("numbers_missing", Severity.LOSS, where, str(lost), "document in the log that they are lost")
     for place in state.check.repeated:
-        what = f"numbers {place.seq} to {place.next_seq - 1} are there twice"
+        what = f"numbers {place.seq} to {place.next_seq - 1} are stored twice"
         where = f"{place.stream.key} {place.stream.epoch}"
-        state.add("numbers_repeated", Severity.DAMAGE, where, what, "report this: no fault of a disk does it")
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        state.add("numbers_repeated", Severity.DAMAGE, where, what, "report this: a disk fault cannot cause it")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     type=click.FloatRange(min=1e-9),
     multiple=True,
     metavar="SECONDS",
-    help="Bias stability of averages this long as well, beside raw samples and 1, 10 and 100 s.",
+    help="Bias stability at this averaging time too, besides raw samples and 1, 10 and 100 s.",
 )
 @click.option(
     "--checkpoint-every",
@@ -32,18 +32,18 @@ if TYPE_CHECKING:
     type=click.FloatRange(min=0.1),
     default=30.0,
     show_default=True,
-    help="Seconds between checkpoints, from which it goes on after it was stopped or killed.",
+    help="Seconds between checkpoints, from which it resumes after a stop or a kill.",
 )
-@click.option("--connect", help="Where the recorder listens; by default, where the one listens that writes the store.")
+@click.option("--connect", help="Address of the recorder; by default of the one that writes the store.")
 @click.option(
     "--every",
     "every_s",
     type=click.FloatRange(min=0.001),
     default=60.0,
     show_default=True,
-    help="Seconds of a signal's time between estimates; signals that it goes on with keep theirs.",
+    help="Seconds of signal time between estimates; resumed signals keep theirs.",
 )
-@click.option("--no-spectrum", is_flag=True, help="Leave out the spectral density and its lines, a third of the work.")
+@click.option("--no-spectrum", is_flag=True, help="Omit the spectral density and its lines, a third of the work.")
 @estimates_option
 @reporting
 def estimate(
@@ -59,10 +59,9 @@ def estimate(
 ) -> None:
     """Estimate bias stability, Allan deviation, spectrum and noise of the rates on the bus, until stopped.
 
-    Estimated are angular rates, signals that a run's limits are on, and those that --estimates names.
-    In the store it keeps a checkpoint, and goes on from it with what was recorded since, also when it was killed.
-    Estimates go to the recorder; shown are early decisions and the final ones of each run (of a curve its lowest
-    point), with --json all.
+    It estimates angular rates, signals with limits, and those that --estimates names. It keeps a checkpoint in the
+    store, and resumes from it with what was recorded since, also after a kill. Estimates go to the recorder; it shows
+    early decisions and the final estimates of each run (of a curve its minimum), with --json all.
     """
     from storage.log.tail import LogTail
     from storage.recording.client import is_recorded
@@ -80,7 +79,7 @@ def estimate(
         raise BusError(f"no `gyrofleet record` writes {folder} now; start one, or give --connect with its address")
     console = notes()
     printing = threading.Lock()
-    said: set[str] = set()
+    shown: set[str] = set()
 
     also = {BiasStability(each).key: functools.partial(BiasStability, each) for each in averages_s}
 
@@ -89,15 +88,15 @@ def estimate(
             if as_json:
                 print_json(document)
                 return
-            line = told(document)
-            if line and line not in said:
-                said.add(line)
+            line = describe(document)
+            if line and line not in shown:
+                shown.add(line)
                 console.print(line, soft_wrap=True, markup=False)
 
     compile_kernels(quiet=as_json)
     with ExitStack() as stack:
         bus = stack.enter_context(ZenohBus(connect=[connect]))
-        # the log of a store that another recorder writes would not go with what comes over the bus
+        # the log of another recorder's store does not match what comes over the bus
         store = Store.open(folder) if is_recorded(bus, folder, connect) else None
         log = None if store is None else LogTail(store)
         checkpoint = None if log is None else folder / "checkpoints" / "estimate.checkpoint"
@@ -119,36 +118,36 @@ def estimate(
             estimated=EstimatedSignals.named(estimated),
         )
         with worker:
-            going_on = f", going on from {checkpoint}" if worker.resumed else ""
-            console.print(f"estimating what arrives on {connect}{going_on}; Ctrl-C ends", soft_wrap=True)
+            resumed = f", resumed from {checkpoint}" if worker.resumed else ""
+            console.print(f"estimating what arrives on {connect}{resumed}; Ctrl-C ends", soft_wrap=True)
             if log is None:
                 console.print(
-                    f"without a checkpoint, and what is missed is not read again: {folder} is not the store that is "
+                    f"without a checkpoint, and missed samples are not read again: {folder} is not the store that is "
                     "recorded to; give --store with the recorder's folder",
                     soft_wrap=True,
                 )
-            told_at, told_samples = time.monotonic(), 0
+            reported_at, reported_samples = time.monotonic(), 0
             warned = 0
             while not stopped.wait(0.2) and worker.failure is None:
                 for warning in worker.warnings[warned:]:
                     warned += 1
                     console.print(f"warning: {warning}", soft_wrap=True, markup=False)
-                if time.monotonic() - told_at >= 5.0 and worker.counts.samples != told_samples and not as_json:
-                    told_at, told_samples = time.monotonic(), worker.counts.samples
-                    console.print(f"{told_samples:,} samples, {worker.counts.estimates:,} estimates published")
+                if time.monotonic() - reported_at >= 5.0 and worker.counts.samples != reported_samples and not as_json:
+                    reported_at, reported_samples = time.monotonic(), worker.counts.samples
+                    console.print(f"{reported_samples:,} samples, {worker.counts.estimates:,} estimates published")
         publisher.drain()
     if not as_json:
         counts = worker.counts
         console.print(f"{counts.samples:,} samples, {counts.estimates:,} estimates, {counts.lost:,} samples missed")
 
 
-def told(document: "AnyDocument") -> str | None:
-    """One line on a document for people; None where it is not for them at this moment.
+def describe(document: "AnyDocument") -> str | None:
+    """A document in one line for people; None if it is not for them now.
 
     Examples
     --------
     >>> from stream.events import EstimatePublished
-    >>> told(EstimatePublished(run="r1", t_ns=0, unit="FOG-1", signal="rate", estimator="allan_deviation",
+    >>> describe(EstimatePublished(run="r1", t_ns=0, unit="FOG-1", signal="rate", estimator="allan_deviation",
     ...     unit_of_measure="deg/h", confidence=0.95, samples=1, missing=0, sample_interval_s=1.0, reason="too few",
     ...     final=True))
     'FOG-1 rate allan_deviation: no estimate (too few)'

@@ -14,19 +14,21 @@ if TYPE_CHECKING:
 _POLL_S = 0.5
 _PATIENCE_S = 10.0  # a recorder builds for some seconds at a time
 
-_older_than = click.option("--older-than", metavar="AGE", help="Drop raw rows that arrived longer ago, as 90d or 12h.")
-_max_size = click.option("--max-size", metavar="SIZE", help="Drop the oldest raw rows beyond this size, as 500GB.")
+_older_than = click.option(
+    "--older-than", metavar="AGE", help="Drop raw rows that arrived longer ago, like 90d or 12h."
+)
+_max_size = click.option("--max-size", metavar="SIZE", help="Drop the oldest raw rows beyond this size, like 500GB.")
 
 
 @click.command("lake")
 @store_option
-@click.option("--once", is_flag=True, help="Do what there is to do, and end.")
+@click.option("--once", is_flag=True, help="Do what is due, and end.")
 @click.option(
     "--grace-s",
     type=click.FloatRange(min=0),
     default=3600.0,
     show_default=True,
-    help="Seconds that replaced files stay for queries that are reading them.",
+    help="Seconds that replaced files stay for running queries.",
 )
 @_older_than
 @_max_size
@@ -34,10 +36,10 @@ _max_size = click.option("--max-size", metavar="SIZE", help="Drop the oldest raw
 def lake(
     folder: Path, grace_s: float, older_than: str | None, max_size: str | None, *, once: bool, as_json: bool
 ) -> None:
-    """Make the lake from sealed segments as they appear, until stopped.
+    """Build the lake from sealed segments as they appear, until stopped.
 
-    The parts of a finished day (UTC) become one, and many small ones of a day that goes on become few. With
-    --older-than or --max-size raw rows are dropped as `gyrofleet retain` does.
+    The parts of a finished day (UTC) are merged into one, small parts of the present day into few. With --older-than or
+    --max-size raw rows are dropped as by `gyrofleet retain`.
     """
     from storage.lake.lake import builder_lock
     from storage.store import Store
@@ -48,48 +50,47 @@ def lake(
     store = Store.open(folder)
     rule = _rule(older_than, max_size, required=False)
 
-    def tell(event: str, text: str, **numbers: object) -> None:
+    def report(event: str, text: str, **numbers: object) -> None:
         if as_json:
             print_json({"event": event, "text": text, **numbers})
         else:
             console.print(text, soft_wrap=True, markup=False)
 
     with builder_lock(store), until_stopped() as stopped:
-        service = LakeService(store, tell=tell, rule=rule, grace_s=grace_s)
+        service = LakeService(store, report=report, rule=rule, grace_s=grace_s)
         if not once:
-            tell("building", f"making the lake of {folder} from sealed segments; Ctrl-C ends")
+            report("building", f"building the lake of {folder} from sealed segments; Ctrl-C ends")
         while True:
             problems = service.round(stopped)
             if once or stopped.wait(_POLL_S):
                 break
     counts = service.counts
-    tell("ended", f"{counts.segments} segments brought to the lake, {counts.compacted} parts made into fewer")
+    report("ended", f"{counts.segments} segments brought to the lake, {counts.compacted} parts merged")
     if once and problems:
         raise StoreError("; ".join(problems))
 
 
 @click.command("rebuild")
 @store_option
-@click.option("--force", is_flag=True, help="Also where the old lake holds what the log no longer gives.")
-@click.option("--raw", is_flag=True, help="Only bring raw rows back that were dropped, as far as the log has them.")
+@click.option("--force", is_flag=True, help="Also if the old lake holds more than the log.")
+@click.option("--raw", is_flag=True, help="Only restore dropped raw rows, as far as the log has them.")
 @reporting
 def rebuild(folder: Path, *, force: bool, raw: bool, as_json: bool) -> None:
-    """Make the lake anew from the log, beside the one there is, which is replaced when the new one stands.
+    """Rebuild the lake from the log, beside the old one, which is replaced when the new one is complete.
 
-    What was dropped by retention stays dropped: the log says so. With --raw it comes back, and the log says that.
-    Killed in the middle, the old lake is in force, and the same command goes on.
+    What retention has dropped stays dropped; --raw restores it. Both are documented in the log. After a kill the old
+    lake is in force, and the same command resumes.
     """
     if raw:
         _restore(folder, as_json=as_json)
         return
     from storage.lake.lake import builder_lock
     from storage.lake.rebuild import rebuild as steps
-    from storage.manifests.lake import read_manifest
-    from storage.manifests.lake_switch import left_aside
+    from storage.manifests.lake import left_aside, read_manifest
     from storage.store import Store
 
     store = Store.open(folder)
-    _tell_waiting(as_json=as_json)
+    _note_waiting(as_json=as_json)
     with builder_lock(store, patience_s=_PATIENCE_S), progress_bar(hidden=as_json) as progress:
         task = progress.add_task("segments", total=None)
         for step in steps(store, force=force):
@@ -116,36 +117,36 @@ def _restore(folder: Path, *, as_json: bool) -> None:
     from storage.upkeep.retention import restore_raw
 
     store = Store.open(folder)
-    _tell_waiting(as_json=as_json)
+    _note_waiting(as_json=as_json)
     with builder_lock(store, patience_s=_PATIENCE_S):
         lake = Lake(store)
         wanted = len(lake.manifest.dropped)
         restored = restore_raw(lake)
         gone = len(lake.manifest.dropped)
-        list(build_missing(store))  # the document that says so, where no recorder has taken it
+        list(build_missing(store))  # the document of it, if no recorder has taken it
     if as_json:
         print_json({"segments": wanted - gone, "segments_gone": gone, "samples": restored.samples})
         return
     console = notes()
-    console.print(f"{restored.samples:,} samples of {wanted - gone} segments are in the lake again, with raw rows")
+    console.print(f"{restored.samples:,} samples of {wanted - gone} segments have raw rows in the lake again")
     if gone:
-        console.print(f"{gone} segments are not in the log any more; their rollups and estimates stay", soft_wrap=True)
+        console.print(f"{gone} segments are no longer in the log; their rollups and estimates stay", soft_wrap=True)
 
 
 @click.command("retain")
 @store_option
 @_older_than
 @_max_size
-@click.option("--trust-clock", is_flag=True, help="The clock is right, although it has leapt since it was looked at.")
-@click.option("--dry-run", is_flag=True, help="Only say what would be dropped.")
+@click.option("--trust-clock", is_flag=True, help="The clock is right, although it has leapt since the last check.")
+@click.option("--dry-run", is_flag=True, help="Only report what would be dropped.")
 @reporting
 def retain(
     folder: Path, older_than: str | None, max_size: str | None, *, trust_clock: bool, dry_run: bool, as_json: bool
 ) -> None:
     """Drop raw rows of the oldest parts of the lake; rollups, estimates, events and the log stay.
 
-    A document in the log says what was dropped, before it is. Where the clock has leapt nothing is dropped by age until
-    --trust-clock says that it is right. `gyrofleet rebuild --raw` brings back what the log still has.
+    A document in the log lists what is dropped, beforehand. After a leap of the clock nothing is dropped by age without
+    --trust-clock. `gyrofleet rebuild --raw` restores what the log still has.
     """
     from storage.lake.lake import Lake, build_missing, builder_lock
     from storage.manifests.lake import read_manifest
@@ -159,30 +160,30 @@ def retain(
     if dry_run:
         dropped = would_drop(read_manifest(store), rule)
     else:
-        _tell_waiting(as_json=as_json)
+        _note_waiting(as_json=as_json)
         with builder_lock(store, patience_s=_PATIENCE_S):
             if trust_clock:
                 trust(store, time.time_ns())
             dropped = apply_rule(Lake(store), rule)
-            list(build_missing(store))  # the document that says so, where no recorder has taken it
+            list(build_missing(store))  # the document of it, if no recorder has taken it
     if as_json:
         print_json({"dry_run": dry_run, **dropped._asdict()})
     else:
-        notes().print(told(dropped, rule, dry_run=dry_run), soft_wrap=True)
+        notes().print(describe(dropped, rule, dry_run=dry_run), soft_wrap=True)
 
 
-def _tell_waiting(*, as_json: bool) -> None:
+def _note_waiting(*, as_json: bool) -> None:
     if not as_json:
-        notes().print(f"a builder that is at work on the lake is waited for, up to {_PATIENCE_S:g} s")
+        notes().print(f"waiting up to {_PATIENCE_S:g} s for another builder of the lake")
 
 
-def told(dropped: "Dropped", rule: "Rule", *, dry_run: bool = False) -> str:
-    """What retention did, in a line.
+def describe(dropped: "Dropped", rule: "Rule", *, dry_run: bool = False) -> str:
+    """What retention did, in one line.
 
     Examples
     --------
     >>> from storage.upkeep.retention import Dropped, Rule
-    >>> told(Dropped(1, 2, 3000, 4000), Rule(max_bytes=10))
+    >>> describe(Dropped(1, 2, 3000, 4000), Rule(max_bytes=10))
     'dropped: raw rows of 3,000 samples in 2 segments, 4,000 bytes (beyond 10 bytes)'
     """
     if not dropped.parts:

@@ -1,7 +1,8 @@
-"""Commands that keep what is sent: `gyrofleet record` and `gyrofleet router`."""
+"""The commands `gyrofleet record` and `gyrofleet router`."""
 
 import threading
 import time
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,21 +12,19 @@ import click
 from stream.console import notes, print_json, reporting, store_option, until_stopped
 
 if TYPE_CHECKING:
-    from storage.log.recovery import Recovery
     from storage.recording.recorder import Recorder
 
 _SHOWN_REJECTIONS = 5
-_TELL_EVERY_S = 5.0
+_REPORT_EVERY_S = 5.0
 _SILENCE_S = 30.0
 
 
 @click.command("record")
 @store_option
 @click.option(
-    "--listen",
-    help="Where sources connect to; tcp/127.0.0.1:7447, on loopback, unless you say otherwise or give --connect.",
+    "--listen", help="Address for sources; by default tcp/127.0.0.1:7447, on loopback, unless --connect is given."
 )
-@click.option("--connect", help="Take part at a `gyrofleet router` there instead of listening.")
+@click.option("--connect", help="Connect to a `gyrofleet router` at this address instead of listening.")
 @click.option(
     "--rotate-mb",
     type=click.IntRange(min=1),
@@ -47,7 +46,7 @@ _SILENCE_S = 30.0
     show_default=True,
     help="Milliseconds between fdatasync and acknowledgement.",
 )
-@click.option("--no-lake", is_flag=True, help="Leave the lake to a `gyrofleet lake` of its own.")
+@click.option("--no-lake", is_flag=True, help="Leave the lake to a separate `gyrofleet lake`.")
 @reporting
 def record(
     folder: Path,
@@ -71,12 +70,13 @@ def record(
         raise BadInput("give --listen or --connect, not both: with --connect it is the router that listens")
     endpoint = connect or listen or DEFAULT_ENDPOINT
     console = notes()
-    said = threading.Lock()
+    printing = threading.Lock()
 
     def warn(text: str) -> None:
-        with said:
+        with printing:
             if as_json:
-                print_json({"event": "warning", "at": _now(), "text": text})
+                with suppress(BrokenPipeError):  # the next progress line ends the command, not the writer's thread
+                    print_json({"event": "warning", "at": _now(), "text": text})
             console.print(f"{_now()} warning: {text}", soft_wrap=True, markup=False)
 
     store = Store.create(folder)
@@ -84,11 +84,12 @@ def record(
         try:
             log = EventLog(store, rotate_bytes=rotate_mb << 20, rotate_s=rotate_s)
         except OSError as error:
-            raise StoreError(f"the log of {folder} cannot be written: {error}; free space or mend the disk") from error
+            raise StoreError(f"the log of {folder} cannot be written: {error}; free or repair the disk") from error
         for warning in log.warnings:
             warn(warning)
         for recovery in log.recovered:
-            _tell_recovery(recovery)
+            original = "" if recovery.kept_aside is None else f"; the original file: {recovery.kept_aside}"
+            console.print(f"{recovery}, left open by an earlier process{original}", soft_wrap=True, markup=False)
         with (
             ZenohBus(listen=[] if connect else [endpoint], connect=[connect] if connect else []) as bus,
             Recorder(
@@ -101,7 +102,7 @@ def record(
                 console.print(f"recording from {endpoint} to {folder}; Ctrl-C ends")
             progress = _Progress(recorder, as_json=as_json)
             while not stopped.wait(0.2) and recorder.failure is None:
-                progress.look()
+                progress.report()
             if not as_json:
                 console.print("stopping: writing what has arrived, sources keep the rest")
             recorder.end()
@@ -109,16 +110,16 @@ def record(
                 console.print(
                     "the log is complete; the lake follows. Ctrl-C again leaves it to the next command", soft_wrap=True
                 )
-    _tell_counts(recorder, as_json=as_json)
+    _print_counts(recorder, as_json=as_json)
 
 
 @click.command("router")
-@click.option("--listen", default="tcp/127.0.0.1:7447", show_default=True, help="Where all others connect to.")
+@click.option("--listen", default="tcp/127.0.0.1:7447", show_default=True, help="Address that all others connect to.")
 @reporting
 def router(listen: str, *, as_json: bool) -> None:
     """Pass messages between sources, recorder and estimators that connect here, until stopped.
 
-    Needed only where the recorder is not itself what the others connect to: it can then be stopped and started alone.
+    With a router the recorder can be stopped and started alone; without one the others connect to the recorder.
     """
     from stream.transport.zenoh_bus import ZenohBus
 
@@ -126,47 +127,35 @@ def router(listen: str, *, as_json: bool) -> None:
         if as_json:
             print_json({"event": "routing", "listen": listen})
         else:
-            notes().print(f"passing messages on at {listen}; Ctrl-C ends")
+            notes().print(f"routing messages at {listen}; Ctrl-C ends")
         while not stopped.wait(1.0):
             pass
 
 
-def _tell_recovery(recovery: "Recovery") -> None:
-    console = notes()
-    line = f"recovered {recovery.records:,} messages of {recovery.segment}, left open by an earlier process"
-    if recovery.damaged_chunks:
-        line += f"; {recovery.damaged_bytes:,} bytes in {recovery.damaged_chunks} pieces could not be read"
-    console.print(line, soft_wrap=True, markup=False)
-    for lost in recovery.lost[:_SHOWN_REJECTIONS]:
-        console.print(f"  lost: {lost}", soft_wrap=True, markup=False)
-    if recovery.kept_aside is not None:
-        console.print(f"  the file as it was: {recovery.kept_aside}", soft_wrap=True, markup=False)
-
-
 class _Progress:
-    """Says how recording goes on, and that nothing comes any more."""
+    """Reports the progress of recording, and when nothing arrives any more."""
 
     def __init__(self, recorder: "Recorder", *, as_json: bool) -> None:
         self._recorder = recorder
         self._as_json = as_json
-        self._told_at = self._moved_at = time.monotonic()
+        self._reported_at = self._moved_at = time.monotonic()
         self._messages = self._samples = 0
         self._is_silent = False
 
-    def look(self) -> None:
-        """Once in a while say something."""
+    def report(self) -> None:
+        """Report now and then."""
         now, counts = time.monotonic(), self._recorder.counts
         if counts.messages != self._messages:
             self._messages, self._moved_at, self._is_silent = counts.messages, now, False
         elif self._messages and not self._is_silent and now - self._moved_at >= _SILENCE_S:
             self._is_silent = True
-            self._tell("silent", f"nothing has come for {_SILENCE_S:g} s", samples=counts.samples)
-        if now - self._told_at >= _TELL_EVERY_S and counts.samples != self._samples:
-            rate = (counts.samples - self._samples) / (now - self._told_at)
-            self._told_at, self._samples = now, counts.samples
-            self._tell("progress", f"{counts.samples:,} samples, {rate:,.0f}/s", samples=counts.samples, per_s=rate)
+            self._print("silent", f"nothing has arrived for {_SILENCE_S:g} s", samples=counts.samples)
+        if now - self._reported_at >= _REPORT_EVERY_S and counts.samples != self._samples:
+            rate = (counts.samples - self._samples) / (now - self._reported_at)
+            self._reported_at, self._samples = now, counts.samples
+            self._print("progress", f"{counts.samples:,} samples, {rate:,.0f}/s", samples=counts.samples, per_s=rate)
 
-    def _tell(self, event: str, text: str, **numbers: float) -> None:
+    def _print(self, event: str, text: str, **numbers: float) -> None:
         if self._as_json:
             print_json({"event": event, "at": _now(), "text": text, **numbers})
         else:
@@ -177,26 +166,11 @@ def _now() -> str:
     return datetime.now().astimezone().isoformat(timespec="seconds")
 
 
-def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
+def _print_counts(recorder: "Recorder", *, as_json: bool) -> None:
     counts = recorder.counts
     if as_json:
-        print_json(
-            {
-                "event": "ended",
-                "messages": counts.messages,
-                "samples": counts.samples,
-                "segments": counts.segments,
-                "duplicates": counts.duplicates,
-                "conflicts": counts.conflicts,
-                "out_of_order": counts.out_of_order,
-                "rejected": counts.rejected,
-                "rejected_not_kept": counts.rejected_not_kept,
-                "clock_steps_back": counts.backwards,
-                "left_to_sources": counts.left_to_sources,
-                "interruptions": counts.interruptions,
-                "rejections": list(counts.rejections),
-            }
-        )
+        totals = {("clock_steps_back" if name == "backwards" else name): each for name, each in vars(counts).items()}
+        print_json({"event": "ended", **totals, "rejections": list(counts.rejections)})
         return
     console = notes()
     console.print(
@@ -206,6 +180,6 @@ def _tell_counts(recorder: "Recorder", *, as_json: bool) -> None:
     if counts.conflicts:
         console.print(f"{counts.conflicts} messages have numbers that are recorded with other content; see the events")
     if counts.rejected_not_kept:
-        console.print(f"{counts.rejected_not_kept} of those that could not be taken were not kept: too many at once")
+        console.print(f"{counts.rejected_not_kept} of the rejected messages were not kept: too many at once")
     for rejection in list(counts.rejections)[-_SHOWN_REJECTIONS:]:
         console.print(f"  quarantined, among the last: {rejection}", markup=False, soft_wrap=True)

@@ -17,11 +17,11 @@ _COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "def
 @store_option
 @reporting
 def verify(folder: Path, *, as_json: bool) -> None:
-    """Read everything in the store and say what is wrong, where, and what would be done; nothing is changed.
+    """Read everything in the store and report what is wrong, where, and the remedy; nothing is changed.
 
-    The exit code is 0 only for a sound store: every segment is what was written, the numbers of every stream go on
-    without a gap that is not said in the log, the lake agrees with the log, and so do the estimators' checkpoints, the
-    error models in use and the copies of the specifications, whose documents in the log form an unbroken chain.
+    The exit code is 0 only for a sound store: every segment is what was written, the numbers of every stream have no
+    gap that the log does not document, the lake agrees with the log, and so do the estimators' checkpoints, the error
+    models in use and the copies of the specifications, whose documents in the log form an unbroken chain.
     """
     from storage.check.verify import verify as verify_store
     from storage.store import Store
@@ -58,23 +58,23 @@ def verify(folder: Path, *, as_json: bool) -> None:
 
 @click.command("recover")
 @store_option
-@click.option("--quarantine", is_flag=True, help="Also move files that are not the store's from log/ to log/aside.")
+@click.option("--quarantine", is_flag=True, help="Also move foreign files from log/ to log/aside.")
 @reporting
 def recover(folder: Path, *, quarantine: bool, as_json: bool) -> None:
-    """Put right what `gyrofleet verify` finds, and verify again; nothing is destroyed.
+    """Repair what `gyrofleet verify` finds, and verify again; nothing is destroyed.
 
-    Damaged files are kept in log/aside and lake-aside, and the log says what is lost. Files in the log that are not
-    the store's are never read; --quarantine moves them to log/aside.
+    Damaged files are kept in log/aside and lake-aside, and the log documents what is lost. Files in the log that are
+    not the store's are never read; --quarantine moves them to log/aside.
     """
     from storage.check.recover import Action
     from storage.check.recover import recover as recover_store
     from storage.check.verify import verify as verify_store
     from storage.store import Store
 
-    store, told = Store.open_or_repair(folder)
-    actions = [] if told is None else [Action("store_marked", str(folder / "store.json"), told)]
-    if told is not None and not as_json:
-        notes().print(f"{folder / 'store.json'}: {told}", soft_wrap=True, markup=False)
+    store, repair = Store.open_or_repair(folder)
+    actions = [] if repair is None else [Action("store_marked", str(folder / "store.json"), repair)]
+    if repair is not None and not as_json:
+        notes().print(f"{folder / 'store.json'}: {repair}", soft_wrap=True, markup=False)
     for action in recover_store(store, quarantine=quarantine):
         actions.append(action)
         if not as_json:

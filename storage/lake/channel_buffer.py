@@ -1,7 +1,8 @@
-"""Samples of one channel gathered from a segment's messages, and the columns that they make."""
+"""Samples of one channel, buffered from a segment's messages, and their columns."""
 
 from array import array
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -13,6 +14,7 @@ from stream.batch import CountArray, FloatArray, IntArray, SampleBatch
 from stream.identity import Place
 
 _FIELDS = 6  # of a message: seq, n, t0_ns, last_ns, dt_ns, arrival_ns
+_OF_FIRST = ("unit", "signal", "run", "unit_of_measure", "scale", "offset", "dt_ns")
 _BLOCK = 4096
 _STRETCH = 256
 _SMOOTH = 0.9
@@ -20,14 +22,7 @@ _INT32_MAX = 2**31 - 1
 
 
 class ChannelBuffer:
-    """One channel's samples within a segment; they are copied, so that the messages need not be kept.
-
-    Parameters
-    ----------
-    identity: Of the channel.
-    place: Where it comes from.
-    first: Its first batch: what all have in common.
-    """
+    """Samples of one channel within a segment, copied from its messages; `first` is its first batch."""
 
     def __init__(self, identity: int, place: Place, first: SampleBatch) -> None:
         self.identity = identity
@@ -44,7 +39,7 @@ class ChannelBuffer:
         self._flags: list[tuple[int, bytes]] = []
 
     def add(self, batch: SampleBatch, arrival_ns: int) -> None:
-        """Take in a batch."""
+        """Add a batch."""
         data = batch.values if batch.counts is None else batch.counts
         assert data is not None
         begin, n = self.samples, len(data)
@@ -62,22 +57,15 @@ class ChannelBuffer:
         self.irregular |= batch.irregular
         self._messages.extend((batch.seq, n, batch.t0_ns, last_ns, batch.dt_ns, arrival_ns))
 
-    def row(self) -> dict[str, object]:
+    def row(self) -> dict[str, Any]:
         """Its row in the table of channels."""
         first, messages = self.first, self._matrix()
-        return {
+        return {name: getattr(first, name) for name in _OF_FIRST} | {
             "channel": self.identity,
             "site": self.place.site,
             "station": self.place.station,
-            "unit": first.unit,
-            "signal": first.signal,
-            "run": first.run,
             "epoch": str(first.epoch),
-            "unit_of_measure": first.unit_of_measure,
             "is_counts": first.counts is not None,
-            "scale": first.scale,
-            "offset": first.offset,
-            "dt_ns": first.dt_ns,
             "irregular": self.irregular,
             "samples": self.samples,
             "seq_first": int(messages.seq.min()),
@@ -90,8 +78,9 @@ class ChannelBuffer:
         }
 
     def tables(self) -> Iterator[tuple[pa.Table, Rollup, IntArray]]:
-        """Its samples in pieces of at most a row group: rows, buckets of one second, and places in `Messages` where
-        time goes backwards within a message, with how far, shape (2, n).
+        """Its samples in pieces of at most a row group: rows, 1 s buckets, and steps back of time within messages.
+
+        The steps back are places in `Messages` and how far, shape (2, n).
         """
         messages = self._matrix()
         ends = np.cumsum(messages.n)
@@ -103,7 +92,7 @@ class ChannelBuffer:
             begin_at = end_at
 
     def rollup_and_clock(self, rollups: list[Rollup], backward: list[IntArray]) -> tuple[Rollup, pa.Table]:
-        """Buckets of one second and clock stretches of the channel, from those of its pieces."""
+        """1 s buckets and clock stretches of the channel, from its pieces."""
         messages = self._matrix()
         count, most_ns = np.zeros((2, len(messages.seq)), np.int64)
         for at, back_ns in backward:
@@ -159,8 +148,8 @@ class ChannelBuffer:
 def counts_columns(counts: CountArray) -> list[pa.Array]:
     """Columns base and above, whose sum the counts are.
 
-    Noise takes least room as what it is above a base of its block, split into bytes: nearly all are below 256 then. A
-    ramp takes none as a base of its own for each sample, of which the differences are kept.
+    Noise is smallest as offsets from a base of its block, split into bytes, nearly all below 256. A smooth ramp is
+    smallest as a base of its own for each sample, stored as differences.
 
     Examples
     --------
@@ -181,7 +170,7 @@ def counts_columns(counts: CountArray) -> list[pa.Array]:
 
 
 def _is_smooth(counts: CountArray) -> bool:
-    """Whether neighbours differ less than samples further apart do, by some stretches of all."""
+    """Whether neighbours differ less than distant samples, judged by four stretches."""
     begins = np.linspace(0, max(0, len(counts) - _STRETCH), 4).astype(np.int64)
     spread = steps = 0.0
     for begin in begins.tolist():
@@ -192,5 +181,5 @@ def _is_smooth(counts: CountArray) -> bool:
 
 
 def _repeated(of_message: IntArray, sizes: IntArray) -> IntArray:
-    """What each message says, for each of its samples; one number where all say the same, as nearly always."""
+    """A message's number for each of its samples; one number where all are equal, as nearly always."""
     return of_message[:1] if np.all(of_message == of_message[0]) else np.repeat(of_message, sizes)

@@ -1,8 +1,7 @@
-"""What the arrival of messages says of a source's clock: stretches with the least delay in each.
+"""Clock stretches: the least delay of a source's messages, arrival minus source time, per minute of arrival.
 
-A delay, arrival minus source time, is never less than what the clocks differ by and the way takes; the least of a
-stretch of arrivals is its lower envelope. A stretch ends with the minute of the recorder's clock, and where the
-source's time leaps.
+A delay is at least the clock offset plus the least travel time, so that the least of a stretch is the lower envelope.
+A stretch ends with the minute of the recorder's clock, and where the source's time leaps.
 """
 
 import numpy as np
@@ -17,14 +16,14 @@ _IRREGULAR_LEAP_NS = 10_000_000_000
 
 
 class Messages:
-    """Numbers, times and arrivals of the messages of one channel within a segment, as they came."""
+    """Numbers, times and arrivals of the messages of one channel in a segment, in the order of arrival."""
 
     def __init__(self, rows: IntArray) -> None:
         self.seq, self.n, self.t0_ns, self.last_ns, self.dt_ns, self.arrival_ns = rows.T
 
 
 def leaps(messages: Messages, *, irregular: bool) -> BoolArray:
-    """Whether the source's time leaps before each message: backwards, or by more than the numbers let expect."""
+    """Whether the source's time leaps before each message: backwards, or beyond what the numbers imply."""
     step_ns = np.zeros(len(messages.seq), np.int64)
     step_ns[1:] = (
         messages.t0_ns[1:]
@@ -45,11 +44,8 @@ def clock_table(
 
     Parameters
     ----------
-    channel: Which one.
-    messages: Its messages in the order of the log.
-    backward, backward_most_ns: Of each message, samples within it that are not after the one before, and how far back
-        at most.
-    irregular: Whether the samples lie on no grid.
+    backward, backward_most_ns: Per message, the number of samples not later than the one before, and the largest step.
+    irregular: Whether the samples are on no grid.
     """
     delay_ns = messages.arrival_ns - messages.last_ns
     minute = messages.arrival_ns // STRETCH_NS

@@ -1,7 +1,7 @@
-"""Compaction: the parts of a finished day become one, and many small ones of a day that goes on become few.
+"""Compaction: the parts of a finished day become one, many small parts of the present day become few.
 
-Rows stay what they are; samples are sorted by channel and number and come in full row groups. It takes effect with
-the manifest; a crash at any moment leaves the parts as they were.
+Rows do not change; samples are sorted by channel and number, in full row groups. It takes effect with the manifest: a
+crash leaves the parts as they were.
 """
 
 import hashlib
@@ -27,55 +27,50 @@ if TYPE_CHECKING:
 
 FAN_IN = 64
 MOST_BYTES = 4 << 30
-_MOST_ROW_GROUPS = 20_000  # so many footers of row groups are in memory at a time
+_MOST_ROW_GROUPS = 20_000  # whose footers are in memory at a time
 _DAY_NS = 86_400 * 10**9
 _DAY_GRACE_NS = 600 * 10**9  # a segment of the day before may still be open
 _JOINED = ("events", "estimates", "rollup_1s", "rollup_10s", "clocks")
 
 
 class Compacted(NamedTuple):
-    """A part and how many it was made from."""
+    """A new part and the number of parts it was made from."""
 
     name: str
     parts: int
 
 
 class _Interleaved(Exception):
-    """Parts that hold the numbers of one channel in turn: put together row by row they would not be in order."""
+    """Parts whose numbers of one channel interleave: concatenated they would not be in order."""
 
 
 def compact(lake: "Lake", *, now_ns: int | None = None) -> Iterator[Compacted]:
-    """Put together what is due; each step is in force when it is yielded.
-
-    Raises
-    ------
-    StoreError: If a part is damaged; the others are compacted first.
-    """
+    """Merge what is due, each step in force when it is yielded; a damaged part raises StoreError at the end."""
     failure: StoreError | None = None
-    passed_over: set[str] = set()
+    skipped: set[str] = set()
     while True:
-        group = next(due(lake.manifest, time.time_ns() if now_ns is None else now_ns, passed_over), None)
+        group = next(due(lake.manifest, time.time_ns() if now_ns is None else now_ns, skipped), None)
         if group is None:
             break
         try:
             yield merge_parts(lake, group)
         except _Interleaved:
-            passed_over.add(group[-1].name)
+            skipped.add(group[-1].name)
         except StoreError as error:
             failure = failure or error
-            passed_over |= {part.name for part in group}
+            skipped |= {part.name for part in group}
     if failure is not None:
         raise failure
 
 
-def due(manifest: Manifest, now_ns: int, passed_over: Set[str] = frozenset()) -> Iterator[list[Part]]:
-    """Groups of neighbouring parts that are to become one, the oldest first.
+def due(manifest: Manifest, now_ns: int, skipped: Set[str] = frozenset()) -> Iterator[list[Part]]:
+    """Groups of neighbouring parts to be merged, the oldest first.
 
-    Of a finished day (UTC, by arrival) all; of one that goes on, whole groups of parts alike in size.
+    All parts of a finished day (UTC, by arrival); of the present day, full groups of parts of similar size.
     """
     kinds: dict[tuple[str, bool, bool, int], list[Part]] = defaultdict(list)
     for part in manifest.parts:
-        if part.name in passed_over or part.bytes > MOST_BYTES // 2:
+        if part.name in skipped or part.bytes > MOST_BYTES // 2:
             continue
         arrival_ns = part.arrival_first_ns or 0
         is_finished = (arrival_ns // _DAY_NS + 1) * _DAY_NS + _DAY_GRACE_NS <= now_ns
@@ -94,7 +89,7 @@ def due(manifest: Manifest, now_ns: int, passed_over: Set[str] = frozenset()) ->
 
 
 def merge_parts(lake: "Lake", group: list[Part]) -> Compacted:
-    """Make one part of several and put it in their place."""
+    """Merge parts and replace them."""
     segments = " ".join(sorted(segment for part in group for segment in part.segments))
     digest = hashlib.blake2b(segments.encode(), digest_size=4).hexdigest()
     name = lake.free_name(f"{group[0].day or 'empty'}-{digest}")
@@ -115,14 +110,12 @@ def _merged_files(lake: "Lake", group: list[Part], folder: Path) -> dict[str, Pa
                 for table in _sorted_samples(lake, group, stack):
                     samples.write(table)
             files[SAMPLES_FILE] = samples.finish()
-        channels = writer("channels")
-        channels.write(_merged_channels(lake, group))
-        files["channels.parquet"] = channels.finish()
-        for table_name in _JOINED:
-            joined = writer(table_name)
-            for table in _joined_rows(lake, group, table_name):
+        merged = {name: _joined_rows(lake, group, name) for name in _JOINED}
+        for name, tables in {"channels": iter([_merged_channels(lake, group)]), **merged}.items():
+            joined = writer(name)
+            for table in tables:
                 joined.write(table)
-            files[f"{table_name}.parquet"] = joined.finish()
+            files[f"{name}.parquet"] = joined.finish()
     return files
 
 
@@ -143,7 +136,7 @@ def _fits(group: list[Part]) -> bool:
 
 
 class _Stretch(NamedTuple):
-    """Rows of one channel in a row group, which it may share with others."""
+    """Rows of one channel in a row group, which may be shared with other channels."""
 
     channel: int
     seq_first: int
@@ -230,14 +223,13 @@ def _add_channel(row: dict[str, Any], later: dict[str, Any]) -> None:
 
 
 def _joined_rows(lake: "Lake", group: list[Part], name: str) -> Iterator[pa.Table]:
-    """Rows of all parts in their order, in tables of about a row group each."""
+    """Rows of all parts in their order, in tables of about a row group."""
     pending: list[pa.RecordBatch] = []
-    for part in group:
-        for batch in _read(lake, part, name):
-            pending.append(batch)
-            if sum(each.num_rows for each in pending) >= ROW_GROUP:
-                yield pa.Table.from_batches(pending, schema=TABLES[name]).combine_chunks()
-                pending = []
+    for batch in itertools.chain.from_iterable(_read(lake, part, name) for part in group):
+        pending.append(batch)
+        if sum(each.num_rows for each in pending) >= ROW_GROUP:
+            yield pa.Table.from_batches(pending, schema=TABLES[name]).combine_chunks()
+            pending = []
     if pending:
         yield pa.Table.from_batches(pending, schema=TABLES[name]).combine_chunks()
 

@@ -1,7 +1,7 @@
-"""The lake: columnar Parquet, made from sealed segments of the log and from nothing else.
+"""The lake: columnar Parquet, derived from the sealed segments of the log alone.
 
-A part is written under ``tmp/`` and renamed into place, so it is there once and whole, or not at all; the manifest
-says which parts are in force. Whatever is no longer in force stays for its readers for a while.
+A part is written under ``tmp/`` and renamed into place, so that it exists whole or not at all; the manifest says which
+parts are in force. Replaced files stay for their readers for a while.
 """
 
 import shutil
@@ -14,15 +14,17 @@ from pathlib import Path
 import msgspec
 
 from storage.lake.compaction import FAN_IN, compact
-from storage.lake.part import BuiltPart, Drops, build_part, noted_drops, without_samples
+from storage.lake.part import BuiltPart, Drops, build_part, documented_drops, without_samples
 from storage.lake.tables import SAMPLES_FILE
 from storage.log.files import sealed_segments
 from storage.manifests.lake import (
     MANIFEST,
+    NEW_LAKE,
     PART,
     Manifest,
     Part,
     Replaced,
+    finish_switch,
     found_parts,
     in_order,
     read_manifest,
@@ -30,7 +32,6 @@ from storage.manifests.lake import (
     write_manifest,
     write_part,
 )
-from storage.manifests.lake_switch import NEW_LAKE, finish_switch
 from storage.manifests.log import LogManifest, read_log_manifest
 from storage.store import Store, only_one, sync_folder
 from stream.errors import StoreError
@@ -40,17 +41,12 @@ _TOGETHER_S = 0.5
 
 
 class LakeBusy(StoreError):
-    """Somebody else is at work on the lake."""
+    """Another process, or another part of this one, changes the lake."""
 
 
 @contextmanager
 def builder_lock(store: Store, *, patience_s: float = 0.0) -> Iterator[None]:
-    """Held by whoever changes the lake of a store; waits so long for one who holds it.
-
-    Raises
-    ------
-    LakeBusy: If another process, or another part of this one, still holds it.
-    """
+    """Lock for changes of the lake of a store; waits up to `patience_s`, then raises LakeBusy."""
     until = time.monotonic() + patience_s
     with ExitStack() as stack:
         while True:
@@ -67,16 +63,10 @@ def builder_lock(store: Store, *, patience_s: float = 0.0) -> Iterator[None]:
 
 
 def build_missing(store: Store, *, compacts: bool = True) -> Iterator[str]:
-    """Bring every sealed segment that is not in the lake into it; yields their names. The caller holds `builder_lock`.
+    """Build every sealed segment that is not in the lake, and yield its name. The caller holds `builder_lock`.
 
-    Parameters
-    ----------
-    store: Whose.
-    compacts: Whether to put small parts together on the way, and to remove what has been replaced for an hour.
-
-    Raises
-    ------
-    StoreError: If a segment is damaged; the others are brought there first.
+    With `compacts` small parts are merged, and what was replaced an hour ago is removed. A damaged segment raises
+    StoreError after all others are built.
     """
     lake = Lake(store)
     failed: dict[str, StoreError] = {}
@@ -94,20 +84,8 @@ def build_missing(store: Store, *, compacts: bool = True) -> Iterator[str]:
 class Lake:
     """The lake of a store, open for changes. The caller holds `builder_lock`.
 
-    What an earlier process left half done is put in order first: a whole part that the manifest does not name yet is
-    taken in, what it was made from in part is removed, and a part whose folder has gone is rebuilt.
-
-    Parameters
-    ----------
-    store: Whose.
-
-    Attributes
-    ----------
-    manifest: What is in force now.
-
-    Raises
-    ------
-    LakeManifestDamaged: If it is damaged or lost.
+    Interrupted work is finished first: complete parts that the manifest does not name are adopted, partial ones
+    removed, and parts whose folder is missing are rebuilt.
     """
 
     def __init__(self, store: Store) -> None:
@@ -120,7 +98,7 @@ class Lake:
             shutil.rmtree(left, ignore_errors=True)
         if not (store.lake / MANIFEST).exists():
             write_manifest(store, self.manifest)
-        self._take_in_left_over()
+        self._adopt_parts()
         self._apply_dropped()
 
     def missing(self) -> list[str]:
@@ -128,10 +106,9 @@ class Lake:
         return sorted({path.stem for path in sealed_segments(self.store)} - self.manifest.segments)
 
     def bring(self, segments: Iterable[str], failed: dict[str, StoreError]) -> Iterator[str]:
-        """Bring sealed segments to the lake; yields each that is there, notes in `failed` each that is damaged.
+        """Build sealed segments; yields each that is in force, collects damaged ones in `failed`.
 
-        What is made within half a second is put in force together; a kill before leaves whole parts, which the next
-        one takes in.
+        Parts built within half a second are put in force together; after a kill the next builder adopts them.
         """
         built: list[BuiltPart] = []
         since = time.monotonic()
@@ -146,7 +123,7 @@ class Lake:
         yield from self._put_in_force(built)
 
     def swap(self, old: Iterable[str], new: Iterable[BuiltPart]) -> None:
-        """Put parts in force, in the place of others if there are any; the manifest is where it takes effect."""
+        """Put parts in force, replacing the `old` ones; effective with the manifest."""
         gone, new = set(old), list(new)
         for each in new:
             each.folder.rename(self.store.lake / each.part.name)
@@ -166,38 +143,33 @@ class Lake:
             self._apply_dropped()
 
     def commit(self, **changes: object) -> None:
-        """Put a changed manifest in force."""
+        """Write a changed manifest."""
         manifest = msgspec.structs.replace(self.manifest, number=self.manifest.number + 1, **changes)
         write_manifest(self.store, manifest)
         self.manifest = manifest
 
     def drop_raw(self, dropped: Mapping[str, str]) -> None:
-        """Let go of the raw rows of segments; `dropped` names the document of each, which must be in the log."""
+        """Drop the raw rows of segments; `dropped` names the document of each, which must be in the log."""
         self.commit(dropped={**dropped, **self.manifest.dropped})
         self._apply_dropped()
 
     def restore_raw(self, restored: Mapping[str, tuple[str, ...]]) -> None:
-        """Bring the raw rows of segments back from the log; `restored` names the documents that count no more of each.
+        """Restore the raw rows of segments from the log; `restored` names the documents that no longer apply to each.
 
-        The document that says so must be in the log.
+        The document of the restoration must be in the log.
         """
         self.commit(**self._drops().join(Drops({}, dict(restored)))._asdict())
         self._apply_dropped()
 
-    def remake(self, name: str, *, aside: bool = False) -> None:
-        """Make a part anew from the log, one for each of its segments; the old one is kept `aside`, or removed later.
-
-        Raises
-        ------
-        StoreError: If a segment of it is damaged; the part stays as it was.
-        """
+    def rebuild_part(self, name: str, *, aside: bool = False) -> None:
+        """Rebuild a part from the log, one per segment; the old one is quarantined if `aside`, else removed later."""
         part = self.manifest.part(name)
         self.swap([name], [self._built(segment) for segment in part.segments])
         if aside and (self.store.lake / name).is_dir():
             self.set_aside(name)
 
     def free_name(self, wanted: str) -> str:
-        """`wanted`, or the next like it that no folder of the lake has."""
+        """`wanted`, with a number if the lake has such a folder."""
         name, number = wanted, 1
         while (self.store.lake / name).exists():
             number += 1
@@ -205,7 +177,7 @@ class Lake:
         return name
 
     def purge(self, grace_s: float = GRACE_S) -> list[str]:
-        """Remove what has been out of force for so long; returns its paths within the lake."""
+        """Remove what was replaced at least `grace_s` ago; returns its paths within the lake."""
         before_ns = time.time_ns() - round(grace_s * 1e9)
         due = [each for each in self.manifest.replaced if each.at_ns <= before_ns]
         for each in due:
@@ -219,14 +191,8 @@ class Lake:
         return [each.path for each in due]
 
     def set_aside(self, name: str) -> Path:
-        """Move a folder or file of the lake out of it, to be looked at; where it is then."""
-        aside = self.store.folder / "lake-aside"
-        aside.mkdir(exist_ok=True)
-        target = aside / f"{name}.{time.time_ns()}"
-        (self.store.lake / name).rename(target)
-        sync_folder(aside)
-        sync_folder(self.store.lake)
-        return target
+        """Quarantine a folder or file of the lake; returns its new path."""
+        return quarantine(self.store, self.store.lake / name)
 
     def _put_in_force(self, built: list[BuiltPart]) -> list[str]:
         if built:
@@ -242,7 +208,7 @@ class Lake:
             without_raw=self.manifest.dropped.get(segment),
         )
 
-    def _take_in_left_over(self) -> None:
+    def _adopt_parts(self) -> None:
         known = {part.name for part in self.manifest.parts} | {each.path for each in self.manifest.replaced}
         covered = self.manifest.segments
         found, drops = [], self._drops()
@@ -251,18 +217,18 @@ class Lake:
             if path.name in known or not path.is_dir():
                 continue
             if not (path / PART).exists() and not path.name.isdecimal():
-                continue  # not ours
+                continue  # not a part
             try:
                 part = read_part(path)
             except StoreError:
                 self.set_aside(path.name)
                 continue
-            if not is_of_log(part, listed):
+            if not is_from_log(part, listed):
                 self.set_aside(path.name)
             elif covered.isdisjoint(part.segments) and all((path / name).is_file() for name in part.files):
                 found.append(part)
                 covered |= set(part.segments)
-                drops = drops.join(noted_drops(path, self.store.identity))
+                drops = drops.join(documented_drops(path, self.store.identity))
             else:
                 shutil.rmtree(path)
         lost = {part.name for part in self.manifest.parts if not (self.store.lake / part.name / PART).exists()}
@@ -274,48 +240,55 @@ class Lake:
         return Drops(self.manifest.dropped, self.manifest.restored)
 
     def _apply_dropped(self) -> None:
-        """Let go of raw rows that documents say are dropped; a part that they are only a share of is split first."""
+        """Drop raw rows by the manifest; a part of which only some segments are dropped is split."""
         for part in self.manifest.parts:
             due = [segment for segment in part.segments if segment in self.manifest.dropped]
             if part.dropped is not None and len(due) < len(part.segments):
-                with suppress(StoreError):  # of a segment that is gone or damaged: it stays without its rows
-                    self.remake(part.name)
+                with suppress(StoreError):  # the segment is missing or damaged: it stays without rows
+                    self.rebuild_part(part.name)
                 continue
             if part.dropped is not None or not due:
                 continue
             if len(due) == len(part.segments):
-                self._drop_raw_of(part, self.manifest.dropped[due[-1]])
+                without = without_samples(part, self.manifest.dropped[due[-1]])
+                write_part(self.store.lake / part.name, without)
+                parts = tuple(without if each.name == part.name else each for each in self.manifest.parts)
+                gone = Replaced(f"{part.name}/{SAMPLES_FILE}", time.time_ns())
+                self.commit(parts=parts, replaced=(*self.manifest.replaced, gone))
             else:
-                with suppress(StoreError):  # of a damaged segment: it keeps its rows until that is mended
-                    self.remake(part.name)
-
-    def _drop_raw_of(self, part: Part, document: str) -> None:
-        without = without_samples(part, document)
-        write_part(self.store.lake / part.name, without)
-        parts = tuple(without if each.name == part.name else each for each in self.manifest.parts)
-        gone = Replaced(f"{part.name}/{SAMPLES_FILE}", time.time_ns())
-        self.commit(parts=parts, replaced=(*self.manifest.replaced, gone))
+                with suppress(StoreError):  # the segment is damaged: it keeps its rows until that is repaired
+                    self.rebuild_part(part.name)
 
 
-def is_of_log(part: Part, log: LogManifest) -> bool:
-    """Whether a part was made from segments of this log, as far as both say."""
+def is_from_log(part: Part, log: LogManifest) -> bool:
+    """Whether a part was made from segments of this log, as far as that is known."""
     known = {name.removesuffix(".mcap"): entry for name, entry in (*log.lost.items(), *log.entries.items())}
     return not known or all(
         segment in known and known[segment].sha256 in {"", sha256} for segment, sha256 in part.sources.items()
     )
 
 
-def remade_manifest(store: Store) -> Manifest:
-    """A manifest made from what the parts say of themselves, for one that is lost or damaged."""
+def rebuilt_manifest(store: Store) -> Manifest:
+    """A manifest from the parts' own descriptions, to replace one that is lost or damaged."""
     listed = read_log_manifest(store)
-    parts = [part for part in found_parts(store) if is_of_log(part, listed)]
+    parts = [part for part in found_parts(store) if is_from_log(part, listed)]
     drops = Drops({}, {})
     for part in parts:
-        with suppress(StoreError):  # a damaged part is rebuilt, and what it says comes again
-            drops = drops.join(noted_drops(store.lake / part.name, store.identity))
+        with suppress(StoreError):  # a damaged part is rebuilt, with its documents
+            drops = drops.join(documented_drops(store.lake / part.name, store.identity))
     return Manifest(parts=tuple(parts), **drops._asdict())
 
 
 def parts(store: Store) -> list[Part]:
     """Parts of the lake that are in force, in the order of their segments."""
     return list(read_manifest(store).parts)
+
+
+def quarantine(store: Store, path: Path) -> Path:
+    """Move a derived file or folder to ``lake-aside/``; returns its new path."""
+    aside = store.folder / "lake-aside"
+    aside.mkdir(exist_ok=True)
+    target = path.rename(aside / f"{path.name}.{time.time_ns()}")
+    sync_folder(aside)
+    sync_folder(path.parent)
+    return target

@@ -1,6 +1,6 @@
 """Messages of a segment that cannot be built into the lake: left out, counted, and reported as events of the store.
 
-A recorder rejects such messages when they arrive; a log may hold them from before there were bounds.
+Recorders reject such messages; a log of an older version may hold them.
 """
 
 from dataclasses import dataclass
@@ -9,9 +9,11 @@ from uuid import NAMESPACE_OID, uuid5
 import msgspec
 
 from storage.log.sequence import place_of
+from storage.log.store_documents import LAKE
 from storage.segments.records import LogRecord
 from stream.errors import GyrofleetError
-from stream.events import StoreNoted
+from stream.events import AnyDocument, StoreNoted
+from stream.identity import Place
 
 QUARANTINED = "message_quarantined"
 _MOST_LISTED = 1000
@@ -19,7 +21,7 @@ _MOST_LISTED = 1000
 
 @dataclass
 class _Kind:
-    """Messages of one key that are quarantined for one reason."""
+    """Quarantined messages of one key and reason."""
 
     key: str
     reason: str
@@ -30,17 +32,7 @@ class _Kind:
 
 
 class Quarantine:
-    """The messages of one segment that cannot be built.
-
-    Parameters
-    ----------
-    store: Identity of the store.
-    segment: Name of the segment.
-
-    Attributes
-    ----------
-    messages, samples: How many messages, and samples in them as far as that can be read.
-    """
+    """The messages of one segment that cannot be built, and the samples in them as far as they can be read."""
 
     def __init__(self, store: str, segment: str) -> None:
         self._store = store
@@ -50,7 +42,7 @@ class Quarantine:
         self.samples = 0
 
     def add(self, record: LogRecord, error: Exception) -> None:
-        """Leave a message out, for that reason."""
+        """Leave out a message."""
         seq, samples = None, 0
         try:
             place = place_of(record)
@@ -71,7 +63,7 @@ class Quarantine:
         kind.samples += samples
 
     def rows(self) -> list[dict[str, object]]:
-        """Rows of the table of events, one for each key and reason; the same segment gives the same rows."""
+        """Rows of the table of events, one for each key and reason; deterministic."""
         return [self._row(kind) for kind in self._kinds.values()]
 
     def _row(self, kind: _Kind) -> dict[str, object]:
@@ -79,25 +71,20 @@ class Quarantine:
             f"segment {self._segment}: {kind.messages} messages with {kind.samples} samples of {kind.key} cannot be "
             f"brought to the lake: {kind.reason}; the log keeps them"
         )
-        details = {
+        details: dict[str, object] = {
             "store": self._store,
             "segment": self._segment,
             "key": kind.key,
             "reason": kind.reason,
-            "messages": kind.messages,
-            "samples": kind.samples,
-            "first_seq": kind.first_seq,
         }
+        details |= {"messages": kind.messages, "samples": kind.samples, "first_seq": kind.first_seq}
         uid = uuid5(NAMESPACE_OID, f"{self._store}\x00{self._segment}\x00{kind.key}\x00{kind.reason}").hex
         document = StoreNoted(run="", t_ns=kind.arrival_ns, uid=uid, what=QUARANTINED, text=text, details=details)
-        return {
-            "site": "store",
-            "station": "lake",
-            "kind": type(document).__name__,
-            "run": "",
-            "unit": None,
-            "uid": uid,
-            "t_ns": kind.arrival_ns,
-            "arrival_ns": kind.arrival_ns,
-            "document": msgspec.json.encode(document).decode(),
-        }
+        return event_row(LAKE, document, kind.arrival_ns)
+
+
+def event_row(place: Place, document: AnyDocument, arrival_ns: int) -> dict[str, object]:
+    """Row of a document in the table of events."""
+    row = {name: getattr(document, name, None) for name in ("run", "unit", "uid", "t_ns")}
+    row |= {"site": place.site, "station": place.station, "kind": type(document).__name__, "arrival_ns": arrival_ns}
+    return row | {"document": msgspec.json.encode(document).decode()}

@@ -1,4 +1,4 @@
-"""The lake rebuilt from the log, beside the one there is, which goes when the new one stands."""
+"""Rebuilding the lake from the log, beside the old one, which is replaced when the new one is complete."""
 
 import shutil
 from collections import deque
@@ -8,38 +8,30 @@ from typing import NamedTuple
 
 from storage.lake.compaction import FAN_IN, compact
 from storage.lake.lake import Lake
-from storage.manifests.lake import MANIFEST, LakeManifestDamaged, read_manifest
-from storage.manifests.lake_switch import NEW_LAKE, finish_switch, switch
+from storage.manifests.lake import MANIFEST, NEW_LAKE, LakeManifestDamaged, finish_switch, read_manifest, switch
 from storage.store import Store
 from stream.errors import StoreError
 
 
 class RebuildStep(NamedTuple):
-    """Segments in the new lake, and in all."""
+    """Segments in the new lake, and in total."""
 
     done: int
     of: int
 
 
 def rebuild(store: Store, *, force: bool = False) -> Iterator[RebuildStep]:
-    """Make the lake of a store anew; killed in the middle, it goes on the next time. The caller holds `builder_lock`.
+    """Rebuild the lake of a store; resumes after a kill. The caller holds `builder_lock`.
 
-    Parameters
-    ----------
-    store: Whose.
-    force: Also where the old lake holds what the log no longer gives; the old one is quarantined then.
-
-    Raises
-    ------
-    StoreError: If a segment is damaged, the old lake holds more than the log gives, or the disk refuses; the old lake
-        stays in force.
+    If a segment is damaged, or the old lake holds more than the log, StoreError is raised and the old lake stays in
+    force; with `force` it is replaced, and quarantined.
     """
     try:
         yield from _rebuilt(store, force=force)
     except OSError as error:
         raise StoreError(
-            f"the new lake of {store.folder} cannot be written: {error}; the old one stays in force, and what is made "
-            f"of the new one waits: free the disk and give `gyrofleet rebuild` again"
+            f"the new lake of {store.folder} cannot be written: {error}; the old one stays in force, and the new "
+            f"one is resumed: free the disk and run `gyrofleet rebuild` again"
         ) from error
 
 
@@ -61,8 +53,8 @@ def _rebuilt(store: Store, *, force: bool) -> Iterator[RebuildStep]:
         problems.append(f"the lake holds {len(lost)} segments that the log no longer gives: {', '.join(lost[:5])}")
     if problems and not force:
         raise StoreError(
-            f"{'; '.join(problems)}. The old lake stays in force, the new one waits in {beside.lake}: mend the log "
-            f"(`gyrofleet recover`) and give the command again, or give --force to go on without"
+            f"{'; '.join(problems)}. The old lake stays in force, the new one waits in {beside.lake}: repair the log "
+            f"(`gyrofleet recover`) and run the command again, or give --force to continue without"
         )
     deque(compact(lake), maxlen=0)
     lake.purge(grace_s=0.0)
@@ -75,7 +67,7 @@ def _begun(store: Store, beside: Store) -> Lake:
     except LakeManifestDamaged:
         shutil.rmtree(beside.lake)
         lake = Lake(beside)
-    # the document that says what came back may be in a segment that is still being written
+    # the document of the restoration may be in a segment that is still being written
     with suppress(StoreError):
         if restored := read_manifest(store).restored:
             lake.restore_raw(restored)
@@ -83,10 +75,7 @@ def _begun(store: Store, beside: Store) -> Lake:
 
 
 def _only_in_old(store: Store, new: Lake) -> list[str]:
-    """Segments that the old lake has and the new one has not, or has from another file of that name.
-
-    Of a lake that cannot be read, none can be told.
-    """
+    """Segments that only the old lake has, or that it has from another file; none if it cannot be read."""
     if not (store.lake / MANIFEST).exists():
         return []
     try:

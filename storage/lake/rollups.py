@@ -1,6 +1,7 @@
-"""Rollups: count, mean, M2, least and greatest value of each second and each ten seconds of the source's clock."""
+"""Rollups: count, mean, M2, minimum and maximum of each second and each ten seconds of the source's clock."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -13,7 +14,7 @@ _SECOND_NS = 1_000_000_000
 
 
 class Rollup(NamedTuple):
-    """Buckets of one channel: arrays of one row each; M2 is the sum of squares about the bucket's mean."""
+    """Buckets of one channel; M2 is the sum of squares about the bucket's mean."""
 
     bucket: IntArray
     n: IntArray
@@ -24,7 +25,7 @@ class Rollup(NamedTuple):
 
 
 def roll_up(t_ns: IntArray, data: CountArray | FloatArray, scale: float = 1.0, offset: float = 0.0) -> Rollup:
-    """Buckets of one second, floor(t / 1 s); values that are not finite are left out.
+    """Buckets of one second, floor(t / 1 s), of the finite values.
 
     Examples
     --------
@@ -40,7 +41,7 @@ def roll_up(t_ns: IntArray, data: CountArray | FloatArray, scale: float = 1.0, o
 
 
 def merge(rollup: Rollup, every: int = 1) -> Rollup:
-    """Put buckets together that are one, or `every` so many into one, by the formula of Chan, Golub and LeVeque.
+    """Merge equal buckets, and each `every` buckets into one, by the formula of Chan, Golub and LeVeque.
 
     Examples
     --------
@@ -54,45 +55,30 @@ def merge(rollup: Rollup, every: int = 1) -> Rollup:
         return rollup
     if np.any(np.diff(bucket) < 0):
         order = np.argsort(bucket, kind="stable")
-        bucket, rollup = bucket[order], _rows(rollup, order)
+        bucket, rollup = bucket[order], _each(lambda column: column[order], rollup)
     is_first = np.diff(bucket, prepend=bucket[0] - 1) != 0
     starts = np.flatnonzero(is_first)
     n = np.add.reduceat(rollup.n, starts)
     sums = np.add.reduceat(rollup.n * rollup.mean, starts) / n
     mean = np.where(np.diff(starts, append=len(bucket)) == 1, rollup.mean[starts], sums)
     from_mean = rollup.mean - mean[np.cumsum(is_first) - 1]
-    with np.errstate(over="ignore"):  # squares of numbers beyond 1e154 are infinite
+    with np.errstate(over="ignore"):  # squares beyond 1e154 are infinite
         m2 = np.add.reduceat(rollup.m2 + rollup.n * from_mean**2, starts)
     return Rollup(
         bucket[starts], n, mean, m2, np.minimum.reduceat(rollup.lo, starts), np.maximum.reduceat(rollup.hi, starts)
     )
 
 
-def _rows(rollup: Rollup, order: IntArray) -> Rollup:
-    return Rollup(
-        bucket=rollup.bucket[order],
-        n=rollup.n[order],
-        mean=rollup.mean[order],
-        m2=rollup.m2[order],
-        lo=rollup.lo[order],
-        hi=rollup.hi[order],
-    )
+def _each(function: Callable[..., Any], *rollups: Rollup) -> Rollup:
+    columns: list[Any] = list(map(function, *rollups))
+    return Rollup(*columns)
 
 
 def joined(rollups: list[Rollup]) -> Rollup:
-    """Rollups of successive stretches of one channel as one."""
+    """Join rollups of successive stretches of one channel."""
     if len(rollups) == 1:
         return rollups[0]
-    return merge(
-        Rollup(
-            bucket=np.concatenate([each.bucket for each in rollups]),
-            n=np.concatenate([each.n for each in rollups]),
-            mean=np.concatenate([each.mean for each in rollups]),
-            m2=np.concatenate([each.m2 for each in rollups]),
-            lo=np.concatenate([each.lo for each in rollups]),
-            hi=np.concatenate([each.hi for each in rollups]),
-        )
-    )
+    return merge(_each(lambda *columns: np.concatenate(columns), *rollups))
 
 
 def rollup_table(channel: int, rollup: Rollup) -> pa.Table:
@@ -109,7 +95,7 @@ def rollup_table(channel: int, rollup: Rollup) -> pa.Table:
 def _buckets(
     t_ns: IntArray, data: CountArray | FloatArray
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Runs of consecutive samples within one second; sums of whole numbers are exact, M2 comes in a second pass."""
+    """Buckets of consecutive samples within one second; M2 takes a second pass, sums of integers are exact."""
     runs = 0
     begin_ns = np.int64(0)
     for t in t_ns:
@@ -125,7 +111,7 @@ def _buckets(
         begin_ns = second * _SECOND_NS
         start, n, total = i, 0, 0.0
         least, most = np.inf, -np.inf
-        # the first is in whatever its time is, so that this ends; the end of the last second of 64 bits would wrap
+        # the first sample always belongs, so that the loop ends; the last second of 64 bits would overflow
         while i < len(t_ns) and (i == start or (t_ns[i] >= begin_ns and t_ns[i] - begin_ns < _SECOND_NS)):
             x = float(data[i])
             if x - x == 0.0:

@@ -1,4 +1,4 @@
-"""The tables of a part of the lake: their columns, how they are encoded, and how they are brought to the disk."""
+"""The tables of a part of the lake: columns, encoding, reading and writing."""
 
 import hashlib
 import os
@@ -14,113 +14,47 @@ from storage.manifests.lake import PartFile
 from stream.errors import StoreError
 
 ROW_GROUP = 1_000_000
-# a row group costs 0.3 ms and kilobytes of memory: channels of few samples share them
+# a row group costs 0.3 ms and kilobytes of memory: channels of few samples share one
 _SMALL_ROWS, _SHARED_ROWS = 4096, 65_536
 
-SAMPLE_COLUMNS = pa.schema(
-    [
-        ("channel", pa.int64()),
-        ("seq", pa.int64()),
-        ("t_ns", pa.int64()),
-        # counts are base + above, which takes less room than the counts themselves
-        ("base", pa.int32()),
-        ("above", pa.int32()),
-        ("value", pa.float64()),
-        ("flags", pa.uint8()),
-    ]
+
+def _schema(*groups: tuple[pa.DataType, str]) -> pa.Schema:
+    return pa.schema([(name, kind) for kind, names in groups for name in names.split()])
+
+
+_INT, _FLOAT, _TEXT, _BOOL = pa.int64(), pa.float64(), pa.string(), pa.bool_()
+# counts are base + above, which takes less space than the counts themselves
+SAMPLE_COLUMNS = _schema(
+    (_INT, "channel seq t_ns"), (pa.int32(), "base above"), (_FLOAT, "value"), (pa.uint8(), "flags")
 )
-CHANNEL_COLUMNS = pa.schema(
-    [
-        ("channel", pa.int64()),
-        ("site", pa.string()),
-        ("station", pa.string()),
-        ("unit", pa.string()),
-        ("signal", pa.string()),
-        ("run", pa.string()),
-        ("epoch", pa.string()),
-        ("unit_of_measure", pa.string()),
-        ("is_counts", pa.bool_()),
-        ("scale", pa.float64()),
-        ("offset", pa.float64()),
-        ("dt_ns", pa.int64()),
-        ("irregular", pa.bool_()),
-        ("samples", pa.int64()),
-        ("seq_first", pa.int64()),
-        ("seq_next", pa.int64()),
-        ("t_first_ns", pa.int64()),
-        ("t_last_ns", pa.int64()),
-        ("arrival_first_ns", pa.int64()),
-        ("arrival_last_ns", pa.int64()),
-        # stretches put together here overlap in time
-        ("overlapping", pa.bool_()),
-    ]
+# overlapping: stretches that were joined here overlap in time
+CHANNEL_COLUMNS = _schema(
+    (_INT, "channel"),
+    (_TEXT, "site station unit signal run epoch unit_of_measure"),
+    (_BOOL, "is_counts"),
+    (_FLOAT, "scale offset"),
+    (_INT, "dt_ns"),
+    (_BOOL, "irregular"),
+    (_INT, "samples seq_first seq_next t_first_ns t_last_ns arrival_first_ns arrival_last_ns"),
+    (_BOOL, "overlapping"),
 )
-EVENT_COLUMNS = pa.schema(
-    [
-        ("site", pa.string()),
-        ("station", pa.string()),
-        ("kind", pa.string()),
-        ("run", pa.string()),
-        ("unit", pa.string()),
-        ("uid", pa.string()),
-        ("t_ns", pa.int64()),
-        ("arrival_ns", pa.int64()),
-        ("document", pa.string()),
-    ]
+EVENT_COLUMNS = _schema((_TEXT, "site station kind run unit uid"), (_INT, "t_ns arrival_ns"), (_TEXT, "document"))
+ESTIMATE_COLUMNS = _schema(
+    (_TEXT, "site station run unit signal estimator"),
+    (_INT, "t_ns arrival_ns"),
+    (_BOOL, "final"),
+    (_FLOAT, "tau_s value lo hi confidence edf"),
+    (_INT, "n"),
+    (_TEXT, "unit_of_measure"),
+    (_INT, "samples missing"),
+    (_FLOAT, "sample_interval_s"),
+    (_TEXT, "reason uid"),
 )
-ESTIMATE_COLUMNS = pa.schema(
-    [
-        ("site", pa.string()),
-        ("station", pa.string()),
-        ("run", pa.string()),
-        ("unit", pa.string()),
-        ("signal", pa.string()),
-        ("estimator", pa.string()),
-        ("t_ns", pa.int64()),
-        ("arrival_ns", pa.int64()),
-        ("final", pa.bool_()),
-        ("tau_s", pa.float64()),
-        ("value", pa.float64()),
-        ("lo", pa.float64()),
-        ("hi", pa.float64()),
-        ("confidence", pa.float64()),
-        ("edf", pa.float64()),
-        ("n", pa.int64()),
-        ("unit_of_measure", pa.string()),
-        ("samples", pa.int64()),
-        ("missing", pa.int64()),
-        ("sample_interval_s", pa.float64()),
-        ("reason", pa.string()),
-        ("uid", pa.string()),
-    ]
-)
-ROLLUP_COLUMNS = pa.schema(
-    [
-        ("channel", pa.int64()),
-        ("bucket", pa.int64()),
-        ("n", pa.int64()),
-        ("mean", pa.float64()),
-        ("m2", pa.float64()),
-        ("lo", pa.float64()),
-        ("hi", pa.float64()),
-        # first or last of its channel in a segment: the bucket may go on in another one
-        ("edge", pa.bool_()),
-    ]
-)
-CLOCK_COLUMNS = pa.schema(
-    [
-        ("channel", pa.int64()),
-        ("seq_first", pa.int64()),
-        ("messages", pa.int64()),
-        ("t_first_ns", pa.int64()),
-        ("t_last_ns", pa.int64()),
-        ("arrival_first_ns", pa.int64()),
-        ("arrival_last_ns", pa.int64()),
-        ("t_least_ns", pa.int64()),
-        ("delay_least_ns", pa.int64()),
-        ("backward_inside", pa.int64()),
-        ("backward_most_ns", pa.int64()),
-    ]
+# edge: first or last bucket of its channel in a segment, which may continue in another one
+ROLLUP_COLUMNS = _schema((_INT, "channel bucket n"), (_FLOAT, "mean m2 lo hi"), (_BOOL, "edge"))
+CLOCK_COLUMNS = _schema(
+    (_INT, "channel seq_first messages t_first_ns t_last_ns arrival_first_ns arrival_last_ns"),
+    (_INT, "t_least_ns delay_least_ns backward_inside backward_most_ns"),
 )
 TABLES = {
     "samples": SAMPLE_COLUMNS,
@@ -139,12 +73,12 @@ _INTEGERS = (
 )
 _FLOATS = ("value", "mean", "m2")
 _SPLIT_TABLES = {"samples", "rollup_1s", "rollup_10s", "clocks"}
-# Statistics that prune row groups; those of the others would only make the footers long.
+# Statistics that prune row groups; others would only lengthen the footers.
 _STATISTICS = ["channel", "seq", "t_ns", "bucket"]
 
 
 class _HashingFile:
-    """A file as pyarrow writes it; what was written is hashed on its way."""
+    """A file for pyarrow that hashes what is written."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("wb")
@@ -154,7 +88,7 @@ class _HashingFile:
 
     def write(self, data: bytes) -> int:
         size = memoryview(data).nbytes
-        if not self._file.closed:  # else it is given up, and pyarrow's writer ends its file all the same
+        if not self._file.closed:  # pyarrow's writer ends its file also after `abandon`
             self._hash.update(data)
             self._bytes += size
             self._file.write(data)
@@ -168,7 +102,7 @@ class _HashingFile:
             self._file.flush()
 
     def close(self) -> None:
-        """Do nothing: the file is closed when it is on the disk."""
+        """Do nothing: `finish` closes the file."""
 
     def finish(self, rows: int) -> PartFile:
         self._file.flush()
@@ -177,18 +111,12 @@ class _HashingFile:
         return PartFile(bytes=self._bytes, rows=rows, sha256=self._hash.hexdigest())
 
     def abandon(self) -> None:
-        with suppress(OSError):  # of a full disk, once more
+        with suppress(OSError):  # the disk is full
             self._file.close()
 
 
 class TableWriter:
-    """Writes one table of a part, piece by piece.
-
-    Parameters
-    ----------
-    folder: Of the part.
-    table: One of `TABLES`.
-    """
+    """Writes one of `TABLES` into the folder of a part, piece by piece."""
 
     def __init__(self, folder: Path, table: str) -> None:
         schema = TABLES[table]
@@ -210,7 +138,7 @@ class TableWriter:
         )
 
     def write(self, table: pa.Table) -> None:
-        """Add rows, in row groups of their own; few rows share one with those before and after them."""
+        """Add rows, as row groups of their own; small tables share row groups."""
         self.rows += table.num_rows
         if table.num_rows >= _SMALL_ROWS:
             self._write_small()
@@ -222,13 +150,13 @@ class TableWriter:
             self._write_small()
 
     def finish(self) -> PartFile:
-        """Bring the file to the disk."""
+        """Complete the file, durably."""
         self._write_small()
         self._writer.close()
         return self._file.finish(self.rows)
 
     def abandon(self) -> None:
-        """Leave the file as it is."""
+        """Leave the file incomplete."""
         self._file.abandon()
 
     def _write_small(self) -> None:
@@ -240,7 +168,7 @@ class TableWriter:
 
 @contextmanager
 def part_writers(folder: Path) -> Iterator[Callable[[str], TableWriter]]:
-    """Writers of the tables of one part by name; each is left as it is where an error comes."""
+    """Writers of the tables of one part by name; after an error all are abandoned."""
     opened: list[TableWriter] = []
 
     def writer(table: str) -> TableWriter:
@@ -256,12 +184,7 @@ def part_writers(folder: Path) -> Iterator[Callable[[str], TableWriter]]:
 
 
 def open_table(path: Path) -> pq.ParquetFile:
-    """A table of the lake for reading, its pages checked.
-
-    Raises
-    ------
-    StoreError: If it cannot be read.
-    """
+    """Open a table of the lake for reading with page checksums; StoreError if it is damaged."""
     try:
         return pq.ParquetFile(path, page_checksum_verification=True)
     except (pa.ArrowException, OSError) as error:
@@ -269,9 +192,9 @@ def open_table(path: Path) -> pq.ParquetFile:
 
 
 def damaged(path: Path, error: Exception) -> StoreError:
-    """The error for a file of the lake that cannot be read."""
+    """The error of a file of the lake that cannot be read."""
     reason = " ".join(str(error).split())
     return StoreError(
-        f"{path} cannot be read ({reason}); `gyrofleet verify` says what else is damaged, `gyrofleet recover` makes "
-        f"it anew from the log"
+        f"{path} cannot be read ({reason}); `gyrofleet verify` lists the damage, `gyrofleet recover` rebuilds "
+        f"it from the log"
     )

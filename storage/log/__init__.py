@@ -1,1 +1,1 @@
-"""The append-only event log: segments written, sealed, recovered and read on."""
+"""The append-only event log: writing, sealing, recovering and reading segments."""

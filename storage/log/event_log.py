@@ -1,18 +1,16 @@
-"""The event log: append-only segments, and how far every stream has come in it.
+"""The event log: append-only segments, and the position that each stream has reached.
 
-What `sync` has returned for is on disk. After an error of the disk the open segment is abandoned, under a name that
-says how much of it is durable, the positions go back to that, and the next message begins a new segment.
+Everything appended before a `sync` that has returned is on disk. After a disk error the open segment is abandoned under
+a name that says how much of it is durable, positions fall back to that, and the next message starts a new segment.
 """
 
 import time
 from contextlib import suppress
 from pathlib import Path
 
-from storage.log.files import sealed_segments, unknown_files
-from storage.log.numbers import highest_number
-from storage.log.recovery import Recovery, abandoned_name, left_open, reached_in, recover_segment, take_in
-from storage.log.sequence import Place, place_of, stream_of
-from storage.log.tally import SegmentTally
+from storage.log.files import highest_number, sealed_segments, unknown_files
+from storage.log.recovery import Recovery, abandoned_name, left_open, reached_in, recover_segment, unlisted_entry
+from storage.log.sequence import Place, SegmentTally, place_of, positions_of, raise_positions
 from storage.log.writer import SegmentWriter
 from storage.manifests.log import ManifestWriter, SegmentEntry
 from storage.segments.disk import DISK, Disk
@@ -28,20 +26,17 @@ _MOST_CHANNELS = 60_000  # of 65,535 that a segment has room for
 
 
 class EventLog:
-    """The log of one store, open for appending.
+    """The log of one store, open for appending; the caller holds its writer lock.
 
     Parameters
     ----------
-    store: Whose log; the caller holds its writer lock.
-    rotate_bytes: Payload after which a segment is sealed.
-    rotate_s: Age after which a segment is sealed, in seconds.
-    disk: Where to.
+    rotate_bytes, rotate_s: Payload and age at which a segment is sealed.
 
     Attributes
     ----------
     marks: Number that each stream expects next, from the log itself.
-    recovered: Segments that an earlier process had left open.
-    warnings: What was found that is not as it should be, and does not hinder recording.
+    recovered: Segments that an earlier process left open.
+    warnings: Irregularities that do not prevent recording.
     """
 
     def __init__(
@@ -59,7 +54,7 @@ class EventLog:
         self._segment: SegmentWriter | None = None
         self._tally = SegmentTally()
         self._opened_at = 0.0
-        self._unsynced: dict[StreamId, int] = {}  # streams with messages that are not durable, and where they stood
+        self._unsynced: dict[StreamId, int] = {}  # streams with messages that are not durable, and their positions
         self._unnamed: tuple[Path, Path] | None = None
         self._unlisted: list[SegmentEntry] = []
         self.marks: dict[StreamId, int] = {}
@@ -72,21 +67,19 @@ class EventLog:
         self._number = highest_number(store)
         for sealed in sealed_segments(store):
             self._read_marks(sealed)
-        unknown = [each.path.name for each in unknown_files(store)]
-        if unknown:
+        if unknown := [each.path.name for each in unknown_files(store)]:
             self.warnings.append(
-                f"files in {store.log} that are not the store's are passed over: {', '.join(unknown[:5])}; see "
+                f"files in {store.log} that are not the store's are ignored: {', '.join(unknown[:5])}; see "
                 "`gyrofleet verify`"
             )
         gone = sorted(name for name in self._manifest.found.entries if not (store.log / name).exists())
         if gone:
-            more = f" and {len(gone) - 5} more" if len(gone) > 5 else ""
-            names = ", ".join(gone[:5]) + more
+            names = ", ".join(gone[:5]) + (f" and {len(gone) - 5} more" if len(gone) > 5 else "")
             self.warnings.append(f"segments that were sealed are not in {store.log}: {names}; see `gyrofleet verify`")
         self.recover()
 
     def append(self, place: Place, record: LogRecord) -> None:
-        """Append a message that stands at `place` of its stream; durable after the next `sync`."""
+        """Append a numbered message; durable after the next `sync`."""
         self._writer().append(record)
         stream = place.stream
         before = self.marks.get(stream, 0)
@@ -95,12 +88,12 @@ class EventLog:
         self._tally.add(record, place)
 
     def append_aside(self, record: LogRecord) -> None:
-        """Append a message that belongs to no numbered stream."""
+        """Append a message without a number."""
         self._writer().append(record)
         self._tally.add(record, None)
 
     def sync(self) -> None:
-        """Bring everything appended to the disk."""
+        """Make everything appended durable."""
         if self._segment is not None:
             self._segment.sync()
         self._unsynced.clear()
@@ -116,7 +109,7 @@ class EventLog:
         )
 
     def seal(self) -> Path | None:
-        """Seal the open segment, and return it if there was one; what it holds is durable whatever becomes of that."""
+        """Seal the open segment, if there is one; its content is durable even if sealing fails."""
         if self._segment is None:
             return None
         self.sync()
@@ -125,15 +118,15 @@ class EventLog:
         self._segment = None
         if sealed.path != wanted:
             self.warnings.append(
-                f"{wanted} was there already, written by another process; what was recorded meanwhile is sealed as "
-                f"{sealed.path.name}; stop that process and look at `gyrofleet verify`"
+                f"{wanted} exists already, written by another process; what was recorded meanwhile is sealed as "
+                f"{sealed.path.name}; stop that process and run `gyrofleet verify`"
             )
             self._number = int(sealed.path.stem)
         self._list(self._tally.entry(sealed, "recorded"))
         return sealed.path
 
     def abandon(self) -> dict[StreamId, int]:
-        """Give the open segment up after an error of the disk; returns by how many numbers streams have gone back."""
+        """Abandon the open segment after a disk error; returns by how many numbers each stream falls back."""
         before, self._unsynced = self._unsynced, {}
         undone = {stream: self.marks[stream] - next_seq for stream, next_seq in before.items()}
         self.marks.update(before)
@@ -148,12 +141,7 @@ class EventLog:
         return undone
 
     def recover(self) -> list[Recovery]:
-        """Seal what lies there unfinished, from an earlier process or after an error of the disk.
-
-        Raises
-        ------
-        OSError: As the disk has it; what is left can be tried again.
-        """
+        """Seal unfinished segments, of an earlier process or after a disk error; can be repeated after an OSError."""
         found = []
         self._name_abandoned()
         mine = None if self._segment is None else self._segment.open_path
@@ -161,8 +149,7 @@ class EventLog:
             if path == mine:
                 continue
             recovery = recover_segment(self._store, path, dict(self.marks), self._disk)
-            for stream, next_seq in recovery.positions.items():
-                self.marks[stream] = max(self.marks.get(stream, 0), next_seq)
+            raise_positions(self.marks, recovery.positions)
             found.append(recovery)
             if recovery.entry is not None:
                 self._list(recovery.entry)
@@ -183,17 +170,17 @@ class EventLog:
         return self._segment
 
     def _name_abandoned(self) -> None:
-        """Before anything new is written: by its name the durable part of an abandoned segment is known."""
+        """Name an abandoned segment before anything new is written: the name says how much of it is durable."""
         if self._unnamed is None:
             return
         path, name = self._unnamed
-        if path.exists():  # else it was sealed, and only its name was not yet durable
+        if path.exists():  # else it was sealed before its name was durable
             self._disk.rename(path, name)
         self._disk.sync_folder(self._store.log)
         self._unnamed = None
 
     def _list(self, entry: SegmentEntry) -> None:
-        """Take an entry into the manifest; one that cannot be written now is written with the next."""
+        """Add an entry to the manifest; one that cannot be written now is written with the next."""
         self._unlisted.append(entry)
         with suppress(OSError):
             self._disk.sync_folder(self._store.log)
@@ -203,9 +190,9 @@ class EventLog:
 
     def _read_marks(self, sealed: Path) -> None:
         try:
-            found = {stream_of(text): int(next_seq) for text, next_seq in read_marks(sealed).items()}
+            found = positions_of(read_marks(sealed))
             if sealed.name not in self._manifest.found.entries:
-                entry, found = take_in(self._store, sealed)
+                entry, found = unlisted_entry(self._store, sealed)
                 self._list(entry)
         except StoreError as error:
             self.warnings.append(str(error))
@@ -213,6 +200,5 @@ class EventLog:
             for record in SegmentScan(sealed, sealed=True):
                 place = place_of(record)
                 if place is not None:
-                    found[place.stream] = max(found.get(place.stream, 0), place.next_seq)
-        for stream, next_seq in found.items():
-            self.marks[stream] = max(self.marks.get(stream, 0), next_seq)
+                    raise_positions(found, {place.stream: place.next_seq})
+        raise_positions(self.marks, found)

@@ -1,23 +1,20 @@
-"""Segments that no process finished, or that are damaged: what they hold is sealed, what is lost is said.
+"""Recovery of unfinished and damaged segments: what they hold is sealed, what is lost is reported.
 
-A file without damage is finished where it lies, which takes no room on a full disk. Of a damaged one a copy is made of
-what can be read, and the file itself is quarantined, whole.
+An undamaged file is finished in place, which needs no space on a full disk. Of a damaged one the readable part is
+copied, and the whole file is quarantined.
 """
 
-import hashlib
 import mmap
 import re
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from storage.log.files import is_own
-from storage.log.numbers import next_free
-from storage.log.sequence import LostStretch, SequenceCheck, place_of, stream_of
-from storage.log.tally import SegmentTally
+from storage.log.files import is_own, next_free
+from storage.log.sequence import LostStretch, SegmentTally, SequenceCheck, place_of, positions_of, raise_positions
 from storage.log.writer import SegmentWriter
 from storage.manifests.log import SegmentEntry
-from storage.segments.disk import DISK, Disk
+from storage.segments.disk import DISK, Disk, sha256_of
 from storage.segments.reader import SegmentScan, read_marks, read_segment
 from storage.segments.records import SealedSegment
 from storage.store import Store
@@ -31,27 +28,35 @@ _COPY = ".recovering"
 
 @dataclass(frozen=True)
 class Recovery:
-    """What became of a segment that was left open, or was damaged.
+    """Result of recovering a segment that was left open, or was damaged.
 
     Parameters
     ----------
-    segment: The file as it was called.
+    segment: Original name of the file.
     records: Messages that it has now.
-    damaged_bytes, damaged_chunks: What could not be read, and in how many pieces.
-    lost: Samples and documents that are missing for it, as far as the numbers tell.
-    kept_aside: The file as it was, where anything of it was left out.
+    kept_aside: The quarantined original, if anything of it was left out.
     entry: The sealed segment; None if there was no message.
-    positions: How far its streams have come.
+    positions: Positions that its streams have reached.
     """
 
     segment: str
-    records: int
-    damaged_bytes: int
-    damaged_chunks: int
-    lost: tuple[LostStretch, ...]
-    kept_aside: Path | None
-    entry: SegmentEntry | None
-    positions: dict[StreamId, int]
+    records: int = 0
+    damaged_bytes: int = 0
+    damaged_chunks: int = 0
+    lost: tuple[LostStretch, ...] = ()
+    kept_aside: Path | None = None
+    entry: SegmentEntry | None = None
+    positions: dict[StreamId, int] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        """In words, with the first five losses."""
+        text = f"{self.records:,} messages recovered of {self.segment}"
+        if self.damaged_chunks:
+            text += f", {self.damaged_bytes:,} bytes in {self.damaged_chunks} pieces could not be read"
+        if self.lost:
+            more = f" and {len(self.lost) - 5} more" if len(self.lost) > 5 else ""
+            text += f"; lost: {'; '.join(str(each) for each in self.lost[:5])}{more}"
+        return text
 
 
 def left_open(store: Store) -> list[Path]:
@@ -65,38 +70,29 @@ def left_open(store: Store) -> list[Path]:
 
 
 def abandoned_name(path: Path, durable_bytes: int) -> Path:
-    """Name of a segment that could not be written on: only so much of it was ever acknowledged."""
+    """Name of an abandoned segment; only its durable bytes were ever acknowledged."""
     return path.with_name(f"{path.name}.abandoned-{durable_bytes}")
 
 
 def recover_segment(store: Store, path: Path, known: dict[StreamId, int], disk: Disk = DISK) -> Recovery:
-    """Seal what a segment that was left open holds.
+    """Seal what an open segment holds; `known` are the positions that streams reached in the segments before it.
 
-    Parameters
-    ----------
-    store: Whose; the caller holds its writer lock.
-    path: The segment.
-    known: How far the streams had come in the segments before.
-    disk: Where to.
-
-    Raises
-    ------
-    OSError: As the disk has it; it can be tried again.
+    The caller holds the writer lock. It can be repeated after an OSError.
     """
     match = _ABANDONED.fullmatch(path.name)
     limit = int(match[2]) if match else None
     sealed = store.log / (match[1] if match else path.name.removesuffix(".open"))
     if sealed.exists():
-        if _is_copied(path, limit, sealed):  # by a process that ended before it could move this one
-            return Recovery(path.name, 0, 0, 0, (), _keep_aside(store, path, disk), None, {})
-        sealed = next_free(sealed)  # another process has sealed one of that number: both are kept
+        if _is_copied(path, limit, sealed):  # by a process that ended before it could remove this one
+            return Recovery(path.name, kept_aside=_quarantine(store, path, disk))
+        sealed = next_free(sealed)  # another process sealed one of that number: both are kept
     return _seal(store, path, sealed, SegmentScan(path, limit), known, disk)
 
 
 def salvage_segment(store: Store, path: Path, known: dict[StreamId, int], disk: Disk = DISK) -> Recovery:
-    """Put in the place of a damaged sealed segment what can be read of it; parameters as of `recover_segment`.
+    """Replace a damaged sealed segment by its readable part; parameters as of `recover_segment`.
 
-    What `examine_segment` says is lost must be in the log before.
+    The losses that `examine_segment` finds must be documented in the log first.
     """
     aside = _aside(store, path)
     disk.link(path, aside)
@@ -108,7 +104,7 @@ def salvage_segment(store: Store, path: Path, known: dict[StreamId, int], disk: 
 
 
 def examine_segment(path: Path, known: dict[StreamId, int]) -> Recovery:
-    """What can be saved of a damaged sealed segment, and what is lost; nothing is changed."""
+    """What can be salvaged of a damaged sealed segment, and what is lost; changes nothing."""
     scan = SegmentScan(path, sealed=True)
     tally, check = SegmentTally(), SequenceCheck()
     check.next_seq.update(known)
@@ -118,44 +114,33 @@ def examine_segment(path: Path, known: dict[StreamId, int]) -> Recovery:
             tally.add(record, place)
     for stream, next_seq in reached_in(path).items():
         check.reach(stream, next_seq)
-    damaged = sum(span.end - span.begin for span in scan.damaged)
-    return Recovery(
-        path.name, tally.messages, damaged, len(scan.damaged), tuple(check.lost), None, None, tally.positions
-    )
+    return _salvaged(path, scan, tally, check, None)
 
 
 def reached_in(sealed: Path) -> dict[StreamId, int]:
-    """How far the streams of a sealed segment had come in it, whatever it still holds; empty if that is damaged."""
+    """Positions that streams reached in a sealed segment, whatever it still holds; empty if its marks are damaged."""
     try:
-        return {stream_of(text): int(next_seq) for text, next_seq in read_marks(sealed).items()}
+        return positions_of(read_marks(sealed))
     except (StoreError, ValueError):
         return {}
 
 
-def take_in(store: Store, path: Path) -> tuple[SegmentEntry, dict[StreamId, int]]:
-    """The entry of a sealed segment that the manifest does not list, and its positions.
-
-    Raises
-    ------
-    StoreError: If it is damaged.
-    """
+def unlisted_entry(store: Store, path: Path) -> tuple[SegmentEntry, dict[StreamId, int]]:
+    """The entry and positions of a sealed segment that the manifest does not list."""
     tally = SegmentTally()
     for record in read_segment(path):
         tally.add(record, place_of(record))
-    with path.open("rb") as file:
-        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-    # where the file that it was made of was kept whole, it is what could be saved of that
+    # a quarantined original beside it means that it is a salvaged copy
     beside = [*store.log.glob(f"{path.name}.*"), *store.aside.glob(f"{path.name}.*")]
     is_copy = any(".tail." not in each.name and not each.name.endswith(_COPY) for each in beside)
     positions = dict(tally.positions)
-    for stream, next_seq in reached_in(path).items():
-        positions[stream] = max(positions.get(stream, 0), next_seq)
+    raise_positions(positions, reached_in(path))
     origin = "salvaged" if is_copy else "found"
-    return tally.entry(SealedSegment(path, path.stat().st_size, sha256), origin), positions
+    return tally.entry(SealedSegment(path, path.stat().st_size, sha256_of(path)), origin), positions
 
 
 def _is_copied(path: Path, limit: int | None, sealed: Path) -> bool:
-    """Whether a sealed segment has all the numbered messages that one which was left open has."""
+    """Whether a sealed segment has all numbered messages of an open one."""
     reached = reached_in(sealed)
     places = (place_of(record) for record in SegmentScan(path, limit))
     return all(place is None or place.next_seq <= reached.get(place.stream, 0) for place in places)
@@ -169,12 +154,12 @@ def _seal(
         tally.add(record, place_of(record))
     if scan.damaged:
         recovery = _copy(store, sealed, SegmentScan(path, scan.limit), known, {}, disk)
-        return replace(recovery, segment=path.name, kept_aside=_keep_aside(store, path, disk))
+        return replace(recovery, segment=path.name, kept_aside=_quarantine(store, path, disk))
     if not tally.messages and scan.torn is None:
-        disk.remove(path)  # begun, and nothing was written
-        return Recovery(path.name, 0, 0, 0, (), None, None, {})
+        disk.remove(path)  # created, and nothing was written
+        return Recovery(path.name)
     if not tally.messages:
-        return Recovery(path.name, 0, 0, 0, (), _keep_aside(store, path, disk), None, {})
+        return Recovery(path.name, kept_aside=_quarantine(store, path, disk))
     aside = None if scan.torn is None else _keep_tail(store, path, scan.whole_bytes, disk)
     suffix = path.name.removeprefix(sealed.name)
     with (
@@ -186,7 +171,7 @@ def _seal(
         writer = SegmentWriter(sealed, suffix, disk, found=(whole, scan.summary), open_path=path)
     entry = tally.entry(writer.seal(tally.marks), "recovered")
     disk.sync_folder(sealed.parent)
-    return Recovery(path.name, tally.messages, 0, 0, (), aside, entry, tally.positions)
+    return Recovery(path.name, tally.messages, kept_aside=aside, entry=entry, positions=tally.positions)
 
 
 def _copy(
@@ -215,28 +200,32 @@ def _copy(
         writer.append(record)
     for stream, next_seq in reached.items():
         check.reach(stream, next_seq)
-        # that there was more stays known
-        tally.positions[stream] = max(tally.positions.get(stream, 0), next_seq)
+    raise_positions(tally.positions, reached)  # lost messages stay known
     if writer is None and tally.positions:
         writer = SegmentWriter(sealed, _COPY, disk, store=store.identity)
-    damaged = sum(span.end - span.begin for span in scan.damaged)
     entry = None
     if writer is not None:
         entry = tally.entry(writer.seal(tally.marks, replaces=replaces), "salvaged")
         disk.sync_folder(sealed.parent)
-    return Recovery(
-        sealed.name, tally.messages, damaged, len(scan.damaged), tuple(check.lost), None, entry, tally.positions
-    )
+    return _salvaged(sealed, scan, tally, check, entry)
+
+
+def _salvaged(
+    path: Path, scan: SegmentScan, tally: SegmentTally, check: SequenceCheck, entry: SegmentEntry | None
+) -> Recovery:
+    damaged = sum(span.end - span.begin for span in scan.damaged)
+    lost = tuple(check.lost)
+    return Recovery(path.name, tally.messages, damaged, len(scan.damaged), lost, None, entry, tally.positions)
 
 
 def _aside(store: Store, path: Path) -> Path:
-    """A name to keep a file under that is never used again."""
+    """A unique name in the quarantine folder."""
     store.aside.mkdir(exist_ok=True)
     return store.aside / f"{path.name}.{time.time_ns()}"
 
 
-def _keep_aside(store: Store, path: Path, disk: Disk) -> Path | None:
-    """Move a file out of the way; an empty one is removed."""
+def _quarantine(store: Store, path: Path, disk: Disk) -> Path | None:
+    """Quarantine a file; remove an empty one."""
     if path.stat().st_size == 0:
         disk.remove(path)
         return None
@@ -248,7 +237,7 @@ def _keep_aside(store: Store, path: Path, disk: Disk) -> Path | None:
 
 
 def _keep_tail(store: Store, path: Path, begin: int, disk: Disk) -> Path:
-    """Keep what is to be cut off: a record that was not written to its end, which nobody was told is safe."""
+    """Keep the tail that is cut off: an incomplete record, which was never acknowledged."""
     aside = _aside(store, path.with_name(f"{path.name}.tail"))
     with path.open("rb") as file:
         file.seek(begin)

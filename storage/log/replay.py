@@ -1,4 +1,4 @@
-"""A stored run out of the log, message by message, to be sent once more; and whether it is estimated as it was."""
+"""A stored run from the log, to be sent again, and the comparison of its new estimates with the stored ones."""
 
 import hashlib
 from collections.abc import Callable, Iterator
@@ -24,7 +24,7 @@ Estimated = EstimatePublished | NoiseFitted | SpectralLinesFound | EarlyDecision
 
 
 class StoredMessage(NamedTuple):
-    """A message of a run as the log has it; `last_ns` is the source's time of its last sample, None for a document."""
+    """A message of a run in the log; `last_ns` is the source time of its last sample, None for a document."""
 
     key: str
     payload: bytes
@@ -33,31 +33,21 @@ class StoredMessage(NamedTuple):
 
 
 class StoredEstimate(NamedTuple):
-    """What identifies a document of an estimator, and what it says as a hash."""
+    """Name of an estimator's document, and a hash of its content."""
 
     name: str
     digest: bytes
 
 
 class StoredRun:
-    """A run in the log of a store.
-
-    Parameters
-    ----------
-    store: Which store.
-    run: Which run.
-
-    Raises
-    ------
-    NotFound: If the log holds nothing of it.
+    """A run in the log of a store; NotFound if the log holds nothing of it.
 
     Attributes
     ----------
-    estimates: What was published of its signals, by the identity of the document.
-    every_ns: Intervals in which that was done, nanoseconds.
+    estimates: Published estimates, by the identity of the document.
+    every_ns: Intervals of publication, ns.
     averages_s: Averaging times of its bias stabilities.
     signals: Signals that were estimated.
-    is_ended: Whether its end is in the log.
     """
 
     def __init__(self, store: Store, run: str) -> None:
@@ -83,7 +73,7 @@ class StoredRun:
             raise NotFound(f"{store.folder} holds no run {run!r}; ask `gyrofleet sql` for the runs that it holds")
 
     def messages(self, progress: Callable[[float], None] | None = None) -> Iterator[StoredMessage]:
-        """What its sources sent, in the order in which it was recorded; estimates are left out."""
+        """Messages of its sources in the recorded order, without estimates."""
         for record in self._records(progress):
             place = place_of(record)
             if place is None or place.run != self.run:
@@ -120,12 +110,12 @@ class StoredRun:
 
 @dataclass
 class Comparison:
-    """Documents made once more, compared with those that are stored.
+    """New documents compared with the stored ones.
 
     Attributes
     ----------
-    stored, made, equal: How many there are, were made, and are the same to the last bit.
-    different, missing, extra: Names of those that are not the same, not made, and not stored; each the first hundred.
+    stored, made, equal: How many are stored, were made, and agree to the last bit.
+    different, missing, extra: Names of those that differ, were not made, and are not stored; the first hundred each.
     """
 
     stored: int
@@ -137,17 +127,12 @@ class Comparison:
 
     @property
     def is_equal(self) -> bool:
-        """Whether each has its like."""
+        """Whether all agree."""
         return self.equal == self.stored == self.made
 
 
 class Comparing:
-    """Takes the documents of a worker and compares each with the stored one of its identity.
-
-    Parameters
-    ----------
-    stored: Those that are expected.
-    """
+    """Publisher that compares each document of a worker with the stored one of the same identity."""
 
     outstanding = 0
 
@@ -156,29 +141,29 @@ class Comparing:
         self.found = Comparison(len(stored))
 
     def send_event(self, _key: str, document: AnyDocument) -> None:
-        """Compare a document."""
-        assert isinstance(document, Estimated)
+        """Compare a document; a verdict follows from estimates that are compared."""
+        if not isinstance(document, Estimated):
+            return
         self.found.made += 1
         stored = self._open.pop(document.uid, None)
-        if stored is None:
-            _list(self.found.extra, name_of(document))
-        elif stored.digest == _digest(document):
+        if stored is not None and stored.digest == _digest(document):
             self.found.equal += 1
-        else:
-            _list(self.found.different, name_of(document))
+            return
+        names = self.found.extra if stored is None else self.found.different
+        if len(names) < _LISTED:
+            names.append(name_of(document))
 
     def drain(self) -> None:
-        """Nothing is ever outstanding."""
+        """Do nothing: no message is ever outstanding."""
 
     def result(self) -> Comparison:
-        """What was found, when all have been made."""
-        for stored in self._open.values():
-            _list(self.found.missing, stored.name)
+        """The comparison, once all documents have been made."""
+        self.found.missing = [stored.name for stored in self._open.values()][:_LISTED]
         return self.found
 
 
 def name_of(document: Estimated) -> str:
-    """Name an estimator's document for people.
+    """Name of an estimator's document for people.
 
     Examples
     --------
@@ -193,7 +178,7 @@ def name_of(document: Estimated) -> str:
 
 
 def _average_of(document: EstimatePublished) -> list[float]:
-    """Averaging time of a bias stability over the whole record, as its points have it, else as its name says."""
+    """Averaging time of a bias stability over the whole record, from its points, else from its name."""
     name = document.estimator.removeprefix("bias_stability_")
     if name == "raw" or "_over_" in name:
         return []
@@ -205,8 +190,3 @@ def _average_of(document: EstimatePublished) -> list[float]:
 
 def _digest(document: AnyDocument) -> bytes:
     return hashlib.blake2b(msgspec.json.encode(document), digest_size=16).digest()
-
-
-def _list(names: list[str], name: str) -> None:
-    if len(names) < _LISTED:
-        names.append(name)

@@ -1,4 +1,4 @@
-"""Which runs of a log go on, and where each of them begins in every stream."""
+"""Unfinished runs of a log, and where each run begins in every stream."""
 
 from storage.log.sequence import Place
 from storage.manifests.log import read_log_manifest
@@ -10,9 +10,9 @@ from stream.identity import EstimateKey, SampleKey, parse_key
 
 
 def first_to_read(store: Store, sealed: list[str]) -> int:
-    """The first of the sealed segments, in their order, that may hold a run that goes on; their number if none may.
+    """Index of the first sealed segment that may hold an unfinished run; the number of segments if none may.
 
-    The last estimates of a run may stand in the segment behind its end; what comes later has resumed it.
+    The last estimates of a run may be in the segment after its end; anything later resumes the run.
     """
     entries = read_log_manifest(store).entries
     first: dict[str, int] = {}
@@ -32,12 +32,9 @@ def first_to_read(store: Store, sealed: list[str]) -> int:
 
 
 class RunScan:
-    """Follows the messages of a log in their order and remembers where runs begin and whether they have ended.
+    """Reads a log in its order and keeps where runs begin and whether they have ended.
 
-    Attributes
-    ----------
-    runs: All that were seen.
-    open_runs: Those with samples or documents, estimates aside, and no end behind them.
+    `open_runs` have samples or documents other than estimates after their last end.
     """
 
     def __init__(self) -> None:
@@ -75,12 +72,12 @@ class RunScan:
 
     @property
     def unfinished_runs(self) -> set[str]:
-        """Runs that were being estimated, and of which a signal has not what is published of it last."""
+        """Estimated runs of which a signal lacks its final document."""
         estimated = {run for run, _, _ in self._estimated}
         return {name[0] for name in self._signals - self._finished if name[0] in estimated}
 
     def positions(self, runs: set[str]) -> dict[StreamId, int]:
-        """Where the first message of any of `runs` stands in each stream, or where the stream ends."""
+        """Position of the first message of any of `runs` in each stream, else the end of the stream."""
         found = dict(self._next)
         for (stream, run), first in self._first.items():
             if run in runs:

@@ -1,9 +1,10 @@
-"""Whether the numbers of every stream in the log go on without a gap, and what is missing where they do not."""
+"""Positions of messages in their streams: gaps, repetitions, and what a segment holds of each stream."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from storage.segments.records import EVENTS, SAMPLES, LogRecord
+from storage.manifests.log import SegmentEntry
+from storage.segments.records import EVENTS, SAMPLES, LogRecord, SealedSegment
 from stream.delivery.publisher import StreamId
 from stream.errors import StoreError
 from stream.events import RunEnded, decode_event
@@ -14,7 +15,7 @@ DOCUMENTS = "documents"
 
 
 class Place(NamedTuple):
-    """Where a message stands in its stream: its numbers, its time, and the run it belongs to."""
+    """Position of a message in its stream: its numbers, its time, and its run."""
 
     stream: StreamId
     seq: int
@@ -32,10 +33,7 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class LostStretch:
-    """Numbers of one stream that are not there, and between which moments of the source's clock they lay.
-
-    `first_ns` or `last_ns` is None where nothing of the stream is known before or behind.
-    """
+    """Missing numbers of one stream, and the source times around them; None where nothing is known on that side."""
 
     key: str
     epoch: str
@@ -46,13 +44,13 @@ class LostStretch:
 
     @property
     def unit(self) -> str:
-        """Whose samples they are; of documents, where they come from."""
+        """Unit of the samples; of documents, their place."""
         parsed = parse_key(self.key)
         return parsed.unit if isinstance(parsed, SampleKey) else "/".join(parsed.place)
 
     @property
     def signal(self) -> str:
-        """Which signal; of documents, that they are documents."""
+        """Signal of the samples; `DOCUMENTS` for documents."""
         parsed = parse_key(self.key)
         return parsed.signal if isinstance(parsed, SampleKey) else DOCUMENTS
 
@@ -73,13 +71,9 @@ class LostStretch:
 
 
 class SequenceCheck:
-    """Follows the streams of a log in its order.
+    """Finds missing (`lost`) and repeated messages (`repeated`) of all streams of a log, read in its order.
 
-    Attributes
-    ----------
-    next_seq: Number that each stream expects.
-    lost: Numbers that were passed over.
-    repeated: Messages whose numbers were there before.
+    `next_seq` is the number that each stream expects next.
     """
 
     def __init__(self) -> None:
@@ -102,7 +96,7 @@ class SequenceCheck:
         return True
 
     def reach(self, stream: StreamId, next_seq: int) -> None:
-        """Something says that the stream has come so far."""
+        """Take from another source that a stream has reached a number."""
         expected = self.next_seq.get(stream, 0)
         if next_seq > expected:
             self._miss(stream, expected, next_seq, None)
@@ -112,13 +106,56 @@ class SequenceCheck:
         self.lost.append(LostStretch(stream.key, stream.epoch, expected, seq - 1, self._last_ns.get(stream), until_ns))
 
 
-def place_of(record: LogRecord) -> Place | None:
-    """Where a message of the log stands in its stream; None for one that is not numbered.
+class SegmentTally:
+    """Counts of one segment and the positions of its streams, for its manifest entry and its marks."""
 
-    Raises
-    ------
-    WireError: If it cannot be read.
-    """
+    def __init__(self) -> None:
+        self.messages = 0
+        self.samples = 0
+        self.arrival_first_ns = 0
+        self.arrival_last_ns = 0
+        self.positions: dict[StreamId, int] = {}
+        self._runs: dict[str, None] = {}
+        self._ended: dict[str, None] = {}
+
+    def add(self, record: LogRecord, place: Place | None) -> None:
+        """Count a message."""
+        if not self.messages:
+            self.arrival_first_ns = record.arrival_ns
+        self.messages += 1
+        self.arrival_last_ns = max(self.arrival_last_ns, record.arrival_ns)
+        if place is None:
+            return
+        self.positions[place.stream] = place.next_seq
+        self.samples += place.samples
+        if place.run:
+            self._runs[place.run] = None
+            if place.is_end:
+                self._ended[place.run] = None
+
+    @property
+    def marks(self) -> dict[str, str]:
+        """The positions in the form in which a segment stores them."""
+        return {f"{stream.key} {stream.epoch}": str(next_seq) for stream, next_seq in self.positions.items()}
+
+    def entry(self, sealed: SealedSegment, origin: str) -> SegmentEntry:
+        """Its entry in the manifest."""
+        return SegmentEntry(
+            segment=sealed.path.name,
+            size=sealed.size,
+            sha256=sealed.sha256,
+            messages=self.messages,
+            samples=self.samples,
+            arrival_first_ns=self.arrival_first_ns,
+            arrival_last_ns=self.arrival_last_ns,
+            runs=tuple(self._runs),
+            ended=tuple(self._ended),
+            origin=origin,
+        )
+
+
+def place_of(record: LogRecord) -> Place | None:
+    """Position of a message of the log in its stream; None if it is not numbered."""
     if record.schema == SAMPLES:
         head = read_batch_head(record.data, bounded=False)
         return Place(StreamId(record.topic, head.epoch), head.seq, head.next_seq, head.t0_ns, head.last_ns, head.run)
@@ -131,20 +168,18 @@ def place_of(record: LogRecord) -> Place | None:
     return None
 
 
-def stream_of(text: str) -> StreamId:
-    """Read a stream as it stands in the marks of a segment.
-
-    Raises
-    ------
-    StoreError: If it is none.
-    """
-    key, separator, epoch = text.rpartition(" ")
-    if not separator:
-        raise StoreError(f"stream position {text!r} in the log cannot be read; was it written by gyrofleet?")
-    return StreamId(key, epoch)
+def positions_of(marks: dict[str, str]) -> dict[StreamId, int]:
+    """Positions of streams from the marks of a segment."""
+    found = {}
+    for text, next_seq in marks.items():
+        key, separator, epoch = text.rpartition(" ")
+        if not separator:
+            raise StoreError(f"stream position {text!r} in the log cannot be read; was it written by gyrofleet?")
+        found[StreamId(key, epoch)] = int(next_seq)
+    return found
 
 
-def position_of(record: LogRecord) -> tuple[StreamId | None, int]:
-    """Return the stream of a message and the number that follows it; None for one that is not numbered."""
-    place = place_of(record)
-    return (None, 0) if place is None else (place.stream, place.next_seq)
+def raise_positions(positions: dict[StreamId, int], reached: dict[StreamId, int]) -> None:
+    """Raise positions to those that streams have reached."""
+    for stream, next_seq in reached.items():
+        positions[stream] = max(positions.get(stream, 0), next_seq)

@@ -1,4 +1,4 @@
-"""What a store's log holds beyond given positions: for whoever has to catch up with it."""
+"""Reading a store's log from given positions, to catch up with it."""
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Set
@@ -10,7 +10,7 @@ from typing import NamedTuple
 from storage.log.files import is_own
 from storage.log.recovery import left_open
 from storage.log.runs import RunScan, first_to_read
-from storage.log.sequence import place_of, position_of, stream_of
+from storage.log.sequence import place_of, positions_of, raise_positions
 from storage.segments.reader import SegmentScan, read_marks, read_segment
 from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store
@@ -21,7 +21,7 @@ from stream.identity import EstimateKey, EventKey, parse_key
 
 
 class LoggedMessage(NamedTuple):
-    """A message of a numbered stream as it stands in the log, and the number that follows it."""
+    """A numbered message of the log, and the number that follows it."""
 
     stream: StreamId
     next_seq: int
@@ -29,19 +29,14 @@ class LoggedMessage(NamedTuple):
 
 
 class Beginning(NamedTuple):
-    """Where to begin so that the runs that are to be estimated are taken whole, and the runs to be left out then."""
+    """Positions from which unfinished runs are complete, and the runs that have ended."""
 
     positions: dict[StreamId, int]
     ended: frozenset[str]
 
 
 class LogTail:
-    """Reads the log of a store from given positions on, while another process may be writing it.
-
-    Parameters
-    ----------
-    store: Which store.
-    """
+    """Reads the log of a store from given positions on, while another process may be writing it."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -53,49 +48,32 @@ class LogTail:
         return self._store.identity
 
     def beginning(self, *, thorough: bool = False) -> Beginning:
-        """Where one begins who knows nothing: runs that go on from their first message, all else from its end.
+        """Where to begin without a checkpoint: unfinished runs from their first message, all else from its end.
 
-        Parameters
-        ----------
-        thorough: Read the whole log, and begin also the runs that have ended while their last estimates are not there.
-
-        Raises
-        ------
-        StoreError: If a sealed segment that is needed is damaged.
+        `thorough` reads the whole log, and includes ended runs whose last estimates are missing.
         """
         sealed = _sealed(self._store)
         start = 0 if thorough else first_to_read(self._store, sealed)
         positions: dict[StreamId, int] = {}
         for name in sealed[:start]:
-            for stream, next_seq in self._marks_of(name).items():
-                positions[stream] = max(positions.get(stream, 0), next_seq)
+            raise_positions(positions, self._marks_of(name))
         scan = RunScan()
         for name in sealed[start:]:
             for record in read_segment(self._store.log / name):
                 scan.follow(record, place_of(record))
-        # what is sealed meanwhile is read as what lies beyond these positions
+        # what is sealed meanwhile lies beyond these positions and is read later
         for record in open_records(self._store):
             scan.follow(record, place_of(record))
         runs = scan.open_runs | (scan.unfinished_runs if thorough else set())
         return Beginning({**positions, **scan.positions(runs)}, frozenset(scan.runs - runs))
 
     def since(self, positions: Mapping[StreamId, int]) -> Iterator[LoggedMessage]:
-        """Messages that lie beyond `positions`, in the order of the log; a stream not named counts from 0.
-
-        Raises
-        ------
-        StoreError: If a sealed segment that is needed is damaged.
-        """
+        """Messages beyond `positions`, in the order of the log; streams not named count from 0."""
         return self._since(positions, lambda _key: True)
 
     def published(self, positions: Mapping[StreamId, int]) -> Iterator[str]:
-        """Identities of the estimates and decisions that lie beyond `positions`.
-
-        Raises
-        ------
-        StoreError: If a sealed segment that is needed is damaged.
-        """
-        for message in self._since(positions, _is_estimate):
+        """Identities of the estimates and decisions beyond `positions`."""
+        for message in self._since(positions, _is_key_of(EstimateKey)):
             yield decode_event(message.payload).document.uid
 
     def _since(self, positions: Mapping[StreamId, int], wanted: Callable[[str], bool]) -> Iterator[LoggedMessage]:
@@ -104,19 +82,18 @@ class LogTail:
             return any(next_seq > positions.get(stream, 0) and wanted(stream.key) for stream, next_seq in marks)
 
         for record in records_of(self._store, is_needed, wanted):
-            stream, next_seq = position_of(record)
-            if stream is not None and next_seq > positions.get(stream, 0):
-                yield LoggedMessage(stream, next_seq, record.data)
+            place = place_of(record)
+            if place is not None and place.next_seq > positions.get(place.stream, 0):
+                yield LoggedMessage(place.stream, place.next_seq, record.data)
 
     def _marks_of(self, name: str) -> dict[StreamId, int]:
         if name not in self._marks:
-            written = read_marks(self._store.log / name)
-            self._marks[name] = {stream_of(text): int(next_seq) for text, next_seq in written.items()}
+            self._marks[name] = positions_of(read_marks(self._store.log / name))
         return self._marks[name]
 
 
 def open_records(store: Store) -> Iterator[LogRecord]:
-    """What can be read of the segments that are not sealed, in their order."""
+    """Readable messages of the segments that are not sealed, in their order."""
     for path in left_open(store):
         yield from _open_segment(path)
 
@@ -126,16 +103,11 @@ def records_of(store: Store, is_needed: Callable[[str], bool], wanted: Callable[
 
     Parameters
     ----------
-    store: Whose log.
-    is_needed: Whether a sealed segment of that name is to be read.
-    wanted: Whether messages under that key expression are.
-
-    Raises
-    ------
-    StoreError: If a sealed segment that is needed is damaged.
+    is_needed: Whether to read the sealed segment of a name.
+    wanted: Whether to yield messages of a key expression.
     """
     done: set[str] = set()
-    begun: Counter[str] = Counter()  # what was read of a segment before it was sealed
+    begun: Counter[str] = Counter()  # messages read of a segment before it was sealed
     while True:
         fresh = [name for name in _sealed(store, done) if name not in done]
         for name in fresh:
@@ -151,25 +123,15 @@ def records_of(store: Store, is_needed: Callable[[str], bool], wanted: Callable[
                 begun[name] += 1
                 if wanted(record.topic):
                     yield record
-        if done.issuperset(_sealed(store, done)):  # none was sealed while it was read
+        if done.issuperset(_sealed(store, done)):  # none was sealed meanwhile
             return
 
 
 def documents_beyond(store: Store, in_lake: Set[str]) -> Iterator[tuple[AnyDocument, int]]:
-    """Documents of the log that the lake does not have yet, each with the time of its arrival, ns.
-
-    Parameters
-    ----------
-    store: Whose log.
-    in_lake: Segments that the lake has.
-
-    Raises
-    ------
-    StoreError: If a sealed segment that is needed is damaged.
-    """
-    for record in records_of(store, lambda segment: segment.removesuffix(".mcap") not in in_lake, _is_event):
+    """Documents of the log that are not in the lake yet, each with its arrival time in ns."""
+    for record in records_of(store, lambda segment: segment.removesuffix(".mcap") not in in_lake, _is_key_of(EventKey)):
         if record.schema != EVENTS:
-            continue  # a rejected message stands under its key, too
+            continue  # rejected messages keep their key
         with suppress(WireError):  # `gyrofleet verify` reports it
             yield decode_event(record.data).document, record.arrival_ns
 
@@ -184,16 +146,11 @@ def _sealed(store: Store, known: Collection[str] = ()) -> list[str]:
     return sorted(path.name for path in store.log.glob("*.mcap") if path.name in known or is_own(store, path))
 
 
-def _is_estimate(key: str) -> bool:
-    return _is_of(key, EstimateKey)
+def _is_key_of(kind: type) -> Callable[[str], bool]:
+    def is_of(key: str) -> bool:
+        try:
+            return isinstance(parse_key(key), kind)
+        except BadInput:
+            return False  # a rejected message, or a preview
 
-
-def _is_event(key: str) -> bool:
-    return _is_of(key, EventKey)
-
-
-def _is_of(key: str, kind: type) -> bool:
-    try:
-        return isinstance(parse_key(key), kind)
-    except BadInput:
-        return False  # a rejected message, or a preview
+    return is_of

@@ -1,8 +1,8 @@
-"""One segment of the event log, written: a self-contained MCAP file.
+"""Writer of one segment of the event log, a self-contained MCAP file.
 
-Its chunks are put together here and not by the library's writer, for three reasons: every chunk carries the channels
-of its messages, so that it can be read when all others are lost; what is on disk is known to the byte after each
-`sync`; and a message costs a microsecond. Chunks, data section and summary carry CRCs.
+Chunks are assembled here and not by the library's writer: each chunk carries the channels of its messages, so that it
+can be read alone; the durable length is known to the byte after each `sync`; and a message costs a microsecond.
+Chunks, data section and summary carry CRCs.
 """
 
 import hashlib
@@ -14,7 +14,7 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, Footer, Header, Metadata, MetadataIndex, SummaryOffset
 
-from storage.log.numbers import next_free
+from storage.log.files import next_free
 from storage.segments.disk import DISK, Disk
 from storage.segments.records import (
     CHECKSUM,
@@ -42,24 +42,19 @@ _LEVEL = 3
 
 
 class SegmentWriter:
-    """Writes one segment, under another name until it is sealed.
+    """Writes one segment under a temporary name until it is sealed; to be abandoned after any OSError.
 
     Parameters
     ----------
     path: Name of the sealed segment.
-    suffix: What is added to the name until then.
-    disk: Where to.
-    found: Whole records that the file begins with already, and the summary of them: what follows is cut off, and it is
-        gone on from there. Without it the file is new.
-    open_path: The file as it is called now, where its name is not `path` with the suffix.
+    suffix: Added to the name until then.
+    found: Whole records at the beginning of an existing file and their summary: the rest is cut off, and writing
+        resumes there. Without it the file is created.
+    open_path: The file's present name, if it is not `path` with the suffix.
 
     Attributes
     ----------
-    durable_bytes: Length of the file that is on disk whatever happens; it ends where a chunk ends.
-
-    Raises
-    ------
-    OSError: From every method, as the disk has it; the segment is then to be abandoned.
+    durable_bytes: Length of the file that is durable; it ends at the end of a chunk.
     """
 
     def __init__(
@@ -106,7 +101,7 @@ class SegmentWriter:
         self._first_ns = self._last_ns = 0
 
     def append(self, record: LogRecord) -> None:
-        """Add a message; it is on disk after the next `sync`."""
+        """Add a message; durable after the next `sync`."""
         topic, schema, arrival_ns, publish_ns, data = record
         channel = self._channels.get((topic, SCHEMA_IDS[schema]))
         if channel is None:
@@ -132,7 +127,7 @@ class SegmentWriter:
             self._end_chunk()
 
     def sync(self) -> None:
-        """Bring everything appended so far to the disk."""
+        """Make everything appended so far durable."""
         self._end_chunk()
         if self.durable_bytes < self._size:
             self._disk.sync_data(self._file)
@@ -141,8 +136,8 @@ class SegmentWriter:
     def seal(self, marks: dict[str, str], *, replaces: bool = False) -> SealedSegment:
         """Finish the segment with the positions its streams have reached, and give it its name.
 
-        The name is durable after a `sync_folder`; until then the segment is there under one name or the other. Where
-        another segment has its name, it `replaces` that one, or it gets the next free name.
+        The name is durable after a `sync_folder`; until then the segment has either name. Another segment of that name
+        is replaced if `replaces`; else this one gets the next free name.
         """
         self._end_chunk()
         metadata = encoded(Metadata(name=MARKS, metadata=marks | {CHECKSUM: checksum(marks)}))
@@ -166,11 +161,11 @@ class SegmentWriter:
 
     @property
     def channels(self) -> int:
-        """How many channels it has; MCAP has room for 65,535."""
+        """Number of channels; MCAP allows 65,535."""
         return len(self._summary.channels)
 
     def abandon(self) -> None:
-        """Leave the file as it is, for recovery."""
+        """Close the file as it is, for recovery."""
         self._disk.close(self._file)
 
     def _register(self, topic: str, schema: str) -> int:

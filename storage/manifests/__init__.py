@@ -1,1 +1,1 @@
-"""Manifests: which segments the log has, and which parts of the lake are in force."""
+"""Manifests: the segments of the log, and the parts of the lake that are in force."""

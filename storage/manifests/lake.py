@@ -1,13 +1,13 @@
-"""The lake's manifest: which parts are in force, what their files hold, and what was dropped of them.
+"""The lake's manifest: the parts in force, their files, and what was dropped of them.
 
-A part is a folder of Parquet files made from one or more sealed segments. It describes itself in ``part.json``, written
-before the folder gets its name; ``manifest.json`` in front of all parts is the one place that says which are in
-force, and is replaced as a whole. Both carry a hash of their own content.
+A part is a folder of Parquet files made from one or more sealed segments, described in its ``part.json``, which is
+written before the folder gets its name. ``manifest.json`` alone says which parts are in force; it is replaced as a
+whole. Both files carry a hash of their content.
 """
 
 import hashlib
-import os
 import re
+import shutil
 import time
 from collections.abc import Iterable
 from datetime import UTC, datetime
@@ -16,16 +16,21 @@ from pathlib import Path
 import msgspec
 
 from storage.store import Store, sync_folder
+from stream.atomic_file import write_durably
 from stream.errors import StoreError
 
 LAKE_FORMAT = 1
 MANIFEST = "manifest.json"
 PART = "part.json"
+NEW_LAKE = "lake-new"
+
+_COMPLETE = "complete"  # mark in a new lake: it may replace the old one
+_REMOVABLE = "removable"  # mark in an old lake: the new one holds everything in it
 
 _HEAD = b'{"sha256":"'
 _MIDDLE = b'","content":'
 _TAIL = b"}\n"
-# of a folder or file within the lake, or of a segment
+# of a folder or file in the lake, or of a segment
 _NAME = re.compile(r"\w[\w.-]*")
 
 
@@ -34,7 +39,7 @@ class LakeManifestDamaged(StoreError):
 
 
 class PartFile(msgspec.Struct, frozen=True):
-    """What a file of a part holds."""
+    """A file of a part."""
 
     bytes: int
     rows: int
@@ -42,7 +47,7 @@ class PartFile(msgspec.Struct, frozen=True):
 
 
 class DroppedRows(msgspec.Struct, frozen=True):
-    """Raw rows that a part no longer holds, and the document that says so."""
+    """Raw rows that a part no longer holds, and the document of it."""
 
     document: str
     samples: int
@@ -56,14 +61,12 @@ class Part(msgspec.Struct, frozen=True, kw_only=True):
     ----------
     name: Of its folder.
     segments: Sealed segments that it was made from, in order.
-    files: By file name.
     samples: Samples in its segments.
-    t_first_ns, t_last_ns: Source time of its samples.
-    arrival_first_ns, arrival_last_ns: Arrival of everything in it.
+    t_first_ns, t_last_ns: Range of the source time of its samples.
+    arrival_first_ns, arrival_last_ns: Range of the arrival of its messages.
     dropped: Set once its raw rows are dropped.
-    sources: SHA-256 of the segments it was made from; an older gyrofleet did not note it.
-    quarantined, quarantined_samples: Messages of its segments that cannot be built, and the samples in them; the log
-        keeps them.
+    sources: SHA-256 of its segments; empty in parts of an older gyrofleet.
+    quarantined, quarantined_samples: Messages that cannot be built, and their samples; the log keeps them.
     """
 
     name: str
@@ -86,7 +89,7 @@ class Part(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def day(self) -> str:
-        """UTC day of its first arrival; empty for a part of nothing.
+        """UTC day of its first arrival; empty for an empty part.
 
         Examples
         --------
@@ -99,7 +102,7 @@ class Part(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Replaced(msgspec.Struct, frozen=True):
-    """A folder or file of the lake that is no longer in force and waits for its readers to end."""
+    """A folder or file that is no longer in force and stays until its readers have ended."""
 
     path: str
     at_ns: int
@@ -111,10 +114,10 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     Parameters
     ----------
     parts: In the order of their first segments.
-    replaced: What is to be removed later.
-    dropped: Segments whose raw rows are not kept, and the document that says so.
-    restored: Segments whose raw rows came back, and the documents that count for them no more.
-    number: Counts the changes.
+    replaced: Folders and files to be removed later.
+    dropped: Segments whose raw rows are dropped, and the document of it.
+    restored: Segments whose raw rows were restored, and the documents that no longer apply to them.
+    number: Number of changes.
     """
 
     format: int = LAKE_FORMAT
@@ -138,11 +141,8 @@ def hull(parts: Iterable[Part], name: str, files: dict[str, PartFile]) -> Part:
     """The description of a part that holds what `parts` hold."""
     parts = list(parts)
 
-    def least(field: str) -> int | None:
-        return min((value for part in parts if (value := getattr(part, field)) is not None), default=None)
-
-    def most(field: str) -> int | None:
-        return max((value for part in parts if (value := getattr(part, field)) is not None), default=None)
+    def known(field: str) -> list[int]:
+        return [value for part in parts if (value := getattr(part, field)) is not None]
 
     dropped = [part.dropped for part in parts if part.dropped is not None]
     return Part(
@@ -151,10 +151,10 @@ def hull(parts: Iterable[Part], name: str, files: dict[str, PartFile]) -> Part:
         files=files,
         samples=sum(part.samples for part in parts),
         sources={segment: sha256 for part in parts for segment, sha256 in sorted(part.sources.items())},
-        t_first_ns=least("t_first_ns"),
-        t_last_ns=most("t_last_ns"),
-        arrival_first_ns=least("arrival_first_ns"),
-        arrival_last_ns=most("arrival_last_ns"),
+        t_first_ns=min(known("t_first_ns"), default=None),
+        t_last_ns=max(known("t_last_ns"), default=None),
+        arrival_first_ns=min(known("arrival_first_ns"), default=None),
+        arrival_last_ns=max(known("arrival_last_ns"), default=None),
         dropped=None
         if not dropped
         else DroppedRows(dropped[-1].document, sum(d.samples for d in dropped), sum(d.bytes for d in dropped)),
@@ -164,21 +164,15 @@ def hull(parts: Iterable[Part], name: str, files: dict[str, PartFile]) -> Part:
 
 
 def read_manifest(store: Store) -> Manifest:
-    """The manifest of a store's lake; one of no parts where nothing has reached the lake yet.
-
-    Raises
-    ------
-    LakeManifestDamaged: If it is damaged, or lost while there are parts.
-    StoreError: If a newer gyrofleet wrote it.
-    """
+    """The manifest of a store's lake; an empty one if nothing has reached the lake yet."""
     path = store.lake / MANIFEST
     try:
         content = path.read_bytes()
     except FileNotFoundError:
         if store.lake.is_dir() and next(store.lake.glob(f"*/{PART}"), None) is not None:
             raise LakeManifestDamaged(f"{path} is missing; {_REMEDY}") from None
-        if (store.folder / "lake-new" / MANIFEST).exists() and not store.lake.is_dir():
-            raise LakeManifestDamaged(f"{store.lake} is being rebuilt; give `gyrofleet rebuild` again") from None
+        if (store.folder / NEW_LAKE / MANIFEST).exists() and not store.lake.is_dir():
+            raise LakeManifestDamaged(f"{store.lake} is being rebuilt; run `gyrofleet rebuild` again") from None
         return Manifest()
     except OSError as error:
         raise LakeManifestDamaged(f"{path} cannot be read: {error}; {_REMEDY}") from error
@@ -194,17 +188,12 @@ def read_manifest(store: Store) -> Manifest:
 
 
 def write_manifest(store: Store, manifest: Manifest) -> None:
-    """Put a manifest in force: it is there whole, or the one before is."""
+    """Put a manifest in force, atomically."""
     _write(store.lake / MANIFEST, manifest)
 
 
 def read_part(folder: Path) -> Part:
-    """What a part says of itself.
-
-    Raises
-    ------
-    StoreError: If it says nothing, or its description is damaged.
-    """
+    """The description in a part's folder."""
     path = folder / PART
     try:
         part = msgspec.json.decode(_unsealed(path.read_bytes()), type=Part)
@@ -220,9 +209,9 @@ def write_part(folder: Path, part: Part) -> None:
 
 
 def found_parts(store: Store) -> list[Part]:
-    """Parts that describe themselves, without regard to the manifest; no two share a segment.
+    """Parts by their own descriptions, without the manifest.
 
-    Where some do, those of more segments count: they were made from the others.
+    Of parts that share segments, the one of more segments counts: it was made from the others.
     """
     found = []
     for path in sorted(store.lake.glob(f"*/{PART}")):
@@ -246,13 +235,42 @@ def in_order(parts: Iterable[Part]) -> list[Part]:
     return sorted(parts, key=lambda part: (part.segments[0], part.name))
 
 
+def switch(store: Store, *, keep_old: bool) -> None:
+    """Replace the old lake by the new one, which is complete; the old one is quarantined or removed."""
+    mark = store.folder / NEW_LAKE / _COMPLETE
+    mark.write_text("keep" if keep_old else "remove")
+    sync_folder(mark.parent)
+    finish_switch(store)
+
+
+def finish_switch(store: Store) -> None:
+    """Finish an interrupted switch, if there is one."""
+    fresh = store.folder / NEW_LAKE
+    if (fresh / _COMPLETE).exists():
+        keep_old = (fresh / _COMPLETE).read_text() != "remove"
+        if store.lake.exists() and any(store.lake.iterdir()):
+            if not keep_old:
+                (store.lake / _REMOVABLE).touch()
+            store.lake.rename(store.folder / f"lake-aside-{time.time_ns()}")
+        fresh.rename(store.lake)
+        sync_folder(store.folder)
+    (store.lake / _COMPLETE).unlink(missing_ok=True)
+    for mark in store.folder.glob(f"lake-aside-*/{_REMOVABLE}"):
+        shutil.rmtree(mark.parent)
+
+
+def left_aside(store: Store) -> list[Path]:
+    """Quarantined lakes, which hold more than the log gives, and damaged parts."""
+    return sorted(store.folder.glob("lake-aside*"))
+
+
 def _check_names(part: Part) -> None:
     for name in (part.name, *part.segments, *part.files):
         _check_within([name])
 
 
 def _check_within(names: list[str]) -> None:
-    """Refuse what would lead out of the lake, whoever wrote it: folders and files are removed by these names."""
+    """Refuse paths that lead out of the lake: folders and files are removed by these names."""
     if len(names) > 2 or any(_NAME.fullmatch(name) is None for name in names):
         raise ValueError(f"{'/'.join(names)!r} is not a path within the lake")
 
@@ -268,16 +286,8 @@ def _checked(manifest: Manifest, path: Path) -> Manifest:
 def _write(path: Path, value: Manifest | Part) -> None:
     content = msgspec.json.encode(value)
     fresh = path.with_name(f"{path.name}.{time.time_ns()}.new")
-    try:
-        with fresh.open("wb") as file:
-            file.write(_HEAD + hashlib.sha256(content).hexdigest().encode() + _MIDDLE + content + _TAIL)
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.rename(path)
-    except OSError:
-        fresh.unlink(missing_ok=True)
-        raise
-    sync_folder(path.parent)
+    sealed = _HEAD + hashlib.sha256(content).hexdigest().encode() + _MIDDLE + content + _TAIL
+    write_durably(path, sealed, fresh=fresh)
 
 
 def _unsealed(content: bytes) -> bytes:
@@ -285,8 +295,8 @@ def _unsealed(content: bytes) -> bytes:
     inner = content[begin + len(_MIDDLE) : -len(_TAIL)]
     digest = hashlib.sha256(inner).hexdigest().encode()
     if content != _HEAD + digest + _MIDDLE + inner + _TAIL:
-        raise ValueError("its content does not agree with its hash")
+        raise ValueError("its content does not match its hash")
     return inner
 
 
-_REMEDY = "`gyrofleet recover` makes it anew from the parts and the log; no sample is lost"
+_REMEDY = "`gyrofleet recover` rebuilds it from the parts and the log; no sample is lost"

@@ -1,8 +1,7 @@
-"""The log's manifest: what every sealed segment is, one line each, chained so that no line can be lost unseen.
+"""The log's manifest: one line for each sealed segment, chained by hashes so that a lost line is noticed.
 
-A line is the entry as JSON and, after a tab, the SHA-256 of the line before and this entry. It is appended after the
-segment is sealed; a segment that was sealed by a process that was killed before it could write the line is read
-whole and taken in by the next.
+A line is the entry as JSON and, after a tab, the SHA-256 of the previous line and this entry. It is appended after the
+segment is sealed; if the process is killed in between, the next one reads the segment and adds the line.
 """
 
 import hashlib
@@ -25,17 +24,16 @@ _SEGMENT = re.compile(r"\d+\.mcap")
 
 
 class SegmentEntry(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What is known of a sealed segment.
+    """A sealed segment.
 
     Parameters
     ----------
     segment: Name of its file.
     size, sha256: Its length in bytes and its hash.
-    messages, samples: What it holds; samples are those of batches.
-    arrival_first_ns, arrival_last_ns: Between which moments its messages came in, by the recorder's clock.
+    arrival_first_ns, arrival_last_ns: Range of arrival of its messages, by the recorder's clock.
     runs, ended: Runs that it has samples or documents of, and those whose end it has.
-    origin: How it came to be: recorded, recovered (left open by a process that ended), salvaged (around damage), found
-        (sealed, without a line of its own); lost, where it is not there any more and the log says so.
+    origin: recorded, recovered (was left open), salvaged (readable part of a damaged one), found (sealed, without a
+        line), or lost (documented in the log).
     """
 
     segment: str
@@ -56,7 +54,7 @@ class SegmentEntry(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class ManifestDamage(NamedTuple):
-    """A line of the manifest that does not hold."""
+    """A damaged line of the manifest."""
 
     line: int
     reason: str
@@ -64,9 +62,9 @@ class ManifestDamage(NamedTuple):
 
 @dataclass
 class LogManifest:
-    """What the manifest says, and where it cannot be believed; the last entry of a segment counts.
+    """Entries of the manifest, the last one of each segment, and its damage.
 
-    `lost` has those that are not there any more: their numbers are not given again.
+    `lost` has segments that no longer exist; their numbers are not reused.
     """
 
     entries: dict[str, SegmentEntry] = field(default_factory=dict)
@@ -75,7 +73,7 @@ class LogManifest:
     last: str = FIRST
 
     def take(self, entry: SegmentEntry) -> None:
-        """Let an entry count."""
+        """Apply an entry."""
         mine, other = (self.lost, self.entries) if entry.is_lost else (self.entries, self.lost)
         other.pop(entry.segment, None)
         mine[entry.segment] = entry
@@ -85,20 +83,20 @@ _decoder = msgspec.json.Decoder(SegmentEntry)
 
 
 def manifest_path(store: Store) -> Path:
-    """Where the manifest is."""
+    """Path of the manifest."""
     return store.log / _NAME
 
 
 def read_log_manifest(store: Store) -> LogManifest:
-    """Read what is there; a line that does not hold is noted, one at the end that was not finished is left out."""
+    """Read the manifest; damaged lines are reported in it, an unfinished last line is ignored."""
     found = LogManifest()
     path = manifest_path(store)
     content = path.read_bytes() if path.exists() else b""
     lines = content.split(b"\n")
-    lines.pop()  # empty, or a line that was not finished
+    lines.pop()  # empty, or an unfinished line
     for number, line in enumerate(lines, 1):
         text, _, chained = line.rpartition(b"\t")
-        # what follows is judged by what this line says of itself, so that one damaged line is not all of them
+        # the next line is checked against this line's own hash, so that one damaged line does not spoil the rest
         if not text or _chain(found.last, text) != chained.decode(errors="replace"):
             found.damage.append(ManifestDamage(number, "the line or the one before it is not what was written"))
             found.last = chained.decode(errors="replace")
@@ -113,28 +111,17 @@ def read_log_manifest(store: Store) -> LogManifest:
 
 
 class ManifestWriter:
-    """Appends to the manifest of a store whose log this process writes.
-
-    Parameters
-    ----------
-    store: Whose.
-    disk: Where to.
-    """
+    """Appends to the manifest of a store whose log this process writes."""
 
     def __init__(self, store: Store, disk: Disk = DISK) -> None:
         self._path = manifest_path(store)
         self._disk = disk
         self.found = read_log_manifest(store)
-        # what lies behind the last whole line was never finished, by a process before this or by a failed write
+        # the rest after the last whole line is of an interrupted or failed write
         self._whole_bytes = self._path.read_bytes().rfind(b"\n") + 1 if self._path.exists() else 0
 
     def add(self, entry: SegmentEntry) -> None:
-        """Make an entry durable.
-
-        Raises
-        ------
-        OSError: As the disk has it; the segment is then taken in at the next start.
-        """
+        """Append an entry, durably; after an OSError the next start adds the segment."""
         text = msgspec.json.encode(entry)
         chained = _chain(self.found.last, text)
         line = text + b"\t" + chained.encode() + b"\n"
@@ -153,7 +140,7 @@ class ManifestWriter:
 
 
 def rewrite_manifest(store: Store, entries: Iterable[SegmentEntry], disk: Disk = DISK) -> Path | None:
-    """Write the manifest anew; what was there is quarantined, and its new place returned."""
+    """Replace the manifest; returns the path of the old one in the quarantine."""
     path = manifest_path(store)
     store.tmp.mkdir(exist_ok=True)
     fresh = store.tmp / _NAME
@@ -173,7 +160,7 @@ def rewrite_manifest(store: Store, entries: Iterable[SegmentEntry], disk: Disk =
     if path.exists():
         store.aside.mkdir(exist_ok=True)
         aside = store.aside / f"{_NAME}.{time.time_ns()}"
-        disk.link(path, aside)  # at no moment is there none
+        disk.link(path, aside)  # there is a manifest at every moment
         disk.sync_folder(store.aside)
     disk.replace(fresh, path)
     disk.sync_folder(path.parent)

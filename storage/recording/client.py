@@ -1,10 +1,10 @@
-"""The recorder as a source sees it that sends from elsewhere: asked what its store has, and for the word to send."""
+"""A remote recorder: requests about its store, claims on runs, and documents for its log."""
 
 import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -13,29 +13,16 @@ from uuid import uuid4
 
 import numpy as np
 
+from storage.log.store_documents import LAKE
 from storage.recording.knowledge import KnownRuns, KnownSignal, KnownStep, unpacked
-from storage.store import Store, recorder_endpoint
+from storage.store import Store, WriterLock, recorder_endpoint, writer_endpoint
 from stream.batch import FloatArray, IntArray
+from stream.delivery.publisher import DurablePublisher
 from stream.errors import DeliveryError, GyrofleetError, StoreError, WireError
+from stream.events import AnyDocument
+from stream.identity import Place, event_key
 from stream.transport.bus import Bus
-from stream.wire.requests import (
-    LEASE_S,
-    RENEW_S,
-    REQUEST_KEY,
-    AskRuns,
-    AskSamples,
-    AskSignals,
-    Claim,
-    Hello,
-    Question,
-    Release,
-    Reply,
-    Request,
-    Settle,
-    decode_reply,
-    encode,
-    reply_key,
-)
+from stream.wire import requests
 
 _AGAIN_S = 2.0
 _OTHERS_S = 0.2
@@ -45,38 +32,32 @@ _RELEASE_S = 1.0  # else it ends with its lease
 
 
 class RecorderClient:
-    """Asks the recorder of one store over a bus.
+    """Sends requests to the recorder of one store over a bus; `store` is the identity of the store.
 
     Parameters
     ----------
-    bus: Where it is reached.
-    wanted: Identity of the store that is preferred where recorders of several answer.
-    patience_s: How long is waited for a recorder.
+    wanted: Identity of the store that is preferred if several recorders answer.
 
     Raises
     ------
     DeliveryError: If no recorder answers.
-
-    Attributes
-    ----------
-    store: Identity of the store.
     """
 
     def __init__(self, bus: Bus, *, wanted: str | None = None, patience_s: float = _PATIENCE_S) -> None:
         self._bus = bus
         self._state = threading.Condition()
         self.store = ""
-        found = self._ask(Hello(), patience_s, others_s=_OTHERS_S)
+        found = self._ask(requests.Hello(), patience_s, others_s=_OTHERS_S)
         stores = [reply.store for reply in found]
         self.store = wanted if wanted in stores else stores[0]
 
-    def ask(self, question: Question, patience_s: float = _PATIENCE_S) -> Any:
+    def ask(self, question: requests.Question, patience_s: float = _PATIENCE_S) -> Any:
         """The answer to a question.
 
         Raises
         ------
-        StoreError: If the recorder says why it cannot answer.
-        DeliveryError: If it does not answer in that time.
+        StoreError: If the recorder cannot answer.
+        DeliveryError: If it does not answer in time.
         """
         (reply,) = self._ask(question, patience_s)
         if reply.error:
@@ -84,21 +65,21 @@ class RecorderClient:
         return reply.answer
 
     def settle(self) -> None:
-        """Wait until everything that has come to the recorder is in its lake."""
-        self.ask(Settle(), _SETTLE_S)
+        """Wait until everything the recorder has received is in its lake."""
+        self.ask(requests.Settle(), _SETTLE_S)
 
     def signals(self, runs: list[str]) -> list[KnownSignal]:
         """The signals of these runs."""
-        return [KnownSignal(*row) for row in self.ask(AskSignals(tuple(runs)))]
+        return [KnownSignal(*row) for row in self.ask(requests.AskSignals(tuple(runs)))]
 
     def runs(self, runs: list[str]) -> KnownRuns:
         """What is known of these runs."""
-        found = KnownRuns(*self.ask(AskRuns(tuple(runs))))
+        found = KnownRuns(*self.ask(requests.AskRuns(tuple(runs))))
         return found._replace(steps=[KnownStep(*step) for step in found.steps])
 
     def samples(self, unit: str, signal: str, run: str, first_ns: int, last_ns: int) -> tuple[IntArray, FloatArray]:
-        """Times (ns, ascending) and values between two moments, both inclusive."""
-        answer = self.ask(AskSamples(unit, signal, run, first_ns, last_ns))
+        """Times (ns, ascending) and values between two times, inclusive."""
+        answer = self.ask(requests.AskSamples(unit, signal, run, first_ns, last_ns))
         if answer is not None:
             return unpacked(*answer)
         if last_ns <= first_ns:
@@ -110,53 +91,52 @@ class RecorderClient:
         ]
         return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
-    def _ask(self, question: Question, patience_s: float, others_s: float = 0.0) -> list[Reply]:
-        """Answers to a question: of all who answer within `others_s` of the first."""
-        request = Request(uuid4().hex, self.store, question)
-        found: list[Reply] = []
+    def _ask(self, question: requests.Question, patience_s: float, others_s: float = 0.0) -> list[requests.Reply]:
+        """All answers to a question within `others_s` of the first."""
+        request = requests.Request(uuid4().hex, self.store, question)
+        found: list[requests.Reply] = []
 
         def take(_key: str, payload: bytes) -> None:
             with suppress(WireError):
-                reply = decode_reply(payload)
+                reply = requests.decode_reply(payload)
                 with self._state:
                     if reply.store not in {each.store for each in found} and self.store in {"", reply.store}:
                         found.append(reply)
                         self._state.notify_all()
 
-        self._bus.subscribe(reply_key(request.id), take)
+        self._bus.subscribe(requests.reply_key(request.id), take)
         until = time.monotonic() + patience_s
         try:
             while True:
-                self._bus.publish(REQUEST_KEY, encode(request))
+                self._bus.publish(requests.REQUEST_KEY, requests.encode(request))
                 with self._state:
                     if self._state.wait_for(lambda: bool(found), min(_AGAIN_S, max(0.0, until - time.monotonic()))):
                         break
                 if time.monotonic() >= until:
                     raise DeliveryError(
-                        f"no recorder has answered for {patience_s:.0f} s; is `gyrofleet record` running where this "
-                        f"source is connected to, and of this version?"
+                        f"no recorder has answered for {patience_s:.0f} s; is `gyrofleet record` of this version "
+                        f"running where this source connects to?"
                     )
             time.sleep(others_s)
             with self._state:
                 return list(found)
         finally:
-            self._bus.unsubscribe(reply_key(request.id))
+            self._bus.unsubscribe(requests.reply_key(request.id))
 
 
 class HeldClaim:
-    """The word to send samples of some units and runs, renewed until it is released.
+    """The exclusive right to send samples of some units and runs, renewed until it is released.
 
     Parameters
     ----------
-    client: The recorder.
     owners: Units and runs.
-    what: Who sends, for the message that another one gets.
-    on_loss: Called once, with the reason, if another source has the word meanwhile.
-    holder: Identity of who sends; one that is started again with the same need not wait for itself.
+    what: Description of the source, for the message that another one gets.
+    on_loss: Called once, with the reason, if another source has taken over.
+    holder: Identity of the source; with the same one a restarted source does not wait for its own claim.
 
     Raises
     ------
-    StoreError: If another source has the word and goes on.
+    StoreError: If another source holds the claim.
     """
 
     def __init__(
@@ -170,9 +150,9 @@ class HeldClaim:
         self._client = client
         self.on_loss = on_loss
         text = f"{what} on {socket.gethostname()}, process {os.getpid()}"
-        self._claim = Claim(holder or uuid4().hex, text, tuple(sorted(set(owners))))
+        self._claim = requests.Claim(holder or uuid4().hex, text, tuple(sorted(set(owners))))
         self._stop = threading.Event()
-        until = time.monotonic() + LEASE_S + 2.0  # one that was killed holds it no longer
+        until = time.monotonic() + requests.LEASE_S + 2.0  # the lease of a killed source ends
         while (reason := self._refused()) is not None:
             if time.monotonic() >= until:
                 raise StoreError(reason)
@@ -191,22 +171,22 @@ class HeldClaim:
         )
 
     def _renew(self) -> None:
-        while not self._stop.wait(RENEW_S):
+        while not self._stop.wait(requests.RENEW_S):
             try:
                 reason = self._refused(_AGAIN_S)
             except GyrofleetError:
-                continue  # the recorder is away; it is asked again
+                continue  # the recorder is unreachable; it is asked again
             if reason is not None:
                 if self.on_loss is not None:
                     self.on_loss(reason)
                 return
 
     def release(self) -> None:
-        """Let others send."""
+        """End the claim."""
         self._stop.set()
         self._thread.join()
         with suppress(GyrofleetError):
-            self._client.ask(Release(self._claim.holder), _RELEASE_S)
+            self._client.ask(requests.Release(self._claim.holder), _RELEASE_S)
 
     def __enter__(self) -> Self:
         return self
@@ -218,10 +198,7 @@ class HeldClaim:
 
 
 def is_recorded(bus: Bus, folder: Path, endpoint: str) -> bool:
-    """Whether the store in a folder is that of the recorder on a bus, whatever its address is called.
-
-    Where no recorder answers now, by what the store knows of its last one.
-    """
+    """Whether the store in a folder is that of the recorder on a bus, else whether its last recorder was there."""
     try:
         identity = Store.open(folder).identity
     except StoreError:
@@ -230,3 +207,40 @@ def is_recorded(bus: Bus, folder: Path, endpoint: str) -> bool:
         return RecorderClient(bus, wanted=identity, patience_s=_AGAIN_S).store == identity
     except DeliveryError:
         return endpoint == recorder_endpoint(folder)
+
+
+def record_documents(
+    store: Store, documents: Sequence[AnyDocument], *, role: str, place: Place = LAKE, builds_lake: bool = False
+) -> None:
+    """Append documents to the log of a store, durably: through its recorder, else through a temporary one.
+
+    Parameters
+    ----------
+    role: Who writes, for the message that another writer gets.
+    place: Where the documents are from.
+    builds_lake: Whether a temporary recorder also builds the lake.
+    """
+    endpoint = writer_endpoint(store.folder)
+    if endpoint is not None:
+        from stream.transport.zenoh_bus import ZenohBus
+
+        with ZenohBus(connect=[endpoint]) as remote:
+            _send(remote, documents, place, store)
+        return
+    from storage.log.event_log import EventLog
+    from storage.recording.recorder import Recorder
+    from stream.transport.bus import LocalBus
+
+    with (
+        WriterLock(store, role),
+        LocalBus() as bus,
+        Recorder(store, bus, EventLog(store), sync_interval_s=0.01, builds_lake=builds_lake),
+    ):
+        _send(bus, documents, place, store)
+
+
+def _send(bus: Bus, documents: Sequence[AnyDocument], place: Place, store: Store) -> None:
+    with DurablePublisher(bus, timeout_s=20.0, only_store=store.identity) as publisher:
+        for document in documents:
+            publisher.send_event(event_key(place), document)
+        publisher.drain()

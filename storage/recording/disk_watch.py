@@ -1,4 +1,4 @@
-"""How long the disk will do: a warning early, and an end of recording before the disk is full to the last byte."""
+"""Disk space: an early warning, and a pause of recording before the disk is full."""
 
 import time
 from pathlib import Path
@@ -14,17 +14,9 @@ _RATE_OVER_S = 60.0
 
 
 class DiskWatch:
-    """Watches the room on the disk of a store.
+    """Watches the free space on the disk of a store.
 
-    Parameters
-    ----------
-    folder: The store.
-    disk: Whose room.
-
-    Attributes
-    ----------
-    reserve_bytes: What is kept free, so that what is recorded can be finished: 256 MB, or a twentieth of a smaller
-        disk.
+    `reserve_bytes` are kept free to finish what is recorded: 256 MB, or a twentieth of a smaller disk.
     """
 
     def __init__(self, folder: Path, disk: Disk) -> None:
@@ -37,18 +29,18 @@ class DiskWatch:
         self._has_warned = False
 
     def look(self, now: float, *, again: bool = False) -> tuple[str | None, str | None]:
-        """Why nothing more may be written, and what to warn of; at most once a second unless `again`.
+        """Why nothing more may be written, and a warning; each None if there is none.
 
-        Both are None where there is nothing to say. It is warned once, until there is room again.
+        At most once a second unless `again`; it warns once, until there is space again.
         """
         if not again and now - self._looked_at < _LOOK_EVERY_S:
             return None, None
         self._looked_at = now
         space = self._disk.space(self._folder)
-        room = f"{told_bytes(space.free)} free of {told_bytes(space.total)} on the disk of {self._folder}"
+        room = f"{format_bytes(space.free)} free of {format_bytes(space.total)} on the disk of {self._folder}"
         if space.free < self.reserve_bytes:
             return (
-                f"{room}, {told_bytes(self.reserve_bytes)} are kept in reserve: free space, recording then goes on",
+                f"{room}, {format_bytes(self.reserve_bytes)} are kept in reserve: free space, recording then resumes",
                 None,
             )
         return None, self._warning(now, space.free, room)
@@ -66,19 +58,19 @@ class DiskWatch:
             return None
         self._has_warned = True
         forecast = "" if hours is None else f", enough for {hours:.3g} h at the rate of the last minute"
-        return f"the disk runs low: {room}{forecast}"
+        return f"the disk is running full: {room}{forecast}"
 
     def has_room_again(self) -> bool:
-        """Whether twice the reserve is free, so that it does not go on and off."""
+        """Whether twice the reserve is free, for hysteresis."""
         return self._disk.space(self._folder).free >= 2 * self.reserve_bytes
 
 
-def told_bytes(size: int) -> str:
-    """A size in words.
+def format_bytes(size: int) -> str:
+    """A size with its unit.
 
     Examples
     --------
-    >>> told_bytes(8_123_456), told_bytes(512), told_bytes(3_000_000_000)
+    >>> format_bytes(8_123_456), format_bytes(512), format_bytes(3_000_000_000)
     ('8.1 MB', '512 B', '3.0 GB')
     """
     for factor, name in ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
@@ -88,5 +80,5 @@ def told_bytes(size: int) -> str:
 
 
 def monotonic_and_wall_ns() -> tuple[int, int]:
-    """Both clocks of this machine, nanoseconds, read together."""
+    """Both clocks of this machine, read together."""
     return time.monotonic_ns(), time.time_ns()

@@ -1,4 +1,4 @@
-"""What a recorder does with one message: append it, know it again, ask for what is missing, or put it aside."""
+"""What a recorder does with a message: append it, recognise a duplicate, request a rewind, or quarantine it."""
 
 import time
 from collections import deque
@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 from storage.log.event_log import EventLog
-from storage.log.seal import forged
 from storage.log.sequence import Place
-from storage.recording.recent_messages import RecentMessages
+from storage.log.store_documents import forgery
 from storage.segments.records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogRecord
 from storage.store import Store
 from stream.bounds import MAX_MESSAGE_BYTES, MAX_NAME_CHARS
@@ -20,17 +19,18 @@ from stream.wire.batches import decode_batch, encode_preview, read_batch_head
 from stream.wire.event_validation import decode_received
 
 MAX_REJECT_BYTES = 64 << 10
-_REJECTS_BYTES = 128 << 20  # kept in one go, and per second from then on: who sends only nonsense fills no disk
+_REJECTS_BYTES = 128 << 20  # kept at once; later this much per second, so that invalid messages fill no disk
 _REJECTS_BYTES_PER_S = 64 << 10
 _PREVIEW_INTERVAL_NS = 30_000_000_000
 _REWIND_INTERVAL_S = 0.2
 _MOST_ENDED = 10_000
+_MOST_RECENT = 250_000  # of each generation, about 100 bytes each
 _parse_key = lru_cache(maxsize=200_000)(parse_key)
 
 
 @dataclass
 class RecorderCounts:
-    """What a recorder has done since it started."""
+    """Totals of a recorder since its start."""
 
     messages: int = 0
     samples: int = 0
@@ -48,7 +48,7 @@ class RecorderCounts:
 
 @dataclass(frozen=True)
 class ClockStep:
-    """A batch whose source clock stood before that of the one before it."""
+    """A batch that begins before the end of the previous one, by the source's clock."""
 
     key: str
     run: str
@@ -59,7 +59,7 @@ class ClockStep:
 
 @dataclass(frozen=True)
 class NumberConflict:
-    """A message with numbers that are recorded already, and with other content; it is kept beside what is recorded."""
+    """A message whose numbers are recorded with other content; it is kept beside the recorded one."""
 
     key: str
     epoch: str
@@ -67,25 +67,50 @@ class NumberConflict:
     next_seq: int
 
 
-class Intake:
-    """Takes messages into a log in the order of their numbers.
+class RecentMessages:
+    """Digests of the last messages recorded, at least 250,000, to tell duplicates from conflicts.
 
-    Parameters
-    ----------
-    log: Where to.
-    store: Whose; documents in its name are believed only with its seal.
+    Python's salted hashes: another process cannot make a message of equal digest.
+
+    Examples
+    --------
+    >>> recent = RecentMessages()
+    >>> recent.add(("k", "e"), 0, b"a")
+    >>> recent.differs(("k", "e"), 0, b"a"), recent.differs(("k", "e"), 0, b"b"), recent.differs(("k", "e"), 7, b"b")
+    (False, True, None)
+    """
+
+    def __init__(self, most: int = _MOST_RECENT) -> None:
+        self._most = most
+        self._young: dict[int, int] = {}
+        self._old: dict[int, int] = {}
+
+    def add(self, stream: tuple[str, str], seq: int, payload: bytes) -> None:
+        """Keep the digest of a message."""
+        if len(self._young) >= self._most:
+            self._old, self._young = self._young, {}
+        self._young[hash((stream, seq))] = hash(payload)
+
+    def differs(self, stream: tuple[str, str], seq: int, payload: bytes) -> bool | None:
+        """Whether another message was recorded under that number; None if that is no longer known."""
+        name = hash((stream, seq))
+        found = self._young.get(name)
+        if found is None:
+            found = self._old.get(name)
+        return None if found is None else found != hash(payload)
+
+
+class Intake:
+    """Appends messages to a log in the order of their numbers.
 
     Attributes
     ----------
-    counts: What became of the messages.
-    moved: Streams whose source waits to hear how far they are.
-    heard: Number behind the last message that came of each stream: a source is never told of more than it has sent
-        here.
-    rewinds: Streams of which something is missing before what came; to be asked for.
+    moved: Streams whose source waits for an acknowledgement.
+    received: Number after the last message received of each stream; no more is acknowledged, whatever the log has.
+    rewinds: Streams of which messages are missing, to be requested.
     clock_steps: Steps back of a source's clock.
-    conflicts: Messages whose numbers are there with other content.
-    ended_runs, late: Ends of runs that were taken in, and messages behind the end of their run: what was sent again,
-        estimates.
+    conflicts: Messages whose numbers are recorded with other content.
+    ended_runs, late: Number of run ends, and of messages after the end of their run (resent ones, estimates).
     """
 
     def __init__(self, log: EventLog, store: Store) -> None:
@@ -95,7 +120,7 @@ class Intake:
         self.conflicts: list[NumberConflict] = []
         self.counts = RecorderCounts()
         self.moved: set[StreamId] = set()
-        self.heard: dict[StreamId, int] = {}
+        self.received: dict[StreamId, int] = {}
         self.rewinds: list[StreamId] = []
         self.clock_steps: list[ClockStep] = []
         self.ended_runs = self.late = 0
@@ -106,29 +131,24 @@ class Intake:
         self._rejects_room = float(_REJECTS_BYTES)
         self._rejected_at = time.monotonic()
 
-    def take(self, key: str, payload: bytes, arrival_ns: int) -> None:
-        """Take one message.
-
-        Raises
-        ------
-        OSError: If it cannot be written.
-        """
+    def add(self, key: str, payload: bytes, arrival_ns: int) -> None:
+        """Append or answer one message; OSError if it cannot be written."""
         self.counts.messages += 1
         try:
             parsed = _parse_key(key)
             if len(payload) > MAX_MESSAGE_BYTES:
                 raise WireError(f"{len(payload)} bytes are more than the {MAX_MESSAGE_BYTES} a message may have")
             if isinstance(parsed, SampleKey):
-                self._take_samples(key, parsed, payload, arrival_ns)
+                self._add_samples(key, parsed, payload, arrival_ns)
             else:
-                self._take_document(key, parsed, payload, arrival_ns)
+                self._add_document(key, parsed, payload, arrival_ns)
         except GyrofleetError as error:
             self.counts.rejected += 1
             self.counts.rejections.append(f"{key[:200]}: {str(error)[:500]}")
             self._keep_rejected(key, payload, arrival_ns)
 
     def undo(self, undone: dict[StreamId, int]) -> None:
-        """Streams have gone back by so many numbers, which come again."""
+        """Streams fell back by so many numbers, which are sent again."""
         for stream, count in undone.items():
             self.moved.discard(stream)
             self._last_ns.pop(stream, None)
@@ -136,7 +156,7 @@ class Intake:
                 self.counts.samples -= count
 
     def _keep_rejected(self, key: str, payload: bytes, arrival_ns: int, most: int = MAX_REJECT_BYTES) -> bool:
-        """Keep the beginning of a message that cannot be taken, as far as there is room for such; whether it is."""
+        """Keep the beginning of a rejected message, up to a rate; whether it is kept."""
         now = time.monotonic()
         refilled = self._rejects_room + (now - self._rejected_at) * _REJECTS_BYTES_PER_S
         self._rejects_room, self._rejected_at = min(refilled, _REJECTS_BYTES), now
@@ -145,11 +165,11 @@ class Intake:
             self.counts.rejected_not_kept += 1
             return False
         self._rejects_room -= len(kept)
-        # a key that is none of ours cannot name a channel for whoever reads the log
+        # a foreign key must not name a channel of the log
         self._log.append_aside(LogRecord(key[:1000], REJECTED, arrival_ns, arrival_ns, kept))
         return True
 
-    def _take_samples(self, key: str, parsed: SampleKey, payload: bytes, arrival_ns: int) -> None:
+    def _add_samples(self, key: str, parsed: SampleKey, payload: bytes, arrival_ns: int) -> None:
         unit, signal, run, epoch, seq, next_seq, t0_ns, last_ns, _ = read_batch_head(payload)
         if unit != parsed.unit or signal != parsed.signal:
             raise WireError(f"it holds samples of {unit[:MAX_NAME_CHARS]}/{signal[:MAX_NAME_CHARS]}")
@@ -170,11 +190,11 @@ class Intake:
             data = encode_preview(float(batch.value_array[0]), batch.unit_of_measure)
             self._log.append_aside(LogRecord(f"{key}/preview", PREVIEW, arrival_ns, t0_ns, data))
 
-    def _take_document(self, key: str, parsed: EventKey | EstimateKey, payload: bytes, arrival_ns: int) -> None:
+    def _add_document(self, key: str, parsed: EventKey | EstimateKey, payload: bytes, arrival_ns: int) -> None:
         message = decode_received(payload)
         document = message.document
-        if (reason := forged(self._store, document)) is not None:
-            raise WireError(f"{_told(document)}: {reason}")
+        if (reason := forgery(self._store, document)) is not None:
+            raise WireError(f"{_describe(document)}: {reason}")
         is_end = isinstance(parsed, EventKey) and type(document).__name__ == "RunEnded"
         stream = StreamId(key, message.epoch)
         place = Place(stream, message.seq, message.seq + 1, document.t_ns, document.t_ns, document.run, is_end)
@@ -187,8 +207,8 @@ class Intake:
     def _append(self, place: Place, record: LogRecord) -> bool:
         stream, seq, next_seq = place.stream, place.seq, place.next_seq
         expected = self._log.marks.get(stream, 0)
-        if next_seq > self.heard.get(stream, 0):
-            self.heard[stream] = next_seq
+        if next_seq > self.received.get(stream, 0):
+            self.received[stream] = next_seq
         if seq == expected:
             self._log.append(place, record)
             self._recent.add(stream, seq, record.data)
@@ -213,15 +233,15 @@ class Intake:
         return False
 
     def _keep_conflict(self, place: Place, record: LogRecord) -> None:
-        """Keep a message whose numbers are recorded with other content, whole, beside what is recorded."""
+        """Keep a whole message whose numbers are recorded with other content."""
         self.counts.conflicts += 1
         numbers = f"numbers {place.seq} to {place.next_seq - 1}"
         self.counts.rejections.append(f"{record.topic[:200]}: {numbers} are recorded already, with other content")
         self.conflicts.append(NumberConflict(record.topic, place.stream.epoch, place.seq, place.next_seq))
         if self._keep_rejected(record.topic, record.data, record.arrival_ns, most=MAX_MESSAGE_BYTES):
-            self.moved.add(place.stream)  # else it is left to its source
+            self.moved.add(place.stream)  # else its source keeps it
 
 
-def _told(document: AnyDocument) -> str:
+def _describe(document: AnyDocument) -> str:
     what = document.what if isinstance(document, StoreNoted) else ""
     return f"{type(document).__name__} {what[:80]}".strip()

@@ -1,7 +1,7 @@
-"""What a store knows of runs that somebody wants to add to: asked in the same words here and of a far recorder."""
+"""What a store knows of runs that are to be extended, from its lake or from a remote recorder."""
 
 import json
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -24,7 +24,7 @@ class KnownSignal(NamedTuple):
 
 
 class KnownStep(NamedTuple):
-    """One step of a unit in a run; `t_end_ns` is its start where it is still open."""
+    """One step of a unit in a run; `t_end_ns` is its start while it is open."""
 
     unit: str
     run: str
@@ -37,9 +37,13 @@ class KnownStep(NamedTuple):
 class KnownRuns(NamedTuple):
     """What is known of some runs.
 
-    `dated` says of each run that is there whether its date is known; `open` are those that have no end. `uids` are the
-    documents with which runs and steps begin, `mounted` those that say which unit is what, as JSON; `stated` is what is
-    said of the station of runs: how they began, and what was stated later.
+    Attributes
+    ----------
+    dated: Of each stored run, whether its date is known.
+    open: Runs without an end.
+    uids: Documents of the starts of runs and steps.
+    mounted: Documents of mounted units, as JSON.
+    stated: Statements about the station of each run, at its start and later.
     """
 
     dated: dict[str, bool]
@@ -51,7 +55,7 @@ class KnownRuns(NamedTuple):
 
 
 class Knowledge(Protocol):
-    """Answers from a lake that holds all that has come."""
+    """Answers about runs."""
 
     def signals(self, runs: list[str]) -> list[KnownSignal]:
         """The signals of these runs."""
@@ -60,22 +64,17 @@ class Knowledge(Protocol):
         """What is known of these runs."""
 
     def samples(self, unit: str, signal: str, run: str, first_ns: int, last_ns: int) -> tuple[IntArray, FloatArray]:
-        """Times (ns, ascending) and values between two moments, both inclusive."""
+        """Times (ns, ascending) and values between two times, inclusive."""
 
 
 class CatalogKnowledge:
-    """Knowledge from a lake in this file system.
-
-    Parameters
-    ----------
-    catalog: The lake.
-    """
+    """Answers from a local lake."""
 
     def __init__(self, catalog: "Catalog") -> None:
         self._catalog = catalog
 
     def signals(self, runs: list[str]) -> list[KnownSignal]:
-        """The signals of these runs."""
+        """As of `Knowledge`."""
         rows = self._catalog.rows(
             "select unit, run, signal, unit_of_measure, t_first_ns, t_last_ns, samples from signals "
             "where run in (select unnest($runs))",
@@ -84,28 +83,21 @@ class CatalogKnowledge:
         return [KnownSignal(*row) for row in rows]
 
     def runs(self, runs: list[str]) -> KnownRuns:
-        """What is known of these runs."""
-        where = {"runs": runs}
-        found = self._catalog.rows(
-            "select run, date_known, outcome = 'open' from runs where run in (select unnest($runs))", where
-        )
-        known = self._catalog.rows(
-            "select uid from events where (kind like 'Step%' or kind = 'RunStarted') and run in (select unnest($runs))",
-            where,
-        )
-        mounted = self._catalog.rows(
-            "select document from events join units using (run, unit, uid) where run in (select unnest($runs))", where
-        )
-        stated = self._catalog.rows(
-            "select run, document->>'$.details' from lake_documents "
-            "where kind in ('RunStarted', 'StationStated') and run in (select unnest($runs)) "
+        """As of `Knowledge`."""
+
+        def of_runs(sql: str, order: str = "") -> list[tuple[Any, ...]]:
+            return self._catalog.rows(f"{sql} run in (select unnest($runs)) {order}", {"runs": runs})
+
+        found = of_runs("select run, date_known, outcome = 'open' from runs where")
+        known = of_runs("select uid from events where (kind like 'Step%' or kind = 'RunStarted') and")
+        mounted = of_runs("select document from events join units using (run, unit, uid) where")
+        stated = of_runs(
+            "select run, document->>'$.details' from internal.lake_documents "
+            "where kind in ('RunStarted', 'StationStated') and",
             "order by run, case kind when 'RunStarted' then -arrival_ns else arrival_ns end",
-            where,
         )
-        steps = self._catalog.rows(
-            'select unit, run, "procedure", position, t_start_ns, coalesce(t_end_ns, t_start_ns) from steps '
-            "where run in (select unnest($runs))",
-            where,
+        steps = of_runs(
+            'select unit, run, "procedure", position, t_start_ns, coalesce(t_end_ns, t_start_ns) from steps where'
         )
         details: dict[str, dict[str, str]] = {}
         for run, text in stated:
@@ -120,19 +112,19 @@ class CatalogKnowledge:
         )
 
     def samples(self, unit: str, signal: str, run: str, first_ns: int, last_ns: int) -> tuple[IntArray, FloatArray]:
-        """Times (ns, ascending) and values between two moments, both inclusive."""
+        """As of `Knowledge`."""
         from storage.sql.reading import stored_between
 
         return stored_between(self._catalog, unit, signal, run, first_ns, last_ns)
 
 
 def packed(times_ns: IntArray, values: FloatArray) -> list[bytes]:
-    """Times and values as they travel."""
+    """Wire form of times and values."""
     return [times_ns.astype("<i8").tobytes(), np.asarray(values).astype("<f8").tobytes()]
 
 
 def unpacked(times: bytes, values: bytes) -> tuple[IntArray, FloatArray]:
-    """Times and values from what travels.
+    """Times and values from their wire form.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The lake made in the background of a recorder, from segments as they are sealed."""
+"""Building the lake in the background of a recorder."""
 
 import threading
 from collections.abc import Callable
@@ -11,14 +11,7 @@ _RETRY_S = 10.0
 
 
 class LakeBuilder:
-    """A thread that brings sealed segments to the lake.
-
-    Parameters
-    ----------
-    store: Whose.
-    on_lake: Called with the name of each segment that has reached the lake.
-    on_warning: Called with why a segment cannot be brought there; it is tried again.
-    """
+    """A thread that builds the lake from sealed segments; a failure goes to `on_warning`, and is retried."""
 
     def __init__(
         self,
@@ -31,7 +24,7 @@ class LakeBuilder:
         self._on_lake = on_lake
         self._on_warning = on_warning
         self._failure: StoreError | None = None
-        self._is_wanted = True  # whatever an earlier process sealed and did not bring there
+        self._is_wanted = True  # segments that an earlier process sealed
         self._closing = False
         self._caught_up = threading.Event()
         self._state = threading.Condition()
@@ -39,18 +32,13 @@ class LakeBuilder:
         self._thread.start()
 
     def wake(self) -> None:
-        """A segment was sealed."""
+        """Build a newly sealed segment."""
         with self._state:
             self._is_wanted = True
             self._state.notify_all()
 
     def close(self) -> None:
-        """Bring there what is sealed, and stop.
-
-        Raises
-        ------
-        StoreError: If a segment could not be brought there.
-        """
+        """Build everything that is sealed, and stop; StoreError if that fails."""
         with self._state:
             self._closing = self._is_wanted = True
             self._state.notify_all()
@@ -59,18 +47,13 @@ class LakeBuilder:
             raise self._failure
 
     def wait_until_caught_up(self) -> None:
-        """Wait until what was sealed before the start is there.
-
-        Raises
-        ------
-        StoreError: If it cannot be brought there.
-        """
+        """Wait until what was sealed before the start is in the lake; StoreError if that fails."""
         self._caught_up.wait()
         if self._failure is not None:
             raise self._failure
 
     def _loop(self) -> None:
-        told = ""
+        reported = ""
         while True:
             with self._state:
                 if not self._is_wanted and not self._closing:
@@ -78,9 +61,9 @@ class LakeBuilder:
                 is_last, self._is_wanted = self._closing, False
             self._failure = self._build()
             self._caught_up.set()
-            if self._failure is not None and str(self._failure) != told and self._on_warning is not None:
-                told = str(self._failure)
-                self._on_warning(told)
+            if self._failure is not None and str(self._failure) != reported and self._on_warning is not None:
+                reported = str(self._failure)
+                self._on_warning(reported)
             if is_last:
                 return
 
@@ -91,12 +74,12 @@ class LakeBuilder:
                     if self._on_lake is not None:
                         self._on_lake(name)
         except LakeBusy:
-            return None  # whoever is at it brings there what is sealed
+            return None  # the other builder builds it
         except StoreError as error:
             return error
-        except Exception as error:  # noqa: BLE001  whatever it is, recording goes on, and it is tried again
+        except Exception as error:  # noqa: BLE001  recording continues, and it is retried
             return StoreError(
-                f"the lake of {self._store.folder} cannot be written: {error}; the log is complete, the lake is made "
-                "from it when that is mended"
+                f"the lake of {self._store.folder} cannot be written: {error}; the log is complete, the lake is built "
+                "from it once that is repaired"
             )
         return None

@@ -1,66 +1,58 @@
 """The recorder: bus -> event log -> acknowledgement, and sealed segments -> lake.
 
-It never ends for an error of the disk: the segment that suffered it is given up, what was not durable is left to the
-sources, and a new segment is begun; while the disk takes nothing, or has no room, recording is paused and says so.
+A disk error does not end it: the segment is abandoned, sources resend what was not durable, and a new segment is
+begun. While the disk cannot be written, or is full, recording is paused, and sources are notified.
 """
 
 import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
-from typing import Any, Self
-from uuid import uuid4
+from collections.abc import Callable, Iterable
+from typing import Self
 
 from storage.log.event_log import EventLog
 from storage.log.files import sealed_segments
-from storage.log.notes import noted
-from storage.log.recovery import Recovery
-from storage.log.sequence import Place as Position
 from storage.manifests.lake import read_manifest
-from storage.recording.disk_watch import DiskWatch, monotonic_and_wall_ns
+from storage.recording.disk_watch import DiskWatch
 from storage.recording.intake import Intake, RecorderCounts
 from storage.recording.lake_builder import LakeBuilder
+from storage.recording.reports import Reports
 from storage.recording.service import RecorderService
 from storage.segments.disk import DISK, Disk
-from storage.segments.records import EVENTS, LogRecord
 from storage.store import Store
 from stream.delivery.publisher import StreamId, StreamPosition, encode_acknowledgement
 from stream.errors import GyrofleetError, StoreError
-from stream.events import encode_event
 from stream.identity import ACKNOWLEDGEMENT_KEY, EVERYTHING, Place, event_key
 from stream.transport.bus import Bus
 
 _QUEUE_BYTES = 64 << 20
 _OVERHEAD_BYTES = 300  # of a message in the queue, beside its key and payload
-_ROOM_PATIENCE_S = 2.0  # of a callback of the bus: a source closes a transport that stalls for 8 s
-_SEAL_GRACE_S = 1.0  # the last estimates of a run come just after its end
+_ROOM_PATIENCE_S = 2.0  # of a bus callback: a source closes a transport that stalls for 8 s
+_SEAL_GRACE_S = 1.0  # the last estimates of a run arrive just after its end
 _SETTLE_S = 120.0
-_MEND_AFTER_S = 5.0  # an abandoned segment is sealed with the next one, and not only when that is full
+_RECOVER_AFTER_S = 5.0  # an abandoned segment is sealed with the next one, before that is full
 _RETRY_S = 1.0
 _CONFLICTS_EVERY_S = 1.0
 _CLOCK_STEP_NS = 100_000_000
-_NOTES_KEY = event_key(Place("store", "recorder"))
+_DOCUMENTS_KEY = event_key(Place("store", "recorder"))
 
 
 class Recorder:
-    """Writes everything on the bus to a store.
+    """Writes everything on the bus to a store, whose writer lock the caller holds.
 
-    The bus's callback only appends to a bounded queue. One thread writes: it takes a message if it is the next
-    of its stream, drops it if it was seen, asks for a rewind if one is missing; it acknowledges after fdatasync.
-    Another thread makes the lake from sealed segments. A segment is sealed by size, by age, and when a run ends.
+    The bus callback only appends to a bounded queue. A writer thread appends a message if it is the next of its stream,
+    drops duplicates, requests a rewind if one is missing, and acknowledges after fdatasync. Another thread builds the
+    lake from sealed segments. A segment is sealed by size, by age, and when a run ends.
 
     Parameters
     ----------
-    store: Where to; the caller holds its writer lock.
-    bus: Where from.
-    log: The store's log.
-    sync_interval_s: How often data are brought to the disk and acknowledged.
-    builds_lake: Whether to make the lake here; else another process does.
+    sync_interval_s: Interval of fdatasync and acknowledgement.
+    builds_lake: Whether to build the lake; else another process does.
     on_lake: Called with the name of each segment that has reached the lake.
-    on_warning: Called with what a person should know: pauses, errors of the disk, little room.
-    on_failure: Called once, when nothing can be recorded any more.
-    disk: Where the log is written, for its room.
+    on_warning: Called with messages for people: pauses, disk errors, low disk space.
+    on_failure: Called once, when recording has ended by a failure.
+    disk: Whose free space is watched.
     """
 
     def __init__(
@@ -83,6 +75,7 @@ class Recorder:
         self._on_warning = on_warning
         self._on_failure = on_failure
         self._intake = Intake(log, store)
+        self._reports = Reports(store, log, self._intake, self._warn)
         self._watch = DiskWatch(store.folder, disk)
         self.failure: GyrofleetError | None = None
         self.paused: str | None = None
@@ -90,15 +83,11 @@ class Recorder:
         self._incoming_bytes = 0
         self._state = threading.Condition()
         self._closing = False
-        self._epoch = uuid4().hex
-        self._ended_runs = self._late = self._noted_recoveries = 0
-        self._conflicts_at = -math.inf
-        self._log_warnings = len(log.warnings)
+        self._ended_runs = self._late = 0
         self._settle_wanted = self._settle_done = self._settle_from = self._received = self._processed = 0
         self._seal_at: float | None = None
         self._quiet_at: float | None = None
         self._synced_at = self._troubled_at = time.monotonic()
-        self._wall_ahead_ns: int | None = None
         self._builder = LakeBuilder(store, on_lake=on_lake, on_warning=self._warn) if builds_lake else None
         self._writer = threading.Thread(target=self._write_loop, name="gyrofleet-recorder", daemon=True)
         self._writer.start()
@@ -107,11 +96,11 @@ class Recorder:
 
     @property
     def counts(self) -> RecorderCounts:
-        """What it has done."""
+        """Totals since the start."""
         return self._intake.counts
 
     def end(self) -> None:
-        """Write what has arrived and seal: then the log is complete, while the lake may follow (`close`)."""
+        """Write what has arrived and seal the log; `close` then completes the lake."""
         self._service.close()
         with self._state:
             self._closing = True
@@ -119,12 +108,7 @@ class Recorder:
         self._writer.join()
 
     def close(self) -> None:
-        """Write what has arrived, seal, bring everything to the lake, and stop.
-
-        Raises
-        ------
-        StoreError: If not everything could be written.
-        """
+        """Write what has arrived, seal, complete the lake, and stop; StoreError if not all could be written."""
         self.end()
         if self._builder is not None:
             self._builder.close()
@@ -132,26 +116,16 @@ class Recorder:
             raise self.failure
 
     def wait_for_lake(self) -> None:
-        """Wait until everything that was sealed before this recorder started is in the lake.
-
-        Raises
-        ------
-        StoreError: If it cannot be brought there.
-        """
+        """Wait until everything sealed before the start is in the lake."""
         if self._builder is not None:
             self._builder.wait_until_caught_up()
 
     def settle(self) -> None:
-        """Seal what has come, and wait until it is in the lake, whoever makes that.
-
-        Raises
-        ------
-        StoreError: If it does not come there.
-        """
+        """Seal what has arrived, and wait until it is in the lake, whichever process builds that."""
         until = time.monotonic() + _SETTLE_S
         with self._state:
             number = self._settle_wanted = self._settle_wanted + 1
-            self._settle_from = self._received  # what comes later need not be waited for
+            self._settle_from = self._received  # later messages are not waited for
             self._state.notify_all()
             while self._settle_done < number:
                 if self._closing or self.failure is not None or time.monotonic() >= until:
@@ -201,46 +175,50 @@ class Recorder:
                     if trouble is not None:
                         error, trouble = trouble, None
                         self._interrupt(error)
-                    elif self._pass():
+                    elif self._write_chunk():
                         return
                 except OSError as error:
                     trouble = error
-        except Exception as error:  # noqa: BLE001  whatever it is, a recorder that stopped must say so
+        except Exception as error:  # noqa: BLE001  a recorder that stops must report any failure
             self._log.abandon()
-            self._fail(
-                error
-                if isinstance(error, GyrofleetError)
-                else StoreError(
+            if not isinstance(error, GyrofleetError):
+                error = StoreError(
                     f"recording to {self._store.folder} stopped ({type(error).__name__}: {error}); what is "
-                    f"acknowledged is safe, sources keep the rest; start again"
+                    f"acknowledged is safe, sources keep the rest; start it again"
                 )
-            )
+            with self._state:
+                self.failure = error
+                self._state.notify_all()
+            if self._on_failure is not None:
+                self._on_failure(error)
 
-    def _pass(self) -> bool:
-        """Write what is there; whether that was the end."""
-        self._note_recoveries()
+    def _write_chunk(self) -> bool:
+        """Write a chunk of messages; whether it was the last."""
+        self._reports.recoveries()
         settling = self._settle_wanted
         taken, is_last = self._next_messages()
-        # also where the disk fails beneath them: they are not acknowledged then, and come again
+        # also if the disk fails: then they are not acknowledged, and are sent again
         self._processed += len(taken)
         for key, payload, arrival_ns in taken:
-            self._intake.take(key, payload, arrival_ns)
+            self._intake.add(key, payload, arrival_ns)
         now = time.monotonic()
         if self._intake.ended_runs > self._ended_runs:
             self._ended_runs = self._intake.ended_runs
             self._seal_at = now + _SEAL_GRACE_S
         if self._intake.late > self._late:
-            # once no more of it comes: a run that is added to for hours is not to be cut into seconds
+            # once no more of it comes: a run that is extended for hours must not be cut into seconds
             self._late = self._intake.late
             self._quiet_at = now + _SEAL_GRACE_S
-        self._ask_rewinds()
+        if self._intake.rewinds:
+            missing, self._intake.rewinds = self._intake.rewinds, []
+            self._request_rewind(missing)
         if is_last or now - self._synced_at >= self._sync_interval_s:
             self._sync()
             self._synced_at = now
-            self._look_around(now)
+            self._monitor(now)
         due = min((at for at in (self._seal_at, self._quiet_at) if at is not None), default=math.inf)
         if is_last:
-            self._note_conflicts(math.inf)
+            self._reports.conflicts(math.inf)
         is_settled = settling > self._settle_done and self._processed >= self._settle_from
         if is_last or is_settled or self._log.due or now >= due:
             self._seal()
@@ -254,18 +232,15 @@ class Recorder:
         with self._state:
             if not self._incoming and not self._closing and self._settle_wanted == self._settle_done:
                 self._state.wait(self._sync_interval_s)
-            # a bounded chunk, so that data reach the disk and are acknowledged while more are waiting
+            # bounded, so that data are made durable and acknowledged while more are waiting
             taken = [self._incoming.popleft() for _ in range(min(len(self._incoming), 1000))]
             self._incoming_bytes -= sum(_size(key, payload) for key, payload, _ in taken)
             self._state.notify_all()
             return taken, self._closing and not self._incoming
 
-    def _ask_rewinds(self) -> None:
-        if self._intake.rewinds:
-            asked, self._intake.rewinds = self._intake.rewinds, []
-            self._acknowledge(
-                tuple(StreamPosition(s.key, s.epoch, self._log.marks.get(s, 0), rewind=True) for s in asked)
-            )
+    def _request_rewind(self, streams: Iterable[StreamId]) -> None:
+        marks = self._log.marks
+        self._acknowledge(tuple(StreamPosition(s.key, s.epoch, marks.get(s, 0), rewind=True) for s in streams))
 
     def _acknowledge(self, positions: tuple[StreamPosition, ...]) -> None:
         payload = encode_acknowledgement(self._store.identity, positions, self.paused or "")
@@ -275,92 +250,62 @@ class Recorder:
         self._log.sync()
         moved, self._intake.moved = self._intake.moved, set()
         if moved:
-            marks, heard = self._log.marks, self._intake.heard
+            marks, received = self._log.marks, self._intake.received
             self._acknowledge(
-                tuple(StreamPosition(s.key, s.epoch, min(marks.get(s, 0), heard.get(s, 0))) for s in moved)
+                tuple(StreamPosition(s.key, s.epoch, min(marks.get(s, 0), received.get(s, 0))) for s in moved)
             )
 
     def _seal(self) -> None:
         self._seal_at = self._quiet_at = None
         recovered = self._log.recover()  # segments that were abandoned since
-        self._note_recoveries()
+        self._reports.recoveries()
         self._sync()
         sealed = self._log.seal()
-        for warning in self._log.warnings[self._log_warnings :]:
-            self._warn(warning)
-        self._log_warnings = len(self._log.warnings)
+        self._reports.log_warnings()
         self.counts.segments += sealed is not None
         if self._builder is not None and (recovered or sealed is not None):
             self._builder.wake()
 
-    def _look_around(self, now: float) -> None:
-        """What is to be noticed beside the samples: room on the disk, and the clocks."""
+    def _monitor(self, now: float) -> None:
+        """Check disk space and clocks, and report clock steps and conflicts."""
         full, warning = self._watch.look(now)
         if warning is not None:
             self._warn(warning)
-            self._note("disk_low", warning, {})
+            self._reports.append("disk_low", warning, {})
         if full is not None:
             self._seal()
             self._pause(full, self._watch.has_room_again)
-        steps, self._intake.clock_steps = self._intake.clock_steps, []
-        for step in steps[:100]:
-            text = f"{step.key}: the source's clock went back by {step.back_ns / 1e9:.9g} s at sample {step.seq}"
-            self._note("source_clock_back", text, {"run": step.run, "seq": step.seq, "back_ns": step.back_ns})
-        self._note_conflicts(now)
-        monotonic_ns, wall_ns = monotonic_and_wall_ns()
-        ahead_ns = wall_ns - monotonic_ns
-        before_ns, self._wall_ahead_ns = self._wall_ahead_ns, ahead_ns
-        if before_ns is not None and abs(ahead_ns - before_ns) > _CLOCK_STEP_NS:
-            step_ns = ahead_ns - before_ns
-            text = f"the recorder's clock, which gives arrival times, was set by {step_ns / 1e9:+.3f} s"
-            self._warn(text)
-            self._note("arrival_clock_step", text, {"step_ns": step_ns})
-
-    def _note_conflicts(self, now: float) -> None:
-        """Report numbers that came with two contents; at most one document a second, for all since the last."""
-        if not self._intake.conflicts or now < self._conflicts_at + _CONFLICTS_EVERY_S:
-            return
-        self._conflicts_at = now
-        found, self._intake.conflicts = self._intake.conflicts, []
-        first = found[0]
-        more = f" and {len(found) - 1} more messages" if len(found) > 1 else ""
-        text = (
-            f"{first.key}: numbers {first.seq} to {first.next_seq - 1} of epoch {first.epoch} came with other content "
-            f"than is recorded{more}; they are kept beside it in the log: two sources send under one name, or one "
-            f"numbers anew"
-        )
-        self._warn(text)
-        details = {"conflicts": [vars(each) for each in found[:100]], "count": len(found)}
-        self._note("number_conflict", text, details)
+        self._reports.clock_steps()
+        self._reports.conflicts(now)
 
     def _interrupt(self, error: OSError) -> None:
-        """After an error of the disk: back to what is durable, and on in a new segment."""
+        """After a disk error, fall back to what is durable and continue in a new segment."""
         self.counts.interruptions += 1
         undone = self._log.abandon()
         self._intake.undo(undone)
         is_again = time.monotonic() - self._troubled_at < _RETRY_S
         self._troubled_at = time.monotonic()
-        self._seal_at = self._troubled_at + _MEND_AFTER_S
-        text = f"writing to {self._store.folder} failed: {error}; the segment is given up, sources keep what it lacks"
+        self._seal_at = self._troubled_at + _RECOVER_AFTER_S
+        text = f"writing to {self._store.folder} failed: {error}; the segment is abandoned, sources resend the rest"
         self._warn(text)
         if self._closing:
-            raise StoreError(f"{text}; start again to go on")
+            raise StoreError(f"{text}; start again to continue")
         try:
             full, _ = self._watch.look(time.monotonic(), again=True)
         except OSError:
-            full = None  # the folder itself has gone
+            full = None  # the folder itself is missing
         if full is not None:
             self._pause(full, self._watch.has_room_again)
         elif is_again:
             until = time.monotonic() + _RETRY_S
             self._pause(text, lambda: time.monotonic() >= until)
         else:
-            self._note("disk_error", text, {"error": str(error)})
-        # what was undone is asked for at once, and not only when its source has waited in vain
-        self._acknowledge(tuple(StreamPosition(s.key, s.epoch, self._log.marks.get(s, 0), rewind=True) for s in undone))
+            self._reports.append("disk_error", text, {"error": str(error)})
+        # request what was undone at once, not only after the source's timeout
+        self._request_rewind(undone)
 
     def _pause(self, reason: str, is_over: Callable[[], bool]) -> None:
-        """Take nothing until it is over; sources hear why every second, and keep what they have."""
+        """Take no messages until `is_over`; sources get the reason every second, and keep theirs."""
         self._warn(f"recording is paused: {reason}")
         began = time.monotonic()
         with self._state:
@@ -375,50 +320,18 @@ class Recorder:
             with self._state:
                 self._state.wait(_RETRY_S)
         if self._closing:
-            raise StoreError(f"recording ended while it was paused: {reason}; sources keep what is not acknowledged")
+            raise StoreError(f"recording ended while paused: {reason}; sources keep what is not acknowledged")
         self.paused = None
         paused_s = time.monotonic() - began
-        text = f"recording goes on after a pause of {paused_s:.1f} s: {reason}"
+        text = f"recording resumes after a pause of {paused_s:.1f} s: {reason}"
         self._warn(text)
-        self._note("recording_paused", text, {"paused_s": paused_s, "reason": reason})
-
-    def _note_recoveries(self) -> None:
-        while self._noted_recoveries < len(self._log.recovered):
-            self._note_recovery(self._log.recovered[self._noted_recoveries])
-            self._noted_recoveries += 1
-
-    def _note_recovery(self, recovery: Recovery) -> None:
-        text = f"{recovery.segment} was not finished: {recovery.records:,} messages recovered"
-        if recovery.damaged_chunks:
-            text += f", {recovery.damaged_bytes:,} bytes in {recovery.damaged_chunks} pieces could not be read"
-        lost = [str(each) for each in recovery.lost]
-        if lost:
-            text += f"; lost: {'; '.join(lost[:5])}" + (f" and {len(lost) - 5} more" if len(lost) > 5 else "")
-        kept = None if recovery.kept_aside is None else recovery.kept_aside.name
-        details = {"segment": recovery.segment, "lost": [vars(each) for each in recovery.lost], "kept_aside": kept}
-        self._note("segment_recovered", text, details)
-
-    def _note(self, what: str, text: str, details: dict[str, Any]) -> None:
-        """Put a document of our own into the log."""
-        stream = StreamId(_NOTES_KEY, self._epoch)
-        seq = self._log.marks.get(stream, 0)
-        document = noted(self._store.identity, what, text, details)
-        now_ns = document.t_ns
-        record = LogRecord(_NOTES_KEY, EVENTS, now_ns, now_ns, encode_event(document, self._epoch, seq))
-        self._log.append(Position(stream, seq, seq + 1, now_ns, now_ns, ""), record)
+        self._reports.append("recording_paused", text, {"paused_s": paused_s, "reason": reason})
 
     def _warn(self, text: str) -> None:
         if self._on_warning is not None:
             self._on_warning(text)
 
-    def _fail(self, failure: GyrofleetError) -> None:
-        with self._state:
-            is_first, self.failure = self.failure is None, self.failure or failure
-            self._state.notify_all()
-        if is_first and self._on_failure is not None:
-            self._on_failure(failure)
-
 
 def _size(key: str, payload: bytes) -> int:
-    """Memory of a message in the queue; of a key, 4 bytes a character at most."""
+    """Memory of a message in the queue, at most 4 bytes per character of its key."""
     return len(payload) + 4 * len(key) + _OVERHEAD_BYTES

@@ -1,4 +1,4 @@
-"""What a recorder answers to who wants to send: who alone may send a unit's run, and what the store has of it."""
+"""A recorder's answers to sources: exclusive claims on units' runs, and what the store has of them."""
 
 import threading
 import time
@@ -9,24 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from storage.store import Store
 from stream.errors import GyrofleetError, StoreError, WireError
 from stream.transport.bus import Bus
-from stream.wire.requests import (
-    LEASE_S,
-    MOST_ROWS,
-    REQUEST_KEY,
-    AskRuns,
-    AskSamples,
-    AskSignals,
-    Claim,
-    Hello,
-    Question,
-    Release,
-    Reply,
-    Request,
-    Settle,
-    decode_request,
-    encode,
-    reply_key,
-)
+from stream.wire import requests
 
 if TYPE_CHECKING:
     from storage.sql.catalog import Catalog
@@ -41,43 +24,39 @@ class _Held(NamedTuple):
 
 
 class Claims:
-    """Who alone may send samples of a unit in a run.
+    """Exclusive rights to send samples of a unit in a run.
 
     Examples
     --------
     >>> claims = Claims()
-    >>> claims.claim(Claim("a", "import of a.csv", (("U1", "r1"),)), now=0.0)
-    >>> claims.claim(Claim("b", "import of b.csv", (("U2", "r1"), ("U1", "r1"))), now=1.0)
+    >>> claims.claim(requests.Claim("a", "import of a.csv", (("U1", "r1"),)), now=0.0)
+    >>> claims.claim(requests.Claim("b", "import of b.csv", (("U2", "r1"), ("U1", "r1"))), now=1.0)
     ['U1', 'r1', 'import of a.csv']
-    >>> claims.claim(Claim("b", "import of b.csv", (("U1", "r1"),)), now=4.0)  # the other is silent since
+    >>> claims.claim(requests.Claim("b", "import of b.csv", (("U1", "r1"),)), now=4.0)  # the first was not renewed
     """
 
     def __init__(self) -> None:
         self._held: dict[tuple[str, str], _Held] = {}
 
-    def claim(self, claim: Claim, now: float) -> list[str] | None:
-        """Grant or renew a claim; where another holds one of it: unit, run and who that is, and nothing is granted."""
+    def claim(self, claim: requests.Claim, now: float) -> list[str] | None:
+        """Grant or renew a claim; if another holder has part of it, its unit, run and description."""
         for unit, run in claim.owners:
             held = self._held.get((unit, run))
             if held is not None and held.holder != claim.holder and held.until > now:
                 return [unit, run, held.text]
         for owner in claim.owners:
-            self._held[owner] = _Held(claim.holder, claim.text[:300], now + LEASE_S)
+            self._held[owner] = _Held(claim.holder, claim.text[:300], now + requests.LEASE_S)
         return None
 
     def release(self, holder: str) -> None:
-        """The holder has ended."""
+        """Release all claims of a holder."""
         self._held = {owner: held for owner, held in self._held.items() if held.holder != holder}
 
 
 class RecorderService:
-    """Answers the requests on a bus for the recorder of one store, in threads of its own.
+    """Answers requests on a bus for the recorder of one store, in its own threads.
 
-    Parameters
-    ----------
-    store: Which store.
-    bus: Where requests come from.
-    settle: Brings all that has come to the lake; raises StoreError where it cannot.
+    `settle` brings everything received to the lake.
     """
 
     def __init__(self, store: Store, bus: Bus, settle: Callable[[], None]) -> None:
@@ -87,19 +66,19 @@ class RecorderService:
         self._claims = Claims()
         self._catalog: Catalog | None = None
         self._closing = False
-        # a claim is answered at once, whatever else takes its time
-        self._quick: Queue[Request] = Queue(_MOST_WAITING)
-        self._slow: Queue[Request] = Queue(_MOST_WAITING)
+        # claims are answered at once, whatever else takes time
+        self._quick: Queue[requests.Request] = Queue(_MOST_WAITING)
+        self._slow: Queue[requests.Request] = Queue(_MOST_WAITING)
         self._threads = [
             threading.Thread(target=self._loop, args=(queue,), name="gyrofleet-service", daemon=True)
             for queue in (self._quick, self._slow)
         ]
         for thread in self._threads:
             thread.start()
-        bus.subscribe(REQUEST_KEY, self._on_request)
+        bus.subscribe(requests.REQUEST_KEY, self._on_request)
 
     def close(self) -> None:
-        """Answer nothing more."""
+        """Stop answering."""
         self._closing = True
         for thread in self._threads:
             thread.join()
@@ -107,44 +86,44 @@ class RecorderService:
 
     def _on_request(self, _key: str, payload: bytes) -> None:
         try:
-            request = decode_request(payload)
+            request = requests.decode_request(payload)
         except WireError:
-            return  # nobody to answer to
+            return  # no one to answer
         if request.store not in {"", self._store.identity} or self._closing:
             return
-        is_quick = isinstance(request.question, Hello | Claim | Release)
+        is_quick = isinstance(request.question, requests.Hello | requests.Claim | requests.Release)
         try:
             (self._quick if is_quick else self._slow).put_nowait(request)
         except Full:
-            return  # asked again
+            return  # it is requested again
 
-    def _loop(self, queue: "Queue[Request]") -> None:
+    def _loop(self, queue: "Queue[requests.Request]") -> None:
         while not self._closing:
             try:
                 request = queue.get(timeout=0.1)
             except Empty:
                 continue
             try:
-                reply = Reply(request.id, self._store.identity, self._answer(request.question))
+                reply = requests.Reply(request.id, self._store.identity, self._answer(request.question))
             except GyrofleetError as error:
-                reply = Reply(request.id, self._store.identity, error=str(error))
-            except Exception as error:  # noqa: BLE001  whatever it is, who asked is to know it
-                reply = Reply(request.id, self._store.identity, error=f"{type(error).__name__}: {error}")
+                reply = requests.Reply(request.id, self._store.identity, error=str(error))
+            except Exception as error:  # noqa: BLE001  the requester gets any error
+                reply = requests.Reply(request.id, self._store.identity, error=f"{type(error).__name__}: {error}")
             try:
-                self._bus.publish(reply_key(request.id[:64]), encode(reply))
+                self._bus.publish(requests.reply_key(request.id[:64]), requests.encode(reply))
             except GyrofleetError:
                 return  # the bus is closed
 
-    def _answer(self, question: Question) -> Any:
+    def _answer(self, question: requests.Question) -> Any:
         match question:
-            case Hello():
+            case requests.Hello():
                 return str(self._store.folder.absolute())
-            case Claim():
+            case requests.Claim():
                 return self._claims.claim(question, time.monotonic())
-            case Release():
+            case requests.Release():
                 self._claims.release(question.holder)
                 return None
-            case Settle():
+            case requests.Settle():
                 self._forget()
                 self._settle()
                 return None
@@ -152,18 +131,18 @@ class RecorderService:
 
         knowledge = CatalogKnowledge(self._lake())
         match question:
-            case AskSignals():
+            case requests.AskSignals():
                 return knowledge.signals(list(question.runs))
-            case AskRuns():
+            case requests.AskRuns():
                 return knowledge.runs(list(question.runs))
-            case AskSamples(unit, signal, run, first_ns, last_ns):
+            case requests.AskSamples(unit, signal, run, first_ns, last_ns):
                 times_ns, values = knowledge.samples(unit, signal, run, first_ns, last_ns)
-                return packed(times_ns, values) if len(times_ns) <= MOST_ROWS else None
+                return packed(times_ns, values) if len(times_ns) <= requests.MOST_ROWS else None
         raise StoreError(f"a recorder of this version does not answer {type(question).__name__}")
 
     def _lake(self) -> "Catalog":
         if self._catalog is None:
-            from storage.sql.catalog import Catalog  # a recorder that nobody asks needs no DuckDB
+            from storage.sql.catalog import Catalog  # a recorder without requests needs no DuckDB
 
             self._catalog = Catalog(self._store)
         return self._catalog

@@ -1,4 +1,4 @@
-"""What the log asks of a disk: write, make durable, rename. The one place where it does, and where faults are put in.
+"""Disk operations of the log: write, make durable, rename. Tests inject faults here.
 
 A write is durable after `sync_data` or `sync`, a name after `sync_folder`; before that a power loss may leave any part
 of it, in any order.
@@ -6,6 +6,7 @@ of it, in any order.
 
 import ctypes
 import errno
+import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ _library = ctypes.CDLL(None, use_errno=True)
 
 
 class Space(NamedTuple):
-    """Bytes of a file system: free for us, and in all."""
+    """Bytes of a file system, free for this user and in total."""
 
     free: int
     total: int
@@ -36,11 +37,11 @@ class Disk:
     """Unbuffered files of the operating system. Every method raises OSError as the system does."""
 
     def create(self, path: Path) -> OpenFile:
-        """A new, empty file; one that exists is refused."""
+        """Create an empty file; FileExistsError if it exists."""
         return OpenFile(path, os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
 
     def reopen(self, path: Path, length: int) -> OpenFile:
-        """An existing file, cut to its first `length` bytes, to be written on."""
+        """Open an existing file, truncated to `length` bytes, for appending."""
         file = OpenFile(path, os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC))
         os.ftruncate(file.descriptor, length)
         return file
@@ -56,26 +57,26 @@ class Disk:
         os.fdatasync(file.descriptor)
 
     def sync(self, file: OpenFile) -> None:
-        """Make what was written durable, with the file's own data."""
+        """Make what was written and the file's metadata durable."""
         os.fsync(file.descriptor)
 
     def close(self, file: OpenFile) -> None:
-        """Close; what was not made durable may be lost."""
+        """Close; what is not durable may be lost."""
         os.close(file.descriptor)
 
     def rename(self, path: Path, target: Path) -> None:
-        """Give a file another name, that no file has; one that exists is refused."""
+        """Rename a file; FileExistsError if the name is taken."""
         if not _renamed(path, target):
             if target.exists():
                 raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target))
             path.rename(target)
 
     def replace(self, path: Path, target: Path) -> None:
-        """Put a file in the place of another."""
+        """Rename a file over another."""
         path.replace(target)
 
     def link(self, path: Path, target: Path) -> None:
-        """Give a file a second name."""
+        """Create a hard link."""
         target.hardlink_to(path)
 
     def remove(self, path: Path) -> None:
@@ -91,18 +92,13 @@ class Disk:
             os.close(descriptor)
 
     def space(self, folder: Path) -> Space:
-        """Room on the file system of a folder."""
+        """Free and total space of a folder's file system."""
         found = os.statvfs(folder)
         return Space(found.f_bavail * found.f_frsize, found.f_blocks * found.f_frsize)
 
 
 def _renamed(path: Path, target: Path) -> bool:
-    """Rename in one step where nothing has the new name; False where the system cannot.
-
-    Raises
-    ------
-    OSError: As the system has it; FileExistsError where the name is taken.
-    """
+    """Rename without replacing, atomically; False where the system cannot."""
     rename = getattr(_library, "renameat2", None)
     if rename is None:
         return False
@@ -112,6 +108,12 @@ def _renamed(path: Path, target: Path) -> bool:
     if number in _NOT_HERE:
         return False
     raise OSError(number, os.strerror(number), str(path), None, str(target))
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 DISK = Disk()

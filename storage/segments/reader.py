@@ -1,6 +1,6 @@
-"""One segment of the event log, read: a sealed one strictly, one that was left open or is damaged chunk by chunk.
+"""Reading one segment of the event log: a sealed one strictly, an open or damaged one chunk by chunk.
 
-Every read checks the CRCs: the library's default reader reports nothing for a flipped byte.
+Every read checks the CRCs; the library's default reader does not report a flipped byte.
 """
 
 import mmap
@@ -43,10 +43,10 @@ Buffer = bytes | mmap.mmap
 
 _SCHEMAS = {number: name for name, number in SCHEMA_IDS.items()}
 _HEAD_BYTES = 4096
-MAX_CONTENT_BYTES = CHUNK_BYTES + 2 * MAX_MESSAGE_BYTES  # of a chunk, with room for messages of an older gyrofleet
+MAX_CONTENT_BYTES = CHUNK_BYTES + 2 * MAX_MESSAGE_BYTES  # of a chunk; older versions wrote longer messages
 _FOOTER_BYTES = FRAME.size + 8 + 8 + 4
 _ZSTD_HEAD_BYTES = 18  # at most, RFC 8878 section 3.1.1
-# what stands at a fixed distance behind the beginning of every chunk
+# bytes at a fixed offset in every chunk
 _NEEDLE = struct.pack("<I", len(COMPRESSION)) + COMPRESSION
 _NEEDLE_AT = CHUNK.size - 8 - len(_NEEDLE)
 _DAMAGE = (McapError, ValueError, LookupError, EOFError, struct.error, zstandard.ZstdError, UnicodeDecodeError)
@@ -66,7 +66,7 @@ class _Chunk(NamedTuple):
 
 
 def read_origin(path: Path) -> tuple[str, str] | None:
-    """Identity of the store that wrote a segment, and the segment's number, from its head; None if it says neither."""
+    """Identity of the store that wrote a segment, and the segment's number; None if its head lacks them."""
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
@@ -81,12 +81,7 @@ def read_origin(path: Path) -> tuple[str, str] | None:
 
 
 def read_marks(path: Path) -> dict[str, str]:
-    """Positions that a sealed segment's streams have reached, from its end.
-
-    Raises
-    ------
-    StoreError: If the segment is damaged there.
-    """
+    """Positions that streams reached in a sealed segment, from its end; StoreError if it is damaged there."""
     try:
         with _mapped(path) as content:
             found = _marks_in(content)
@@ -95,7 +90,7 @@ def read_marks(path: Path) -> dict[str, str]:
     if found is None:
         raise StoreError(f"segment {path} carries no stream positions; was it written by gyrofleet?")
     if found.pop(CHECKSUM, None) != checksum(found):
-        raise StoreError(f"segment {path} is damaged: the positions of its streams do not hold")
+        raise StoreError(f"segment {path} is damaged: the checksum of its stream positions does not match")
     return found
 
 
@@ -113,12 +108,7 @@ def _marks_in(content: Buffer) -> dict[str, str] | None:
 
 
 def read_segment(path: Path) -> Iterator[LogRecord]:
-    """Messages of a sealed segment in the order they were written, every CRC checked.
-
-    Raises
-    ------
-    StoreError: If the segment is damaged.
-    """
+    """Messages of a sealed segment in their order, every CRC checked; StoreError if it is damaged."""
     channels: dict[int, tuple[str, str]] = {}
     try:
         with _mapped(path) as content:
@@ -130,50 +120,47 @@ def read_segment(path: Path) -> Iterator[LogRecord]:
                 if opcode == Opcode.CHUNK:
                     chunk = _chunk_at(content, position, end)
                     if chunk is None:
-                        raise ValueError(f"the chunk at byte {position} does not hold")
+                        raise ValueError(f"the chunk at byte {position} is damaged")
                     yield from _messages(chunk.content, channels)
                 crc = zlib.crc32(content[position:after], crc)
                 position = after
             if position != end or crc != struct.unpack_from("<I", content, end + FRAME.size)[0]:
-                raise ValueError("the CRC of its data does not hold")
+                raise ValueError("the CRC of its data does not match")
     except (*_DAMAGE, OSError) as error:
         raise StoreError(
-            f"segment {path} is damaged ({type(error).__name__}: {error}); `gyrofleet recover` saves what it still "
-            "holds, or restore it from a copy"
+            f"segment {path} is damaged ({type(error).__name__}: {error}); `gyrofleet recover` saves its "
+            "readable part, or restore it from a copy"
         ) from error
 
 
 def _end_of_data(content: Buffer) -> int:
-    """Where the data section ends, from a summary and footer whose CRC holds."""
+    """End of the data section, from the footer; ValueError if a CRC of summary or footer fails."""
     at = len(content) - len(MAGIC) - _FOOTER_BYTES
     if at < len(MAGIC) or content[: len(MAGIC)] != MAGIC or content[-len(MAGIC) :] != MAGIC:
         raise ValueError("it does not begin and end as an MCAP file")
     opcode, length, start, _, crc = struct.unpack_from("<BQQQI", content, at)
     begin = start - FRAME.size - 4
     if (opcode, length) != (Opcode.FOOTER, _FOOTER_BYTES - FRAME.size) or not len(MAGIC) <= begin < at:
-        raise ValueError("its footer does not hold")
+        raise ValueError("its footer is damaged")
     if zlib.crc32(content[start : at + _FOOTER_BYTES - 4]) != crc or content[begin] != Opcode.DATA_END:
-        raise ValueError("the CRC of its summary does not hold")
+        raise ValueError("the CRC of its summary does not match")
     return int(begin)
 
 
 class SegmentScan:
-    """Reads a segment chunk by chunk and goes round what is damaged.
-
-    Iterate once; the attributes are complete after it.
+    """Reads a segment chunk by chunk and skips damage. Iterate once; then the attributes are complete.
 
     Parameters
     ----------
-    path: The file, sealed or not.
-    limit: Byte after which nothing is to be believed.
-    sealed: Whether the file was finished once, so that it cannot break off.
+    limit: Byte from which on the file is not valid.
+    sealed: Whether the file was finished, so that it cannot be torn.
 
     Attributes
     ----------
-    damaged: Bytes between what could be read; an incomplete record at the end is `torn`, not damaged.
-    torn: Bytes at the end that are no whole record.
-    whole_bytes: Length of the file's beginning that is without damage, up to the end of a chunk and its indexes.
-    summary: What the end of a segment would say of that beginning.
+    damaged: Unreadable bytes, without `torn`.
+    torn: Bytes of an incomplete record at the end.
+    whole_bytes: Length of the undamaged beginning, up to the end of a chunk and its indexes.
+    summary: Summary of that beginning.
     """
 
     def __init__(self, path: Path, limit: int | None = None, *, sealed: bool = False) -> None:
@@ -186,7 +173,7 @@ class SegmentScan:
         self.summary = SegmentSummary()
 
     def __iter__(self) -> Iterator[LogRecord]:
-        """Messages of the chunks whose CRC holds, in their order."""
+        """Messages of the intact chunks, in their order."""
         channels: dict[int, tuple[str, str]] = {}
         with _mapped(self.path) as content:
             end = len(content) if self.limit is None else min(self.limit, len(content))
@@ -196,7 +183,7 @@ class SegmentScan:
                 self._extend(content, chunk, index, end)
 
     def _chunks(self, content: Buffer, end: int) -> Iterator[_Chunk]:
-        """Chunks that hold; what lies between them and is no record is noted as damaged."""
+        """Intact chunks; what is between them and not a record is damaged."""
         position = len(MAGIC)
         if content[: len(MAGIC)] == MAGIC:
             self.whole_bytes = position
@@ -218,11 +205,11 @@ class SegmentScan:
             if frame[0] in {Opcode.HEADER, Opcode.SCHEMA} and self.whole_bytes == position:
                 self.whole_bytes = frame[1]
             elif frame[0] == Opcode.DATA_END:
-                return  # of a sealed segment; what follows only repeats
+                return  # what follows in a sealed segment only repeats
             position = frame[1]
 
     def _note_rest(self, content: Buffer, position: int, end: int, frame: tuple[int, int] | None) -> None:
-        """The rest holds no chunk: it was not written to its end, or it is damaged."""
+        """The rest without chunks is torn or damaged."""
         rest = ByteSpan(position, end)
         is_cut = frame is None and content[position] in {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.METADATA}
         if is_cut and not self._sealed:
@@ -231,7 +218,7 @@ class SegmentScan:
             self.damaged.append(rest)
 
     def _extend(self, content: Buffer, chunk: _Chunk, index: ChannelIndex, end: int) -> None:
-        """Let the whole beginning reach to behind this chunk, if it reaches up to it."""
+        """Extend the undamaged beginning by this chunk, if it reaches up to it."""
         if chunk.begin != self.whole_bytes:
             return
         after = chunk.begin + chunk.head.frame_bytes
@@ -252,7 +239,7 @@ def _mapped(path: Path) -> Iterator[Buffer]:
 
 
 def _frame_at(content: Buffer, position: int, end: int) -> tuple[int, int] | None:
-    """Opcode and end of the record at `position`, if it can be one and is whole."""
+    """Opcode and end of the record at `position`, if there may be a whole one."""
     if position + FRAME.size > end:
         return None
     opcode, length = FRAME.unpack_from(content, position)
@@ -261,9 +248,9 @@ def _frame_at(content: Buffer, position: int, end: int) -> tuple[int, int] | Non
 
 
 def _is_plain(content: Buffer, position: int, opcode: int, after: int) -> bool:
-    """Whether the frame at `position` is to be believed: no chunk, of a kind that is written, and of its length.
+    """Whether a frame other than a chunk is plausible by kind and length.
 
-    A single flipped bit makes an index or an end of a chunk's frame, or one that reaches across the next chunks.
+    A flipped bit can turn a chunk's frame into an index or an end, or extend it across the next chunks.
     """
     if opcode == Opcode.MESSAGE_INDEX:
         if after - position < FRAME.size + 6:
@@ -276,7 +263,7 @@ def _is_plain(content: Buffer, position: int, opcode: int, after: int) -> bool:
 
 
 def _chunk_at(content: Buffer, position: int, end: int) -> _Chunk | None:
-    """The chunk at `position`, if there is one and its CRC holds."""
+    """The chunk at `position`, if there is an intact one."""
     if position < 0 or position + CHUNK.size > end:
         return None
     opcode, length, first_ns, last_ns, size, crc, named, compression, packed = CHUNK.unpack_from(content, position)
@@ -287,15 +274,15 @@ def _chunk_at(content: Buffer, position: int, end: int) -> _Chunk | None:
         return None
     try:
         if zstandard.frame_content_size(content[begin : begin + min(packed, _ZSTD_HEAD_BYTES)]) != size:
-            return None  # before so much is allocated
+            return None  # before allocating
         data = zstandard.decompress(content[begin : begin + packed])
     except (zstandard.ZstdError, OverflowError):
         return None
     except MemoryError as error:
         if size > MAX_CONTENT_BYTES:
-            return None  # nobody has written that
+            return None  # no version writes so much
         raise OutOfMemory(
-            f"there is no memory for {size:,} bytes of a log segment; it may be sound, so free some and try again"
+            f"not enough memory for {size:,} bytes of a log segment, which may be intact; free some and try again"
         ) from error
     if len(data) != size or zlib.crc32(data) != crc:
         return None
@@ -303,7 +290,7 @@ def _chunk_at(content: Buffer, position: int, end: int) -> _Chunk | None:
 
 
 def _next_chunk(content: Buffer, position: int, end: int) -> int | None:
-    """Where the next chunk that holds begins, from `position` on."""
+    """Begin of the next intact chunk from `position` on."""
     found = content.find(_NEEDLE, position, end)
     while found >= 0:
         if found - _NEEDLE_AT >= position and _chunk_at(content, found - _NEEDLE_AT, end) is not None:
@@ -318,7 +305,7 @@ def _messages(
     index: ChannelIndex | None = None,
     summary: SegmentSummary | None = None,
 ) -> Iterator[LogRecord]:
-    """Messages of a chunk's content; its channels are added to `channels`, places of messages to `index`."""
+    """Messages of a chunk's content; adds its channels to `channels` and the places of messages to `index`."""
     position, end = 0, len(content)
     unpack, head = MESSAGE.unpack_from, MESSAGE.size
     while position < end:
@@ -338,16 +325,3 @@ def _messages(
             if index is not None:
                 index.setdefault(channel.id, [])
         position = after
-
-
-class Salvage(NamedTuple):
-    """What could be read of a segment that was never sealed."""
-
-    records: list[LogRecord]
-    damaged_chunks: int
-
-
-def salvage_segment(path: Path) -> Salvage:
-    """Read an unsealed segment chunk by chunk, leaving out what is damaged, up to where the file breaks off."""
-    scan = SegmentScan(path)
-    return Salvage(list(scan), len(scan.damaged))

@@ -1,4 +1,4 @@
-"""What segments of the event log are made of: MCAP records, the same for writing and reading."""
+"""MCAP records of the segments of the event log, for writing and reading."""
 
 import struct
 import zlib
@@ -20,7 +20,7 @@ EVENTS = "gyrofleet.EventMessage"
 REJECTED = "gyrofleet.Rejected"
 MARKS = "gyrofleet.marks"
 CHECKSUM = "checksum"
-# always the same, so that a chunk can be read without the head of its file
+# fixed, so that a chunk can be read without the head of its file
 SCHEMA_IDS = {REJECTED: 0, SAMPLES: 1, PREVIEW: 2, EVENTS: 3}
 MAGIC = b"\x89MCAP0\r\n"
 COMPRESSION = b"zstd"
@@ -36,7 +36,7 @@ ENCODINGS = {SAMPLES: "protobuf", PREVIEW: "protobuf", EVENTS: "json", REJECTED:
 
 
 def written_by(store: str, path: Path) -> str:
-    """What a segment's head says of its origin: the identity of the store, and the segment's number."""
+    """Origin in a segment's head: the identity of the store, and the segment's number."""
     if not store:
         return "gyrofleet"
     text = f"{store} {path.name.partition('.')[0]}"
@@ -44,7 +44,7 @@ def written_by(store: str, path: Path) -> str:
 
 
 def origin_of(library: str) -> tuple[str, str] | None:
-    """Identity and number as `written_by` wrote them; None if it says neither, or is damaged.
+    """Identity and number from the text of `written_by`; None if it lacks them or is damaged.
 
     Examples
     --------
@@ -59,7 +59,7 @@ def origin_of(library: str) -> tuple[str, str] | None:
 
 
 class LogRecord(NamedTuple):
-    """One message as it stands in the log."""
+    """One message of the log."""
 
     topic: str
     schema: str
@@ -76,11 +76,11 @@ class SealedSegment(NamedTuple):
     sha256: str
 
 
-ChannelIndex = dict[int, list[int]]  # by channel: log time and offset of each of its messages in the chunk, in turn
+ChannelIndex = dict[int, list[int]]  # by channel: log time and offset in the chunk of each message, alternating
 
 
 class ChunkHead(NamedTuple):
-    """What stands before the compressed messages of a chunk."""
+    """Head of a chunk, before its compressed messages."""
 
     first_ns: int
     last_ns: int
@@ -94,7 +94,7 @@ class ChunkHead(NamedTuple):
         return CHUNK.size + self.packed_bytes
 
     def encode(self) -> bytes:
-        """Its wire form, frame included."""
+        """Its encoding with the frame."""
         length = self.frame_bytes - FRAME.size
         return CHUNK.pack(
             Opcode.CHUNK, length, self.first_ns, self.last_ns, self.content_bytes, self.crc, len(COMPRESSION),
@@ -103,7 +103,7 @@ class ChunkHead(NamedTuple):
 
 
 def encode_index(index: ChannelIndex) -> bytes:
-    """The records that follow a chunk and say where in it the messages of each channel stand."""
+    """The index records after a chunk: offsets of the messages of each channel."""
     parts = []
     for channel, places in index.items():
         size = 8 * len(places)
@@ -113,7 +113,7 @@ def encode_index(index: ChannelIndex) -> bytes:
 
 
 class SegmentSummary:
-    """What the end of a segment says of its contents, gathered while it is written or read."""
+    """Summary at the end of a segment, collected while it is written or read."""
 
     def __init__(self) -> None:
         self.channels: dict[int, Channel] = {}
@@ -121,7 +121,7 @@ class SegmentSummary:
         self.counts: dict[int, int] = {}
 
     def add_chunk(self, begin: int, head: ChunkHead, index: ChannelIndex, indexes: int) -> None:
-        """Take note of a chunk at byte `begin`, of the messages in it, and of the bytes of their indexes behind it."""
+        """Add a chunk at byte `begin`, its messages, and the size of the indexes after it."""
         at = begin + head.frame_bytes
         offsets = {}
         for channel, places in index.items():
@@ -161,7 +161,7 @@ class SegmentSummary:
 
 
 def schemas() -> tuple[Schema, ...]:
-    """The schemas of every segment, which make it readable for other tools."""
+    """The schemas of every segment, for other tools."""
     descriptors = sample_descriptors()
     documents = msgspec.json.encode(document_schema())
     return (
@@ -172,7 +172,7 @@ def schemas() -> tuple[Schema, ...]:
 
 
 def encoded(*records: McapRecord) -> bytes:
-    """Records as they stand in a file."""
+    """Encoding of records."""
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
@@ -180,7 +180,7 @@ def encoded(*records: McapRecord) -> bytes:
 
 
 def checksum(marks: dict[str, str]) -> str:
-    """Checksum of the positions of streams; the format has none for metadata.
+    """Checksum of the positions of streams; MCAP has none for metadata.
 
     Examples
     --------

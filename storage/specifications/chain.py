@@ -1,4 +1,4 @@
-"""Product specifications in the log of a store: documents, each of which names the one before it by its hash."""
+"""Product specifications in the log of a store: a chain of documents, each with the hash of the one before it."""
 
 import hashlib
 from collections import defaultdict
@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import msgspec
 
-from storage.log.seal import sealed_specification
+from storage.log.store_documents import signed_specification
 from storage.log.tail import documents_beyond
-from storage.recording.noting import note
+from storage.recording.client import record_documents
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.events import SpecificationEntered
@@ -17,18 +17,11 @@ from stream.identity import Place
 
 _PLACE = Place("store", "specifications")
 _ROLE = "gyrofleet limits"
-_SQL = "select document, arrival_ns from lake_documents where kind = $kind"
+_SQL = "select document, arrival_ns from internal.lake_documents where kind = $kind"
 
 
 class Link(NamedTuple):
-    """A document of the chain.
-
-    Parameters
-    ----------
-    document: The document.
-    hash: Its SHA-256, which the next one names.
-    known_ns: When the recorder had it, ns UTC; later than the document before it.
-    """
+    """A document of the chain, its SHA-256, and when the recorder had it (ns UTC, later than the one before it)."""
 
     document: SpecificationEntered
     hash: str
@@ -41,26 +34,26 @@ class Link(NamedTuple):
 
 
 class Break(NamedTuple):
-    """A place at which the chain does not hold: hash of the document, and what is wrong there."""
+    """A break of the chain: hash of the document, and what is wrong there."""
 
     at: str
     what: str
 
 
 class Chain(NamedTuple):
-    """The documents in their order, and where their chain is broken."""
+    """The documents in their order, and the breaks of the chain."""
 
     links: tuple[Link, ...]
     breaks: tuple[Break, ...]
 
     @property
     def head(self) -> str:
-        """Hash that the next document names as the one before it."""
+        """Hash that the next document has as `previous`."""
         return self.links[-1].hash if self.links else ""
 
 
 def read_chain(store: Store, catalog: Catalog | None = None) -> Chain:
-    """Specification documents of a store, those not yet in the lake included.
+    """Specification documents of a store, including those not yet in the lake.
 
     Parameters
     ----------
@@ -87,7 +80,7 @@ def read_chain(store: Store, catalog: Catalog | None = None) -> Chain:
 
 
 def chain_of(documents: Iterable[tuple[SpecificationEntered, int]]) -> Chain:
-    """Put documents, given with the times of their arrival, in the order of their hashes.
+    """Order documents, given with their times of arrival, by their hashes.
 
     Examples
     --------
@@ -102,18 +95,18 @@ def chain_of(documents: Iterable[tuple[SpecificationEntered, int]]) -> Chain:
     'the document before it is not in the log'
     """
     by_hash = {hash_of(each): (each, arrival) for each, arrival in sorted(documents, key=lambda e: (e[1], e[0].t_ns))}
-    followers: defaultdict[str, list[str]] = defaultdict(list)
+    following: defaultdict[str, list[str]] = defaultdict(list)
     for mark, (document, _) in by_hash.items():
-        followers[document.previous if document.previous in by_hash else ""].append(mark)
+        following[document.previous if document.previous in by_hash else ""].append(mark)
     links: list[Link] = []
-    waiting = followers[""][::-1]
+    waiting = following[""][::-1]
     while waiting:
         mark = waiting.pop()
         document, arrival_ns = by_hash[mark]
         links.append(Link(document, mark, max(arrival_ns, links[-1].known_ns + 1) if links else arrival_ns))
-        waiting += followers[mark][::-1]
+        waiting += following[mark][::-1]
     settled = {mark for document, _ in by_hash.values() for mark in document.settles}
-    breaks = [each for each in _breaks(links, followers) if each.at not in settled]
+    breaks = [each for each in _breaks(links, following) if each.at not in settled]
     return Chain(tuple(links), tuple(breaks))
 
 
@@ -123,23 +116,23 @@ def hash_of(document: SpecificationEntered) -> str:
 
 
 def append_document(store: Store, document: SpecificationEntered) -> None:
-    """Bring a document into the log, with the store's seal; it is on disk when this returns.
+    """Append a document to the log, with the store's seal; it is on disk when this returns.
 
     Raises
     ------
     StoreError, DeliveryError: If it cannot be written.
     """
-    note(store, [sealed_specification(store, document)], role=_ROLE, place=_PLACE, builds_lake=True)
+    record_documents(store, [signed_specification(store, document)], role=_ROLE, place=_PLACE, builds_lake=True)
 
 
-def _breaks(links: Iterable[Link], followers: dict[str, list[str]]) -> Iterator[Break]:
+def _breaks(links: Iterable[Link], following: dict[str, list[str]]) -> Iterator[Break]:
     has_first = False
     for link in links:
         previous = link.document.previous
         if not previous and has_first:
             yield Break(link.hash, "it begins a second chain")
-        elif previous and link.hash in followers[""]:
+        elif previous and link.hash in following[""]:
             yield Break(link.hash, "the document before it is not in the log")
-        elif previous and link.hash != followers[previous][0]:
+        elif previous and link.hash != following[previous][0]:
             yield Break(link.hash, "another document follows the same one")
         has_first |= not previous

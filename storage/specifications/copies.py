@@ -1,4 +1,4 @@
-"""Copies of the specifications for people to read, in the store's folder ``products``; the log is what counts."""
+"""Readable copies of the specifications in the store's folder ``products``; only the log counts."""
 
 import os
 import time
@@ -7,7 +7,8 @@ from pathlib import Path
 
 from storage.findings import Finding, Severity
 from storage.specifications.chain import Chain, read_chain
-from storage.store import Store, sync_folder
+from storage.store import Store
+from stream.atomic_file import write_durably
 from stream.errors import StoreError
 from stream.events import SpecificationEntered
 
@@ -15,7 +16,7 @@ FOLDER = "products"
 
 
 def write_copy(store: Store, document: SpecificationEntered) -> None:
-    """Write the copy of a revision, in place of what has its name.
+    """Write the copy of a revision.
 
     Raises
     ------
@@ -25,32 +26,24 @@ def write_copy(store: Store, document: SpecificationEntered) -> None:
     fresh = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(exist_ok=True)
-        with fresh.open("wb") as file:
-            file.write(document.content.encode())
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.chmod(0o444)
-        fresh.replace(path)
-        sync_folder(path.parent)
+        write_durably(path, document.content.encode(), fresh=fresh, mode=0o444)
     except OSError as error:
         raise StoreError(
             f"cannot write {path}: {error}; free the disk or mend its permissions, then `gyrofleet recover`"
         ) from error
-    finally:
-        fresh.unlink(missing_ok=True)
 
 
 def specification_findings(store: Store) -> list[Finding]:
-    """What is wrong with the chain of specifications, and which files in ``products`` are not what the log has."""
+    """Breaks of the chain of specifications, and files in ``products`` that differ from the log."""
     try:
         chain = read_chain(store)
     except StoreError:
-        return []  # of a log or a lake that is damaged, which is said of these
+        return []  # other checks report a damaged log or lake
     return [*chain_findings(store, chain), *copy_findings(store, chain)]
 
 
 def chain_findings(store: Store, chain: Chain) -> Iterator[Finding]:
-    """Where the chain of documents is broken."""
+    """A finding for each break of the chain."""
     labels = {link.hash: link.label for link in chain.links}
     for each in chain.breaks:
         what = f"the chain of specification documents is broken at {labels[each.at]} ({each.at[:12]}): {each.what}"
@@ -59,21 +52,21 @@ def chain_findings(store: Store, chain: Chain) -> Iterator[Finding]:
 
 
 def copy_findings(store: Store, chain: Chain) -> Iterator[Finding]:
-    """Files in ``products`` that differ from the log, or that it does not have: they count for nothing."""
+    """Files in ``products`` that differ from the log, or are not in it."""
     contents = _contents(chain)
     for path in sorted((store.folder / FOLDER).glob("*.toml")):
         if path.stem not in contents:
-            what = "it was never entered, so that it counts for nothing"
+            what = "it was never entered, so that it has no effect"
             remedy = f"`gyrofleet limits add {path}` enters it; else delete it"
             yield Finding("specification_not_entered", Severity.UNFINISHED, str(path), what, remedy)
         elif _read(path) != contents[path.stem].content.encode():
-            what = "it is not what was entered; verdicts follow the log, and the change counts for nothing"
-            remedy = "keep it aside and write it from the log; a change is a new revision (`gyrofleet limits revise`)"
+            what = "it is not what was entered; verdicts follow the log, and the change has no effect"
+            remedy = "quarantine it and write it from the log; a change is a new revision (`gyrofleet limits revise`)"
             yield Finding("specification_copy_changed", Severity.DAMAGE, str(path), what, remedy)
 
 
 def mend_copies(store: Store) -> Iterator[Path]:
-    """Put copies right that were changed; what they were is kept beside them, and its path is yielded."""
+    """Restore copies that were changed; the changed file is kept beside them, and its path is yielded."""
     chain = read_chain(store)
     contents = _contents(chain)
     for finding in list(copy_findings(store, chain)):
@@ -93,4 +86,4 @@ def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError:
-        return b""  # which no specification is
+        return b""

@@ -1,4 +1,4 @@
-"""SQL over a store: DuckDB views on the lake, for reading only."""
+"""SQL over a store: read-only DuckDB views on the lake."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -14,15 +14,17 @@ import pyarrow as pa
 from storage.findings import Finding
 from storage.lake.tables import TABLES
 from storage.manifests.lake import Part, read_manifest
-from storage.sql.guard import check_statement
-from storage.sql.guard import plain_message as _told
+from storage.sql.guard import check_statement, plain_message
 from storage.sql.macros import conversion_macros
 from storage.store import Store
 from stream.errors import QueryError, StoreError
 
 VIEWS = ("samples", "signals", "runs", "units", "steps", "estimates", "events", "rollup_1s", "rollup_10s", "clocks")
 
-Told = Callable[[int, int], None]
+STORAGE_VERSION = "v1.0.0"
+"""Version of the file format of a written catalogue: DuckDB from 1.0 reads it."""
+
+Progress = Callable[[int, int], None]
 
 _READING = {duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN}
 _SQL_TYPES = {
@@ -36,17 +38,17 @@ _SQL_TYPES = {
 
 
 class NotKept(Exception):
-    """A layer would have to compute what is not kept in the store, in a catalogue that only reads."""
+    """A layer would have to compute tables that are not kept in the store, in a frozen catalogue."""
 
 
 class Layer(Protocol):
-    """Further tables, made by a package that stands above this one; an entry point in the group `gyrofleet.catalog`.
+    """Further tables of a higher package; an entry point in the group `gyrofleet.catalog`.
 
-    Its tables are made when a statement first names one of them.
+    Its tables are computed when a statement first names one of them.
     """
 
     tables: tuple[str, ...]
-    """Names of its tables, views and macros."""
+    """Names of its tables and views for users."""
     folder: str
     """Folder in the store in which it keeps what it has computed."""
     examples: Mapping[str, str]
@@ -54,10 +56,10 @@ class Layer(Protocol):
 
     @property
     def columns(self) -> Mapping[str, Mapping[str, str]]:
-        """What the columns of its tables hold: table, column, words; of table ``every`` what means the same in all."""
+        """Meaning of columns by table and column; under ``every`` those common to all tables."""
 
     def fill(self, catalog: "Catalog") -> None:
-        """Define the tables in the catalogue, through `Catalog.put` and `Catalog.define`."""
+        """Define the tables through `Catalog.put` and `Catalog.define`; others belong in the schema `internal`."""
 
     def findings(self, store: Store) -> list[Finding]:
         """What is wrong with what it keeps in a store, for `gyrofleet verify`."""
@@ -65,35 +67,29 @@ class Layer(Protocol):
 
 @cache
 def layers() -> tuple[Layer, ...]:
-    """The layers that are installed."""
+    """The installed layers."""
     found = sorted(entry_points(group="gyrofleet.catalog"), key=lambda each: each.name)
     return tuple(each.load()() for each in found)
 
 
-class Catalog:
-    """The views of a store: ``samples``, ``signals``, ``runs``, ``units``, ``steps``, ``estimates``, and others.
+def known_tables() -> list[str]:
+    """Names of the tables for users: the store's own and those of all layers."""
+    return [*VIEWS, *(table for layer in layers() for table in layer.tables)]
 
-    It sees what has reached the lake when it is opened.
+
+class Catalog:
+    """The views of a store, `VIEWS` and the tables of layers, over the lake as it was when the catalogue was opened.
+
+    What they are made of is in the schema `internal`.
 
     Parameters
     ----------
-    store: Which store.
-    file: A DuckDB database that is made with the same views; it can be opened by any DuckDB for as long as the store's
-        Parquet files are where they are. By default the views are in memory.
-    told: Hears from a layer that is being filled how many of how many parts of its work are done.
-    parts: Parts of the lake that it sees; by default those in force now.
-    kept: Folder whose `Layer.folder` holds what layers keep; by default the store's.
-    frozen: Layers take what is kept and neither compute nor keep anything: they raise `NotKept` instead.
-    memory_bytes: What DuckDB may take; by default most of the machine's. Nothing is put on the disk when it does not
-        suffice.
-
-    Attributes
-    ----------
-    parts: Parts of the lake that it sees, in the order of their segments.
-
-    Raises
-    ------
-    StoreError: If the lake is damaged.
+    file: DuckDB database to create with the same views; by default they are in memory.
+    progress: Called by a layer with the numbers of steps done and in total.
+    parts: Parts of the lake; by default those in force now.
+    kept: Folder in which layers keep what they compute; by default the store's.
+    frozen: Layers raise `NotKept` instead of computing anything.
+    memory_bytes: Limit of DuckDB, which then uses no disk either; by default most of the machine's memory.
     """
 
     def __init__(
@@ -101,49 +97,46 @@ class Catalog:
         store: Store,
         file: Path | None = None,
         *,
-        told: Told | None = None,
+        progress: Progress | None = None,
         parts: Iterable[Part] | None = None,
         kept: Path | None = None,
         frozen: bool = False,
         memory_bytes: int | None = None,
     ) -> None:
         self.store = store
-        self.told = told
+        self.progress = progress
         self.kept = store.folder if kept is None else kept
         self.frozen = frozen
-        self._connection = duckdb.connect(":memory:" if file is None else str(file))
-        self._connection.execute("set timezone = 'UTC'")
+        config: dict[str, Any] = {} if file is None else {"storage_compatibility_version": STORAGE_VERSION}
+        self._connection = duckdb.connect(":memory:" if file is None else str(file), config=config)
+        self._connection.execute("set timezone = 'UTC'; create schema internal")
         self.parts = read_manifest(store).parts if parts is None else tuple(parts)
         self._unfilled = list(layers())
         for table in ("samples", "events", "estimates", "rollup_1s", "rollup_10s", "clocks"):
-            self._attach(f"lake_{table}", table, self.parts)
-        self._attach("lake_channels_kept", "channels", [part for part in self.parts if part.dropped is None])
-        self._attach("lake_channels_dropped", "channels", [part for part in self.parts if part.dropped is not None])
+            self._attach(f"internal.lake_{table}", table, self.parts)
+        self._attach("internal.lake_channels_kept", "channels", [part for part in self.parts if part.dropped is None])
+        self._attach(
+            "internal.lake_channels_dropped", "channels", [part for part in self.parts if part.dropped is not None]
+        )
         for script in sorted(files("storage.sql").joinpath("schema").iterdir(), key=lambda each: each.name):
             if script.name.endswith(".sql"):
                 self._run(script.read_text())
-        self.define(
-            conversion_macros(unit for (unit,) in self._selected("select distinct unit_of_measure from lake_channels"))
-        )
+        units = self._connection.execute("select distinct unit_of_measure from internal.lake_channels").fetchall()
+        self.define(conversion_macros(unit for (unit,) in units))
         folders = [store.lake, *(self.kept / layer.folder for layer in layers())]
         allowed = ", ".join("'" + str(each.resolve()).replace("'", "''") + "'" for each in folders)
         self._connection.execute(f"set allowed_directories = [{allowed}]")
         if memory_bytes is not None:
-            self._connection.execute(f"set memory_limit = '{memory_bytes}B'")
-            self._connection.execute("set temp_directory = ''")
-        self._connection.execute("set enable_external_access = false")
-        self._connection.execute("set python_enable_replacements = false")  # a table's name is never a variable's
+            self._connection.execute(f"set memory_limit = '{memory_bytes}B'; set temp_directory = ''")
+        # a table name is not a Python variable
+        self._connection.execute("set enable_external_access = false; set python_enable_replacements = false")
         self._connection.execute("set lock_configuration = true")
 
-    def _selected(self, sql: str) -> list[tuple[Any, ...]]:
-        return self._connection.execute(sql).fetchall()
-
     def _attach(self, source: str, table: str, parts: Iterable[Part]) -> None:
-        """A view of a table over the parts that have it; DuckDB opens the first file now, the others when asked."""
+        """A view of a table over the parts that have it; DuckDB opens the first file now, the others on demand."""
         file = f"{table}.parquet"
-        paths = [
-            str(self.store.lake / part.name / file) for part in parts if file in part.files and part.files[file].rows
-        ]
+        lake = self.store.lake.resolve()
+        paths = [str(lake / part.name / file) for part in parts if file in part.files and part.files[file].rows]
         if not paths:
             columns = ", ".join(f'"{column.name}" {_SQL_TYPES[column.type]}' for column in TABLES[table])
             self._connection.execute(f"create table {source} ({columns}, filename varchar)")
@@ -156,32 +149,28 @@ class Catalog:
             self._connection.execute(sql)
         except duckdb.Error as error:
             raise StoreError(
-                f"the lake of {self.store.folder} cannot be read ({_told(error)}); `gyrofleet verify` says what is "
-                f"damaged, `gyrofleet recover` makes it anew from the log"
+                f"the lake of {self.store.folder} cannot be read ({plain_message(error)}); `gyrofleet verify` lists "
+                f"the damage, `gyrofleet recover` rebuilds it from the log"
             ) from error
 
     def define(self, sql: str) -> None:
-        """Run statements that define tables, views and macros; for layers.
-
-        Raises
-        ------
-        QueryError: If one fails.
-        """
+        """Run statements that define tables, views and macros of a layer."""
         try:
             self._connection.execute(sql)
         except duckdb.Error as error:
-            raise QueryError(_told(error)) from error
+            raise QueryError(plain_message(error)) from error
 
     def put(self, name: str, table: pa.Table) -> None:
-        """Make a table of these rows, in place of one of that name."""
+        """Create or replace a table; one that no layer lists goes to the schema `internal`."""
+        schema = "main" if name in known_tables() else "internal"
         self._connection.register("put_rows", table)
         try:
-            self.define(f'create or replace table "{name}" as select * from put_rows')  # noqa: S608  a layer's own name
+            self.define(f'create or replace table {schema}."{name}" as select * from put_rows')  # noqa: S608  a layer's own name
         finally:
             self._connection.unregister("put_rows")
 
     def fill(self) -> None:
-        """Make the tables of all layers now, not when they are first named."""
+        """Compute the tables of all layers now."""
         self._fill(" ".join(table for layer in layers() for table in layer.tables))
 
     def _fill(self, sql: str) -> None:
@@ -189,7 +178,7 @@ class Catalog:
             return
         words = set(re.findall(r"\w+", sql.lower()))
         for layer in [each for each in self._unfilled if words.intersection(each.tables)]:
-            self._unfilled.remove(layer)  # before: it asks this catalogue
+            self._unfilled.remove(layer)  # first, since the layer queries this catalogue
             try:
                 layer.fill(self)
             except BaseException:
@@ -197,14 +186,7 @@ class Catalog:
                 raise
 
     def reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
-        """The result of one of our own statements that read, to be taken piece by piece through `guarded`.
-
-        A user's statement goes through `user_reader`.
-
-        Raises
-        ------
-        QueryError: If the statement would write, is more than one, or fails.
-        """
+        """Result of one of the project's own reading statements; users' statements go through `user_reader`."""
         self._fill(sql)
         try:
             statements = self._connection.extract_statements(sql)
@@ -221,13 +203,7 @@ class Catalog:
             raise _failed(error) from error
 
     def prepare(self, sql: str) -> None:
-        """Check a user's statement, and make the tables of layers that it names.
-
-        Raises
-        ------
-        QueryError: If it would do more than read the views, is more than one, or cannot be parsed.
-        NotKept: If the catalogue is frozen and a table would have to be computed.
-        """
+        """Check a user's statement, and compute the layers that it names."""
         macros = {"adev", *(table for layer in layers() for table in layer.tables)}
         try:
             check_statement(self._connection, sql, macros)
@@ -237,13 +213,8 @@ class Catalog:
             raise
         self._fill(sql)
 
-    def user_reader(self, sql: str, parameters: object = None, rows: int = 100_000) -> pa.RecordBatchReader:
-        """The result of a user's statement, which may name the store's views and no file; read through `guarded`.
-
-        Raises
-        ------
-        QueryError: If it would do more than read the views, is more than one, or fails.
-        """
+    def user_reader(self, sql: str, parameters: object = None, rows: int = 16_384) -> pa.RecordBatchReader:
+        """Result of a user's statement, which may read the store's views and no files."""
         self.prepare(sql)
         try:
             cursor = self._connection.cursor()
@@ -253,23 +224,18 @@ class Catalog:
             raise _failed(error) from error
 
     def guarded(self, reader: pa.RecordBatchReader) -> Iterator[pa.RecordBatch]:
-        """The pieces of a result.
-
-        Raises
-        ------
-        QueryError: If the statement fails on its way.
-        """
+        """The batches of a result; QueryError if the statement fails on the way."""
         try:
             yield from reader
         except (duckdb.Error, pa.ArrowException, OSError) as error:
-            raise QueryError(_told(error)) from error
+            raise QueryError(plain_message(error)) from error
 
     def batches(self, sql: str, parameters: object = None, rows: int = 100_000) -> Iterator[pa.RecordBatch]:
-        """The pieces of a statement's result."""
+        """The batches of a statement's result."""
         yield from self.guarded(self.reader(sql, parameters, rows))
 
     def rows(self, sql: str, parameters: object = None) -> list[tuple[Any, ...]]:
-        """All rows of a statement that reads."""
+        """All rows of a statement's result."""
         return [tuple(row.values()) for batch in self.batches(sql, parameters) for row in batch.to_pylist()]
 
     def close(self) -> None:
@@ -284,7 +250,7 @@ class Catalog:
 
 
 def _failed(error: duckdb.Error) -> QueryError:
-    reason = _told(error)
+    reason = plain_message(error)
     if "disabled by configuration" in reason:
         reason += "; only the store is read here, import other data first"
     known = ", ".join([*VIEWS, *(table for layer in layers() for table in layer.tables)])

@@ -1,7 +1,7 @@
-"""The process in which a user's statements run: it can read the store and nothing else, and is killed at its limits.
+"""The process that runs users' statements: it can only read the store, and is killed at its limits.
 
-``python -m storage.sql.child``, started by `storage.sql.door`. What DuckDB's own settings refuse, the kernel refuses
-once more: Landlock is set before DuckDB is imported, since its threads would not have it otherwise.
+``python -m storage.sql.child``, started by `storage.sql.door`; they exchange frames of kind, length and content.
+Landlock enforces what DuckDB's settings refuse; it is set before DuckDB is imported, so that its threads have it.
 """
 
 import json
@@ -9,13 +9,14 @@ import os
 import pickle
 import resource
 import signal
+import struct
 import sys
 import threading
+from enum import Enum
 from pathlib import Path
 from queue import SimpleQueue
 from typing import IO, TYPE_CHECKING, Any
 
-from storage.sql.frames import Closed, Kind, read_frame, write_frame
 from storage.sql.landlock import allow_reading_only
 
 if TYPE_CHECKING:
@@ -23,20 +24,61 @@ if TYPE_CHECKING:
 
     from storage.sql.catalog import Catalog
 
-# besides what DuckDB may take of itself: results on their way, stacks of threads
+# beyond DuckDB's own limit, for results in transit and thread stacks
 _SLACK_BYTES = 512 << 20
-# what Python and its libraries read when they are imported or ask what machine this is
+# read by Python and its libraries on import
 _SYSTEM = (
     "/usr", "/lib", "/lib64", "/bin", "/opt", "/nix", "/proc", "/sys", "/dev/null", "/dev/urandom", "/etc/ld.so.cache",
     "/etc/localtime", "/etc/timezone", "/etc/ssl/openssl.cnf",
 )  # fmt: skip
 
 
-class _Timer:
-    """Ends this process when statements have computed for so long; waiting for the reader does not count.
+_HEAD = struct.Struct("<cQ")
 
-    The kernel's own signal does it: DuckDB answers to no interrupt inside of a function.
-    """
+
+class Kind(Enum):
+    """Kind of a frame."""
+
+    REQUEST = b"?"
+    """Pickle; from the parent."""
+    READY = b"R"
+    """JSON with `landlock`: whether the kernel enforces that nothing is written."""
+    ROWS = b"B"
+    """An Arrow stream: the schema and some rows of the result."""
+    DONE = b"O"
+    """The result is complete."""
+    FAILED = b"E"
+    """JSON with `kinds`, the names of the error's classes, and `message`."""
+    NOT_KEPT = b"N"
+    """A table that the statement names must be computed first."""
+
+
+class Closed(Exception):
+    """The other process has ended."""
+
+
+def write_frame(file: IO[bytes], kind: Kind, content: bytes | memoryview = b"") -> None:
+    """Send a frame."""
+    file.write(_HEAD.pack(kind.value, len(content)))
+    file.write(content)
+    file.flush()
+
+
+def read_frame(file: IO[bytes]) -> tuple[Kind, bytes]:
+    """Receive a frame; raises Closed if the other process has ended."""
+    kind, length = _HEAD.unpack(_exactly(file, _HEAD.size))
+    return Kind(kind), _exactly(file, length)
+
+
+def _exactly(file: IO[bytes], length: int) -> bytes:
+    content = file.read(length)
+    if len(content) < length:
+        raise Closed
+    return content
+
+
+class _Timer:
+    """Kills this process after some computing time, by a signal, since DuckDB ignores interrupts within functions."""
 
     def __init__(self, time_s: float) -> None:
         self._time_s = time_s
@@ -53,12 +95,12 @@ class _Timer:
 
 
 def main() -> None:
-    """Answer requests until the one that asks has gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one that asks
+    """Answer requests until the parent has ended."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent
     requests = os.fdopen(os.dup(0), "rb")
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    os.dup2(2, 1)  # what a library prints is no answer
+    os.dup2(2, 1)  # what libraries print is not an answer
     setup: dict[str, Any] = json.loads(read_frame(requests)[1])
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
@@ -69,17 +111,17 @@ def main() -> None:
 
 
 def system_paths() -> set[str]:
-    """Folders and files that Python and its libraries need for themselves."""
+    """Folders and files that Python and its libraries read."""
     folders = {sys.prefix, sys.base_prefix, sys.exec_prefix, sys.base_exec_prefix, *sys.path, *_SYSTEM}
     folders.update(os.environ.get("LD_LIBRARY_PATH", "").split(":"))
     return {each for each in folders if each}
 
 
 def _listen(requests: IO[bytes], waiting: "SimpleQueue[dict[str, Any]]") -> None:
-    """Take requests; when the one that asks has gone, end whatever is at work."""
+    """Queue requests; end this process when the parent has ended."""
     try:
         while True:
-            # pickle: parameters are any values; they come from the process that started this one
+            # pickle, since parameters may be any values; from the parent only
             waiting.put(pickle.loads(read_frame(requests)[1]))  # noqa: S301
     except Closed:
         os._exit(0)
@@ -93,7 +135,7 @@ def _serve(
     try:
         catalog = _catalog(setup)
     except GyrofleetError as error:
-        write_frame(answers, Kind.FAILED, _told(error))
+        write_frame(answers, Kind.FAILED, _encode(error))
         return
     write_frame(answers, Kind.READY, json.dumps({"landlock": is_enforced}).encode())
     timer = _Timer(setup["time_s"])
@@ -103,7 +145,7 @@ def _serve(
             _answer(catalog, request, answers, timer, setup["memory_bytes"])
         except GyrofleetError as error:
             timer.pause()
-            write_frame(answers, Kind.FAILED, _told(error))
+            write_frame(answers, Kind.FAILED, _encode(error))
         except MemoryError:
             timer.pause()
             write_frame(answers, Kind.FAILED, json.dumps({"kinds": ["MemoryError"], "message": ""}).encode())
@@ -136,7 +178,7 @@ def _answer(catalog: "Catalog", request: dict[str, Any], answers: IO[bytes], tim
         timer.pause()
         write_frame(answers, Kind.NOT_KEPT)
         return
-    timer.begin()  # tables that are made for the first time are not this statement's
+    timer.begin()  # opening tables for the first time does not count
     _limit_memory(memory_bytes)
     reader = catalog.user_reader(request["statement"], request["parameters"])
     left_s = timer.pause()
@@ -163,7 +205,7 @@ def _stream(schema: "pa.Schema", batch: "pa.RecordBatch | None") -> memoryview:
 
 
 def _limit_memory(memory_bytes: int | None) -> None:
-    """Let this process take so much more than it has now; None: as much as there is."""
+    """Limit the memory that this process may take in addition; None for no limit."""
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     soft = hard
     if memory_bytes is not None:
@@ -173,7 +215,7 @@ def _limit_memory(memory_bytes: int | None) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
-def _told(error: Exception) -> bytes:
+def _encode(error: Exception) -> bytes:
     return json.dumps({"kinds": [each.__name__ for each in type(error).__mro__], "message": str(error)}).encode()
 
 

@@ -1,4 +1,4 @@
-"""Where users' statements come in: each runs in a process of its own that can read the store and nothing else."""
+"""Users' statements, run in a separate process that can only read the store."""
 
 import json
 import os
@@ -18,7 +18,7 @@ import msgspec
 
 import stream.errors
 from storage.manifests.lake import read_manifest
-from storage.sql.frames import Closed, Kind, read_frame, write_frame
+from storage.sql.child import Closed, Kind, read_frame, write_frame
 from storage.store import Store
 from stream.errors import GyrofleetError, QueryError, StoreError
 
@@ -26,19 +26,12 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 _GIB = 1 << 30
-_TOLD_BYTES = 2000
+_STDERR_BYTES = 2000
 _ATTEMPTS = 3
 
 
 class QueryLimits(NamedTuple):
-    """What one statement may take.
-
-    Parameters
-    ----------
-    time_s: Computing time by the clock; the time in which its result waits to be read does not count.
-    memory_bytes: Memory.
-    rows: Rows of its result.
-    """
+    """Limits of one statement; `time_s` is elapsed computing time, without the time its result waits to be read."""
 
     time_s: float = 60.0
     memory_bytes: int = min(4 * _GIB, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2)
@@ -46,13 +39,7 @@ class QueryLimits(NamedTuple):
 
 
 class Result:
-    """Rows of a statement's result, as they come.
-
-    Parameters
-    ----------
-    schema: Its columns.
-    batches: Its rows; what goes wrong on the way is a `QueryError`.
-    """
+    """Rows of a statement's result as they come; iterating may raise a `QueryError`."""
 
     def __init__(self, schema: "pa.Schema", batches: "Generator[pa.RecordBatch, None, None]") -> None:
         self.schema = schema
@@ -66,13 +53,11 @@ class Result:
 
 
 class SqlDoor:
-    """Answers users' statements about a store as it was when the door was opened.
+    """Runs users' statements on a store as it was when the door was opened.
 
     Parameters
     ----------
-    store: Which store.
-    limits: Of each statement.
-    landlock: Whether the kernel is asked to enforce that nothing is written; without it the other guards stand alone.
+    landlock: Whether the kernel enforces that nothing is written; otherwise only the other guards do.
 
     Attributes
     ----------
@@ -99,11 +84,11 @@ class SqlDoor:
         self._process: _Process | None = None
 
     def ask(self, statement: str, parameters: object = None) -> Result:
-        """Answer one statement; `parameters` fill its ``$name`` or ``?``.
+        """Run one statement; `parameters` fill its ``$name`` or ``?``.
 
         Raises
         ------
-        QueryError: If it would do more than read, fails, or takes more than its limits allow.
+        QueryError: If it would do more than read, fails, or exceeds its limits.
         """
         for attempt in range(_ATTEMPTS):
             process = self._process or self._started()
@@ -114,8 +99,8 @@ class SqlDoor:
             if kind is Kind.ROWS:
                 with pa.ipc.open_stream(content) as reader:
                     return Result(reader.schema, self._batches(process))
-            self._compute(statement, apart=attempt > 0)
-        raise StoreError(f"what {self.store.folder} holds changes while it is read; ask again")
+            self._compute(statement, scratch=attempt > 0)
+        raise StoreError(f"{self.store.folder} changes while it is read; run the statement again")
 
     def _batches(self, process: "_Process") -> "Generator[pa.RecordBatch, None, None]":
         import pyarrow as pa
@@ -137,11 +122,11 @@ class SqlDoor:
                             )
                         yield batch
         finally:
-            if not is_complete:  # what is still to come must not be taken for the next answer
+            if not is_complete:  # the rest must not be taken for the next answer
                 self._end()
 
     def _received(self, process: "_Process") -> tuple[Kind, bytes]:
-        """The next answer; an error is raised as what it is."""
+        """The next frame; an error is raised with its own class."""
         try:
             kind, content = read_frame(process.answers)
         except Closed:
@@ -181,15 +166,15 @@ class SqlDoor:
         self.is_enforced = bool(json.loads(content)["landlock"])
         return process
 
-    def _compute(self, statement: str, *, apart: bool) -> None:
-        """Compute what the tables that a statement names need, here, where it can be kept.
+    def _compute(self, statement: str, *, scratch: bool) -> None:
+        """Compute the layers that a statement needs in this process, which can keep them.
 
-        Apart from the store where the store cannot keep it, or keeps what another process has computed since.
+        In a scratch folder if the store cannot keep them, or now keeps results of another process.
         """
         from storage.sql.catalog import Catalog, layers
 
-        if apart and self._scratch is None:
-            self._end()  # that process reads the store's own
+        if scratch and self._scratch is None:
+            self._end()  # that process reads the store's
             self._scratch = tempfile.TemporaryDirectory(prefix="gyrofleet-sql-")
             for folder in {layer.folder for layer in layers()}:
                 if (self.store.folder / folder).is_dir():
@@ -217,7 +202,7 @@ class SqlDoor:
 
 
 class _Process:
-    """The process, and what it writes of errors."""
+    """The process, and the end of its standard error."""
 
     def __init__(self) -> None:
         folders = os.pathsep.join(each for each in sys.path if each)
@@ -229,15 +214,15 @@ class _Process:
             env={
                 **os.environ,
                 "PYTHONPATH": folders,
-                "MALLOC_ARENA_MAX": "2",  # what arenas reserve would count as memory taken
-                "NUMBA_DISABLE_JIT": "1",  # nothing is computed there, and its cache could not be written
+                "MALLOC_ARENA_MAX": "2",  # memory that arenas reserve would count
+                "NUMBA_DISABLE_JIT": "1",  # nothing is computed there, and the cache is not writable
             },
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._requests: IO[bytes] = self._process.stdin
         self.answers: IO[bytes] = self._process.stdout
-        self._told = b""
+        self._stderr = b""
         self.has_begun = False
         self._listener = threading.Thread(target=self._listen, daemon=True)
         self._listener.start()
@@ -246,19 +231,19 @@ class _Process:
         assert self._process.stderr is not None
         with self._process.stderr as file:
             for line in file:
-                self._told = (self._told + line)[-_TOLD_BYTES:]
+                self._stderr = (self._stderr + line)[-_STDERR_BYTES:]
 
     def send(self, kind: Kind, content: bytes) -> None:
-        with suppress(OSError):  # it has ended; why is found when its answer is read
+        with suppress(OSError):  # it has ended; reading its answer tells why
             write_frame(self._requests, kind, content)
 
     def why_it_ended(self, limits: QueryLimits) -> GyrofleetError:
         """The error of a process that ended without an answer."""
         code = self._process.wait()
         self.kill()
-        told = self._told.decode(errors="replace").strip().splitlines() or ["no message"]
+        lines = self._stderr.decode(errors="replace").strip().splitlines() or ["no message"]
         if not self.has_begun:
-            return StoreError(f"the process that answers statements cannot start (code {code}): {told[-1]}")
+            return StoreError(f"the process that answers statements cannot start (code {code}): {lines[-1]}")
         if code == -signal.SIGALRM:
             return QueryError(
                 f"the statement was ended after {limits.time_s:g} s; ask for less, or give it more time "
@@ -266,14 +251,14 @@ class _Process:
             )
         if code < 0:
             return _too_much_memory(limits, f" (its process ended with {signal.Signals(-code).name})")
-        return QueryError(f"the process of the statement ended with code {code}: {told[-1]}")
+        return QueryError(f"the process of the statement ended with code {code}: {lines[-1]}")
 
     def kill(self) -> None:
         self._process.kill()
         self._process.wait()
         self._listener.join()
         self.answers.close()
-        with suppress(OSError):  # what was still to be sent goes nowhere
+        with suppress(OSError):  # unsent data are discarded
             self._requests.close()
 
 

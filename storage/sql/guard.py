@@ -1,7 +1,7 @@
-"""Which statements a store answers: those that read its views, judged by the tree that DuckDB's own parser makes.
+"""Which statements are allowed: those that only read views, by the tree of DuckDB's own parser.
 
-The kind of a statement is not enough: EXPLAIN ANALYZE runs what it explains, and a WITH may hold DELETE or COPY in
-what is a SELECT by kind.
+The kind of a statement is not enough: EXPLAIN ANALYZE runs what it explains, and the WITH of a SELECT may contain
+DELETE or COPY.
 """
 
 import json
@@ -25,23 +25,18 @@ TABLE_FUNCTIONS = frozenset(
         "summary", "test_all_types", "unnest",
     }
 )  # fmt: skip
-"""Functions of DuckDB that give a table and read nothing but the statement and the catalogue."""
+"""Table functions of DuckDB that read only the statement and the catalogue."""
 REFUSED_FUNCTIONS = frozenset({"currval", "nextval", "setseed", "setval", "sleep_ms", "write_log"})
-"""Functions that give a value and do something besides."""
+"""Scalar functions with side effects."""
 
 
 def check_statement(connection: duckdb.DuckDBPyConnection, sql: str, macros: Collection[str]) -> None:
-    """Refuse what is not one statement that only reads the store.
+    """Refuse, by a QueryError, everything but one statement that only reads the store.
 
     Parameters
     ----------
-    connection: Whose parser judges; nothing is run on it but that.
-    sql: The statement.
-    macros: Table macros that are the store's own.
-
-    Raises
-    ------
-    QueryError: If it is refused, or cannot be parsed.
+    connection: Used for its parser only.
+    macros: The store's own table macros.
 
     Examples
     --------
@@ -59,7 +54,7 @@ def check_statement(connection: duckdb.DuckDBPyConnection, sql: str, macros: Col
         raise QueryError(f"{len(statements)} statements found, one is expected: give them one at a time")
     try:
         kind, text = statements[0].type, statements[0].query
-    except ValueError:  # a kind that DuckDB's parser knows and its list does not, as UPDATE EXTENSIONS
+    except ValueError:  # a kind without a name in the list, as UPDATE EXTENSIONS
         raise _refused("this kind of statement") from None
     if kind == duckdb.StatementType.EXPLAIN:
         for inner in _explained(connection, text):
@@ -71,7 +66,7 @@ def check_statement(connection: duckdb.DuckDBPyConnection, sql: str, macros: Col
 
 
 def plain_message(error: Exception) -> str:
-    """What DuckDB says is wrong, on one line, without the place in the statement."""
+    """DuckDB's error message on one line, without the position in the statement."""
     return " ".join(str(error).split("\n\nLINE")[0].split())
 
 
@@ -82,7 +77,7 @@ def _refused(what: str) -> QueryError:
 
 
 def _explained(connection: duckdb.DuckDBPyConnection, text: str) -> list[str]:
-    """All that EXPLAIN may be explaining; DuckDB does not say where its options end, so each place is tried."""
+    """Every statement that EXPLAIN may contain; each position is tried, since the end of its options is not known."""
     tokens = [begin for begin, kind in duckdb.tokenize(text) if kind != duckdb.token_type.comment]
     encoded = text.encode()
     found = []
@@ -95,7 +90,7 @@ def _explained(connection: duckdb.DuckDBPyConnection, text: str) -> list[str]:
         if len(statements) == 1:
             found.append(rest)
             if not rest.startswith("("):
-                break  # the words after it belong to it
+                break  # what follows belongs to it
     if not found:
         raise _refused("EXPLAIN of this")
     return found
@@ -126,13 +121,9 @@ def _check_tree(tree: dict[str, Any], functions: Collection[str]) -> None:
         elif kind == "FUNCTION" and str(each.get("function_name")).lower() in REFUSED_FUNCTIONS:
             raise _refused(f"the function {each['function_name']}()")
         elif kind in {"BASE_TABLE", "SHOW_REF"}:
-            _check_name(str(each.get("table_name") or ""))
-
-
-def _check_name(name: str) -> None:
-    """DuckDB takes a table's name that looks like a file's for that file."""
-    if re.search(r"[./\\*?:\[]", name.strip('\\"')):
-        raise _refused(f"the file {name}, and every other,")
+            name = str(each.get("table_name") or "")
+            if re.search(r"[./\\*?:\[]", name.strip('\\"')):  # DuckDB would read it as a file name
+                raise _refused(f"the file {name}, and every other,")
 
 
 def _objects(tree: Any) -> Iterator[dict[str, Any]]:

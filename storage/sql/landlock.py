@@ -1,7 +1,7 @@
-"""Landlock: a Linux process gives up, for good, all access to files but reading below some folders.
+"""Landlock: a Linux process irrevocably restricts itself to reading files below some folders.
 
-Threads started later inherit it, threads that run already do not: it is set before a library starts its own.
-See the kernel's documentation, ``userspace-api/landlock``.
+Only threads started later inherit it, so it is set before a library starts its own. See the kernel's documentation,
+``userspace-api/landlock``.
 """
 
 import ctypes
@@ -29,25 +29,14 @@ _SCOPES = 0b11  # abstract UNIX sockets and signals of others
 
 
 def landlock_version() -> int:
-    """Version of Landlock in this kernel; 0 if it has none or has it switched off."""
+    """Version of Landlock in this kernel; 0 without it."""
     return max(int(_libc().syscall(_CREATE_RULESET, None, 0, _VERSION_FLAG)), 0)
 
 
 def allow_reading_only(paths: Iterable[Path]) -> bool:
-    """Leave this thread, and those it starts, nothing but reading files below `paths`; files already open stay open.
+    """Restrict this thread, and those it starts, to reading existing `paths`; files already open stay open.
 
-    Parameters
-    ----------
-    paths: Folders and files; those that do not exist are passed over.
-
-    Returns
-    -------
-    bool
-        False where the kernel has no Landlock; nothing is restricted then.
-
-    Raises
-    ------
-    OSError: If the kernel refuses.
+    Returns False if the kernel has no Landlock; nothing is restricted then.
     """
     version = landlock_version()
     if version == 0:
@@ -56,7 +45,7 @@ def allow_reading_only(paths: Iterable[Path]) -> bool:
     network = _NETWORK if version >= _NETWORK_SINCE else 0
     scopes = _SCOPES if version >= _SCOPES_SINCE else 0
     attributes = struct.pack("QQQ", handled, network, scopes)
-    # an older kernel takes a longer structure whose unknown fields are 0
+    # older kernels accept a longer structure whose unknown fields are 0
     ruleset = _checked(_libc().syscall(_CREATE_RULESET, ctypes.c_char_p(attributes), len(attributes), 0))
     try:
         for path in paths:

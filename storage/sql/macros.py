@@ -1,4 +1,4 @@
-"""Macros of the catalogue that depend on what is in the store: units of measure turned into those of the reports."""
+"""Conversion macros for the units of measure that occur in a store."""
 
 from collections.abc import Iterable
 from contextlib import suppress
@@ -12,11 +12,7 @@ _ALWAYS = ("deg/s", "deg/h", "rad/s", "degC", "K", "degF")
 def conversion_macros(units: Iterable[str]) -> str:
     """Statements that define ``deg_per_h(value, unit_of_measure)`` and ``deg_c(value, unit_of_measure)``.
 
-    Both give null for a unit that measures something else.
-
-    Parameters
-    ----------
-    units: Units of measure that occur in the store.
+    Both give null for units of other quantities.
 
     Examples
     --------
@@ -41,6 +37,6 @@ def _cases(factors: list[tuple[str, float, float]]) -> str:
     cases = []
     for unit, factor, offset in factors:
         quoted = unit.replace("'", "''")
-        # written plainly they were decimals, whose products overflow
+        # plain literals would be decimals, whose products overflow
         cases.append(f"when '{quoted}' then value * '{factor!r}'::double + '{offset!r}'::double")
     return f"case unit_of_measure {' '.join(cases)} end"

@@ -1,4 +1,4 @@
-"""The door for Python: a store that is asked in SQL and answers as Polars or Arrow."""
+"""A store opened for SQL from Python, with answers as Polars or Arrow."""
 
 from os import PathLike
 from pathlib import Path
@@ -14,12 +14,7 @@ if TYPE_CHECKING:
 
 
 class Answer:
-    """The result of a statement, complete.
-
-    Parameters
-    ----------
-    table: It.
-    """
+    """The complete result of a statement."""
 
     def __init__(self, table: pa.Table) -> None:
         self._table = table
@@ -42,16 +37,11 @@ class Answer:
 
 
 class OpenedStore:
-    """A store as it is when it is opened.
-
-    Parameters
-    ----------
-    folder: Of the store.
-    limits: Time, memory and rows that one statement may take.
+    """A store as it is when it is opened; `limits` are the time, memory and rows of one statement.
 
     Raises
     ------
-    StoreError: If it is none.
+    StoreError: If the folder is not a store.
 
     Examples
     --------
@@ -64,11 +54,11 @@ class OpenedStore:
         self.door = SqlDoor(Store.open(Path(folder)), limits)
 
     def sql(self, statement: str, parameters: object = None) -> Answer:
-        """Answer one statement that reads; `parameters` fill its ``$name`` or ``?``.
+        """Run one reading statement; `parameters` fill its ``$name`` or ``?``.
 
         Raises
         ------
-        QueryError: If it would do more than read the store, fails, or takes more than the limits allow.
+        QueryError: If it would do more than read the store, fails, or exceeds the limits.
         """
         return Answer(self.door.ask(statement, parameters).read_all())
 

@@ -1,4 +1,4 @@
-"""Samples of one signal read back from the lake, in the order of their time; all of them, or an error."""
+"""Samples of one signal from the lake in the order of time: all of them, or an error."""
 
 import itertools
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ _ROWS = 122_880  # DuckDB's row group
 
 @dataclass(frozen=True)
 class SignalRecord:
-    """One signal of one run as the store holds it."""
+    """One stored signal of one run."""
 
     unit: str
     signal: str
@@ -35,18 +35,10 @@ class SignalRecord:
 def find_signal(
     catalog: Catalog, unit: str, signal: str, run: str | None = None, *, at_least_s: float = 0.0
 ) -> SignalRecord:
-    """The record of a signal; of the run measured last where no run is named.
+    """The record of a signal; without `run` that of the run measured last.
 
-    Parameters
-    ----------
-    catalog: The store.
-    unit, signal: Which signal.
-    run: Of which run. A run of unknown date counts as measured when it was recorded.
-    at_least_s: Where no run is named, one with so long a record comes before shorter ones.
-
-    Raises
-    ------
-    NotFound: If the store does not hold it; the message lists what it does hold.
+    A run of unknown date counts as measured when it was recorded. Records of at least `at_least_s` seconds take
+    precedence. NotFound lists what the store holds.
     """
     _check_held(catalog, "unit", unit, "", {})
     _check_held(catalog, "signal", signal, f" of unit {unit}", {"unit": unit})
@@ -74,17 +66,11 @@ def _check_held(catalog: Catalog, column: str, wanted: str, of: str, given: dict
 
 
 def read_signal(catalog: Catalog, record: SignalRecord) -> Iterator[SampleBatch]:
-    """Batches of a signal in the order of time, read piece by piece.
-
-    Raises
-    ------
-    NotFound: If raw rows of it were dropped: a part of a signal is not the signal.
-    StoreError: If a file of the lake is damaged.
-    """
+    """Batches of a signal in the order of time; NotFound if some raw rows were dropped."""
     if record.kept_raw is not None and record.kept_raw < record.samples:
         raise _gone(catalog, record.unit, record.signal, record.run, record.samples - record.kept_raw, record.samples)
     channels = catalog.rows(
-        'select channel, epoch, dt_ns, is_counts, scale, "offset", irregular from lake_channels '
+        'select channel, epoch, dt_ns, is_counts, scale, "offset", irregular from internal.lake_channels '
         "where unit = $unit and signal = $signal and run = $run order by t_first_ns",
         {"unit": record.unit, "signal": record.signal, "run": record.run},
     )
@@ -120,7 +106,8 @@ class _Stretch(NamedTuple):
 def _channel_rows(catalog: Catalog, channel: int, column: str) -> Iterator[pa.RecordBatch]:
     """Numbers, times and data of a channel in the order of its numbers."""
     rows = catalog.rows(
-        "select seq_first, seq_next, filename from lake_channel_parts where channel = $channel order by seq_first",
+        "select seq_first, seq_next, filename from internal.lake_channel_parts "
+        "where channel = $channel order by seq_first",
         {"channel": channel},
     )
     stretches = [_Stretch(first, after, Path(path).parent) for first, after, path in rows]
@@ -128,8 +115,11 @@ def _channel_rows(catalog: Catalog, channel: int, column: str) -> Iterator[pa.Re
         for stretch in stretches:
             yield from _part_rows(stretch.folder / SAMPLES_FILE, channel, column)
         return
-    # a segment that was mended later holds numbers between those of another part
-    sql = "select seq, t_ns, base + above as counts, value from lake_samples where channel = $channel order by seq"
+    # a segment that was recovered later has numbers between those of another part
+    sql = (
+        "select seq, t_ns, base + above as counts, value from internal.lake_samples "
+        "where channel = $channel order by seq"
+    )
     for batch in catalog.batches(sql, {"channel": channel}, _ROWS):
         yield batch.select(["seq", "t_ns", column])
 
@@ -141,8 +131,8 @@ def _part_rows(path: Path, channel: int, column: str) -> Iterator[pa.RecordBatch
         own = [i for i, each in enumerate(bounds) if each is not None and each.min <= channel <= each.max]
         try:
             for is_shared, numbers in itertools.groupby(own, key=lambda i: bounds[i].min != bounds[i].max):
-                told = ["channel"] if is_shared else []
-                for batch in file.iter_batches(_ROWS, list(numbers), [*told, "seq", "t_ns", *columns]):
+                extra = ["channel"] if is_shared else []
+                for batch in file.iter_batches(_ROWS, list(numbers), [*extra, "seq", "t_ns", *columns]):
                     rows = batch.filter(pc.equal(batch.column("channel"), channel)) if is_shared else batch
                     data = rows.column(columns[0])
                     if column == "counts":
@@ -157,22 +147,17 @@ def _gone(catalog: Catalog, unit: str, signal: str, run: str, gone: int, of: int
     return NotFound(
         f"unit {unit}, signal {signal}, run {run}: raw samples were dropped from {catalog.store.folder} to make room "
         f"({gone:,} of {of:,}; the documents raw_rows_dropped in the view events say when and why); what is kept of "
-        f"them stands in rollup_1s, rollup_10s and estimates, and in the log: `gyrofleet replay {run}`"
+        f"them is in rollup_1s, rollup_10s and estimates, and in the log: `gyrofleet replay {run}`"
     )
 
 
 def stored_between(
     catalog: Catalog, unit: str, signal: str, run: str, first_ns: int, last_ns: int
 ) -> tuple[IntArray, FloatArray]:
-    """Times (ns, ascending) and values of a signal's samples between two moments, both inclusive.
-
-    Raises
-    ------
-    NotFound: If raw rows of that time were dropped.
-    """
+    """Times (ns, ascending) and values of a signal between two times, inclusive; NotFound if raw rows were dropped."""
     where: dict[str, Any] = {"unit": unit, "signal": signal, "run": run, "first": first_ns, "last": last_ns}
     (dropped,) = catalog.rows(
-        "select coalesce(sum(samples), 0)::bigint, count(*) from lake_channels_dropped where unit = $unit and "
+        "select coalesce(sum(samples), 0)::bigint, count(*) from internal.lake_channels_dropped where unit = $unit and "
         "signal = $signal and run = $run and t_first_ns <= $last and t_last_ns >= $first",
         where,
     )
@@ -180,7 +165,7 @@ def stored_between(
         raise _gone(catalog, unit, signal, run, dropped[0], dropped[0])
     table = catalog.reader(
         'select s.t_ns, coalesce(s.value, (s.base + s.above) * c.scale + c."offset") as value '
-        "from lake_samples s join lake_channels c using (channel) "
+        "from internal.lake_samples s join internal.lake_channels c using (channel) "
         "where c.unit = $unit and c.signal = $signal and c.run = $run and s.t_ns between $first and $last "
         "order by s.t_ns",
         where,

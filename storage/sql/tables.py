@@ -1,13 +1,19 @@
-"""What can be asked in SQL: a catalogue's tables, their columns, examples, and a database file with all of them."""
+"""The tables that users can query: their columns and comments, examples, and a database file with all of them."""
 
+from collections.abc import Mapping
+from importlib.resources import files
+from importlib.resources.abc import Traversable
 from pathlib import Path
 
 import duckdb
+import msgspec
 
-from storage.sql.catalog import VIEWS, Catalog, layers
-from storage.sql.columns import column_words, comment_columns
+from storage.sql.catalog import Catalog, known_tables, layers
 from storage.store import Store
 from stream.errors import BadInput, GyrofleetError, NotFound
+
+ColumnTexts = Mapping[str, Mapping[str, str]]
+_EVERY = "every"
 
 EXAMPLES = {
     "How many samples of what?": "select unit, signal, run, samples, sample_interval_s from signals",
@@ -25,48 +31,71 @@ def examples() -> dict[str, str]:
     return EXAMPLES | {question: sql for layer in layers() for question, sql in layer.examples.items()}
 
 
-def told_tables(catalog: Catalog) -> list[dict[str, object]]:
-    """Name and comment of every table that is meant to be asked; of a layer that cannot be made, why."""
+def described_tables(catalog: Catalog) -> list[dict[str, object]]:
+    """Name and comment of every table; for a layer that cannot be computed, why."""
     failed: dict[str, str] = {}
     for layer in layers():
         try:
             catalog.rows(f"select 1 from {layer.tables[0]} limit 0")  # noqa: S608  a layer's own name
         except GyrofleetError as error:
-            failed |= dict.fromkeys(layer.tables, f"cannot be made: {error}")
-    told = "select view_name, comment from duckdb_views() union all select table_name, comment from duckdb_tables()"
-    comments: dict[str, str | None] = {name: comment for name, comment in catalog.rows(told)}  # noqa: C416
+            failed |= dict.fromkeys(layer.tables, f"cannot be computed: {error}")
+    comments: dict[str, str | None] = dict(
+        catalog.rows(
+            "select view_name, comment from duckdb_views() where schema_name = 'main' "
+            "union all select table_name, comment from duckdb_tables() where schema_name = 'main'"
+        )
+    )
     return [{"table": name, "what": failed.get(name) or comments.get(name) or ""} for name in known_tables()]
 
 
-def known_tables() -> list[str]:
-    """Names of the store's own tables and of those of all layers."""
-    return [*VIEWS, *(table for layer in layers() for table in layer.tables)]
-
-
 def columns_of(catalog: Catalog, name: str) -> list[dict[str, object]]:
-    """Columns of a table: name, type, and what it holds.
-
-    Raises
-    ------
-    NotFound: If there is no such table.
-    """
+    """Name, type and meaning of the columns of a table; NotFound if there is no such table."""
     if name not in known_tables():
         raise NotFound(f"there is no table {name!r}; tables are {', '.join(known_tables())}")
-    words = column_words(name)
-    # it is named, so that it is made
-    rows = catalog.rows(f"select column_name, column_type from (describe {name})")  # noqa: S608  one of ours
-    return [{"column": column, "type": kind, "what": words.get(column, "")} for column, kind in rows]
+    texts = column_texts(name)
+    rows = catalog.rows(f"select column_name, column_type from (describe {name})")  # noqa: S608  a known name
+    return [{"column": column, "type": kind, "what": texts.get(column, "")} for column, kind in rows]
+
+
+def read_texts(file: Traversable) -> ColumnTexts:
+    """Read column meanings: TOML with a table for each SQL table, and ``[every]`` for columns common to all."""
+    return msgspec.toml.decode(file.read_bytes(), type=dict[str, dict[str, str]])
+
+
+def column_texts(table: str) -> dict[str, str]:
+    """Meaning of the columns of a table.
+
+    Examples
+    --------
+    >>> column_texts("samples")["unit"], column_texts("runs")["duration_s"]
+    ('serial number of the device', 'from its first sample to its last, s')
+    """
+    found: dict[str, str] = {}
+    own = read_texts(files("storage.sql").joinpath("schema", "columns.toml"))
+    for texts in (own, *(layer.columns for layer in layers() if table in layer.tables)):
+        found |= texts.get(_EVERY, {})
+        found |= texts.get(table, {})
+    return found
+
+
+def comment_columns(catalog: Catalog) -> None:
+    """Set the comments of all columns in a catalogue; not done on opening, where every command would wait for it."""
+    texts = {table: column_texts(table) for table in known_tables()}
+    columns = catalog.rows(
+        "select table_name, column_name from duckdb_columns() "
+        "where schema_name = 'main' and table_name in (select unnest($known))",
+        {"known": known_tables()},
+    )
+    statements = []
+    for table, column in columns:
+        if column in texts[table]:
+            text = texts[table][column].replace("'", "''")
+            statements.append(f'comment on column "{table}"."{column}" is \'{text}\'')
+    catalog.define(";".join(statements))
 
 
 def export_catalogue(store: Store, path: Path) -> None:
-    """Write a DuckDB database: views over the store's Parquet files where they lie, metrics as tables.
-
-    It shows the store as it is now; made again it replaces the file.
-
-    Raises
-    ------
-    BadInput: If the file cannot be written.
-    """
+    """Write or replace a DuckDB database: views over the store's Parquet files as they are now, metrics as tables."""
     fresh = path.with_name(path.name + ".part")
     fresh.unlink(missing_ok=True)
     try:

@@ -1,1 +1,1 @@
-"""Upkeep of the lake: compaction in rounds, and retention of raw rows."""
+"""Upkeep of the lake: the service, and retention of raw rows."""

@@ -1,6 +1,6 @@
-"""Retention: raw rows of the oldest parts are let go of by age or size; what was made from them stays.
+"""Retention: raw rows of the oldest parts are dropped by age or size; what was derived from them stays.
 
-The document that says so is in the log before a file goes, so that the lake stays a function of the log.
+A document of it is in the log before a file is removed, so that the lake stays a function of the log.
 """
 
 import time
@@ -9,10 +9,9 @@ from typing import NamedTuple
 
 from storage.lake.lake import Lake
 from storage.lake.tables import SAMPLES_FILE
-from storage.log.notes import noted
-from storage.log.seal import sealed
+from storage.log.store_documents import signed, store_document
 from storage.manifests.lake import Manifest, Part
-from storage.recording.noting import note
+from storage.recording.client import record_documents
 from storage.upkeep.retention_clock import check_clock
 from stream.errors import BadInput
 from stream.events import RAW_ROWS_DROPPED, RAW_ROWS_RESTORED, StoreNoted
@@ -22,23 +21,23 @@ _SIZES = {"B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
 
 
 class Rule(NamedTuple):
-    """How long, and how much of, raw rows are kept; None is no bound."""
+    """Age and size up to which raw rows are kept; None is no bound."""
 
     older_than_s: float | None = None
     max_bytes: int | None = None
 
     def __str__(self) -> str:
-        said = [] if self.older_than_s is None else [f"older than {told_age(self.older_than_s)}"]
-        said += [] if self.max_bytes is None else [f"beyond {self.max_bytes:,} bytes"]
-        return " or ".join(said) or "none"
+        bounds = [] if self.older_than_s is None else [f"older than {format_age(self.older_than_s)}"]
+        bounds += [] if self.max_bytes is None else [f"beyond {self.max_bytes:,} bytes"]
+        return " or ".join(bounds) or "none"
 
 
-def told_age(age_s: float) -> str:
+def format_age(age_s: float) -> str:
     """An age in its largest whole unit.
 
     Examples
     --------
-    >>> told_age(7776000.0), told_age(90.0)
+    >>> format_age(7776000.0), format_age(90.0)
     ('90 d', '90 s')
     """
     name = next((name for name in ("d", "h", "m") if age_s and age_s % _UNITS[name] == 0), "s")
@@ -46,7 +45,7 @@ def told_age(age_s: float) -> str:
 
 
 class Dropped(NamedTuple):
-    """Raw rows that are, or would be, let go of."""
+    """Raw rows that are, or would be, dropped."""
 
     parts: int
     segments: int
@@ -56,10 +55,6 @@ class Dropped(NamedTuple):
 
 def parse_age(text: str) -> float:
     """Seconds of an age like ``90d``, ``12h`` or ``2w``.
-
-    Raises
-    ------
-    BadInput: If it is none.
 
     Examples
     --------
@@ -78,10 +73,6 @@ def parse_age(text: str) -> float:
 def parse_size(text: str) -> int:
     """Bytes of a size like ``500GB``.
 
-    Raises
-    ------
-    BadInput: If it is none.
-
     Examples
     --------
     >>> parse_size("1.5 GB")
@@ -98,7 +89,7 @@ def parse_size(text: str) -> int:
 
 
 def choose(manifest: Manifest, rule: Rule, now_ns: int) -> list[Part]:
-    """Parts whose raw rows are to go by the rule, the oldest first."""
+    """Parts whose raw rows the rule drops, the oldest first."""
     kept = sorted(
         (part for part in manifest.parts if part.dropped is None and part.samples),
         key=lambda part: (part.arrival_last_ns or 0, part.name),
@@ -115,24 +106,12 @@ def choose(manifest: Manifest, rule: Rule, now_ns: int) -> list[Part]:
 
 
 def would_drop(manifest: Manifest, rule: Rule) -> Dropped:
-    """What the rule would let go of now."""
+    """What the rule would drop now."""
     return _sum(choose(manifest, rule, time.time_ns()))
 
 
 def apply_rule(lake: Lake, rule: Rule, *, now_ns: int | None = None) -> Dropped:
-    """Let go of what the rule says.
-
-    Parameters
-    ----------
-    lake: Whose raw rows.
-    rule: Which.
-    now_ns: The moment that ages count from.
-
-    Raises
-    ------
-    GyrofleetError: If the document cannot be brought into the log, or the clock cannot be believed where ages count;
-        then nothing is let go of.
-    """
+    """Drop raw rows by a rule, after a document of it is in the log; nothing if the clock cannot be trusted."""
     now_ns = time.time_ns() if now_ns is None else now_ns
     if rule.older_than_s is not None:
         check_clock(lake.store, lake.manifest, now_ns)
@@ -140,25 +119,14 @@ def apply_rule(lake: Lake, rule: Rule, *, now_ns: int | None = None) -> Dropped:
     dropped = _sum(chosen)
     if not chosen:
         return dropped
-    document = sealed(lake.store, _document(lake.store.identity, chosen, rule, dropped))
-    note(lake.store, [document], role="gyrofleet retain")
+    document = signed(lake.store, _document(lake.store.identity, chosen, rule, dropped))
+    record_documents(lake.store, [document], role="gyrofleet retain")
     lake.drop_raw({segment: document.uid for part in chosen for segment in part.segments})
     return dropped
 
 
 def restore_raw(lake: Lake) -> Dropped:
-    """Bring raw rows that were let go of back to the lake, as far as the log still has their segments.
-
-    Returns
-    -------
-    Dropped
-        What came back; `bytes` are those of the files as they are now.
-
-    Raises
-    ------
-    GyrofleetError: If the document that says so cannot be brought into the log, or a segment is damaged; the rest comes
-        back.
-    """
+    """Restore dropped raw rows, as far as the log still has their segments; returns what was restored."""
     there = {
         segment: document
         for segment, document in lake.manifest.dropped.items()
@@ -167,10 +135,10 @@ def restore_raw(lake: Lake) -> Dropped:
     if not there:
         return Dropped(0, 0, 0, 0)
     before = {part.name for part in lake.manifest.parts if part.dropped is None}
-    text = f"raw rows of {len(there)} segments, dropped before, are in the lake again; they were made from the log"
+    text = f"raw rows of {len(there)} segments, dropped before, were restored from the log"
     details = {"segments": sorted(there), "documents": sorted(set(there.values()))}
-    document = sealed(lake.store, noted(lake.store.identity, RAW_ROWS_RESTORED, text, details))
-    note(lake.store, [document], role="gyrofleet rebuild --raw")
+    document = signed(lake.store, store_document(lake.store.identity, RAW_ROWS_RESTORED, text, details))
+    record_documents(lake.store, [document], role="gyrofleet rebuild --raw")
     lake.restore_raw({segment: (*lake.manifest.restored.get(segment, ()), by) for segment, by in there.items()})
     back = [part for part in lake.manifest.parts if part.dropped is None and part.name not in before]
     return _sum(back)
@@ -188,7 +156,7 @@ def _sum(chosen: list[Part]) -> Dropped:
 def _document(store: str, chosen: list[Part], rule: Rule, dropped: Dropped) -> StoreNoted:
     first_ns = min(part.t_first_ns or 0 for part in chosen)
     last_ns = max(part.t_last_ns or 0 for part in chosen)
-    return noted(
+    return store_document(
         store,
         RAW_ROWS_DROPPED,
         text=(

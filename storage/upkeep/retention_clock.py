@@ -1,7 +1,7 @@
-"""Whether the clock can be believed before raw rows go by their age: a clock that leaps makes everything old at once.
+"""Plausibility of the clock before raw rows are dropped by age: a clock that leaps makes everything old at once.
 
-What is known of it is kept beside the lake: when it was last looked at, by the clock of the wall and by that of the
-machine, which nobody sets, and up to when a person has said that a leap is true.
+A file beside the lake keeps the last readings of the wall clock and of the machine's clock, which nobody sets, and up
+to when a person has confirmed leaps.
 """
 
 import time
@@ -11,6 +11,7 @@ import msgspec
 
 from storage.manifests.lake import Manifest
 from storage.store import Store
+from stream.atomic_file import replacement
 from stream.errors import StoreError
 
 _NAME = "retention-clock.json"
@@ -22,11 +23,11 @@ _REMEDY = "nothing is dropped by age; set the clock right, or, if it is right, g
 
 
 class RetentionPaused(StoreError):
-    """Ages cannot be told, as the clock has leapt."""
+    """Ages are unknown, since the clock has leapt."""
 
 
 class Seen(msgspec.Struct, frozen=True):
-    """When the clocks were last looked at, and up to when leaps are true, nanoseconds."""
+    """Last readings of the clocks, and up to when leaps are confirmed, nanoseconds."""
 
     wall_ns: int
     machine_ns: int
@@ -35,12 +36,10 @@ class Seen(msgspec.Struct, frozen=True):
 
 
 def check_clock(store: Store, manifest: Manifest, now_ns: int) -> None:
-    """Remember what the clock says now.
+    """Check the clock, and keep its reading; RetentionPaused if it is implausible.
 
-    Raises
-    ------
-    RetentionPaused: If it cannot be right: it has leapt beside the clock of the machine, went back, or went on by more
-        than 30 days in which neither was anything recorded nor was it looked at. It is then not remembered.
+    It is if it leapt against the machine's clock, went back, or advanced by more than 30 days without any recording or
+    check.
     """
     last = _read(store)
     reason = _doubt(manifest, last, now_ns)
@@ -50,12 +49,12 @@ def check_clock(store: Store, manifest: Manifest, now_ns: int) -> None:
 
 
 def trust_clock(store: Store, now_ns: int) -> None:
-    """Take what the clock says now, and all leaps before, for true."""
+    """Confirm the present time, and all leaps before."""
     _write(store, Seen(now_ns, _machine_ns(), _boot(), now_ns))
 
 
 def _doubt(manifest: Manifest, last: Seen | None, now_ns: int) -> str | None:
-    """Why the clock cannot be right; None where it may be."""
+    """Why the clock is implausible; None if it is not."""
     if last is not None and last.boot and last.boot == _boot():
         leap_ns = (now_ns - last.wall_ns) - (_machine_ns() - last.machine_ns)
         if abs(leap_ns) > _MOST_APART_NS:
@@ -94,7 +93,7 @@ def _boot() -> str:
     try:
         return _BOOT.read_text().strip()
     except OSError:
-        return ""  # then only arrivals tell
+        return ""  # then only arrivals are compared
 
 
 def _read(store: Store) -> Seen | None:
@@ -106,9 +105,8 @@ def _read(store: Store) -> Seen | None:
 
 def _write(store: Store, seen: Seen) -> None:
     path = store.folder / _NAME
-    fresh = path.with_suffix(".new")
     try:
-        fresh.write_bytes(msgspec.json.encode(seen))
-        fresh.replace(path)
+        with replacement(path) as fresh:
+            fresh.write_bytes(msgspec.json.encode(seen))
     except OSError as error:
-        raise StoreError(f"{path} cannot be written: {error}; free space or mend the disk") from error
+        raise StoreError(f"{path} cannot be written: {error}; free space or repair the disk") from error

@@ -1,4 +1,4 @@
-"""The builder of the lake as a service: segments as they are sealed, compaction, retention, removal of the replaced."""
+"""The lake service: builds segments as they are sealed, compacts, applies retention, removes replaced files."""
 
 import time
 from dataclasses import dataclass
@@ -15,47 +15,41 @@ _RETRY_S = 60.0
 _RETENTION_EVERY_S = 60.0
 
 
-class Tell(Protocol):
-    """Says what was done: an event in one word, a sentence, and numbers."""
+class Report(Protocol):
+    """Reports what was done: an event in one word, a sentence, and numbers."""
 
     def __call__(self, event: str, text: str, **numbers: object) -> None:
-        """Say it."""
+        """Report it."""
 
 
 @dataclass
 class LakeCounts:
-    """What was done since the start."""
+    """Totals since the start."""
 
     segments: int = 0
     compacted: int = 0
 
 
 class LakeService:
-    """Keeps a lake as it should be, round by round.
+    """Maintains a lake round by round; the caller holds `builder_lock`.
 
-    What cannot be done is told once and tried again after a minute; it holds up nothing else.
-
-    Parameters
-    ----------
-    store: Whose; the caller holds `builder_lock`.
-    tell: Says what was done.
-    rule: Which raw rows to let go of.
-    grace_s: How long what is out of force stays for its readers.
+    A failure is reported once and retried after a minute; it delays nothing else. `grace_s` is how long replaced files
+    stay for their readers.
     """
 
-    def __init__(self, store: Store, *, tell: Tell, rule: Rule | None = None, grace_s: float = 3600.0) -> None:
+    def __init__(self, store: Store, *, report: Report, rule: Rule | None = None, grace_s: float = 3600.0) -> None:
         self._store = store
-        self._tell = tell
+        self._report = report
         self._rule = rule
         self._grace_s = grace_s
         self._lake: Lake | None = None
         self._retained_at = float("-inf")
         self._failed: dict[str, float] = {}
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self.counts = LakeCounts()
 
     def round(self, stopped: Stop) -> list[str]:
-        """Do what there is to do, until `stopped`; returns what went wrong."""
+        """Do everything that is due, until `stopped`; returns the failures."""
         problems: list[str] = []
         for what, step in (("lake", self._build), ("compaction", self._compact), ("retention", self._retain)):
             if stopped.asked_at is not None:
@@ -77,7 +71,7 @@ class LakeService:
             self.counts.segments += 1
             left = len(waiting) - number - len(failed)
             more = f", {left} more to come" if left else ""
-            self._tell("segment", f"segment {segment} is in the lake{more}", segment=segment, left=left)
+            self._report("segment", f"segment {segment} is in the lake{more}", segment=segment, left=left)
             if number % FAN_IN == 0:
                 self._compact(stopped, problems)
         for segment, error in failed.items():
@@ -88,7 +82,7 @@ class LakeService:
         lake = self._opened()
         for done in compact(lake):
             self.counts.compacted += done.parts
-            self._tell("compacted", f"{done.parts} parts are one now: {done.name}", part=done.name, parts=done.parts)
+            self._report("compacted", f"{done.parts} parts are one now: {done.name}", part=done.name, parts=done.parts)
             if stopped.asked_at is not None:
                 return
         lake.purge(self._grace_s)
@@ -100,7 +94,7 @@ class LakeService:
         dropped = apply_rule(self._opened(), self._rule)
         if dropped.parts:
             text = f"raw rows of {dropped.samples:,} samples dropped, {dropped.bytes:,} bytes ({self._rule})"
-            self._tell("raw_rows_dropped", text, **dropped._asdict())
+            self._report("raw_rows_dropped", text, **dropped._asdict())
 
     def _opened(self) -> Lake:
         if self._lake is None:
@@ -110,7 +104,7 @@ class LakeService:
     def _problem(self, problems: list[str], what: str, error: Exception) -> None:
         text = str(error) if isinstance(error, GyrofleetError) else f"the lake cannot be written: {error}"
         problems.append(text)
-        self._lake = None  # what is on disk counts, not what was about to be
-        if text not in self._told:
-            self._told.add(text)
-            self._tell("problem", text, what=what)
+        self._lake = None  # read again from the disk
+        if text not in self._reported:
+            self._reported.add(text)
+            self._report("problem", text, what=what)

@@ -1,4 +1,4 @@
-"""What a publisher has on its way: how much, in which order, and what the recorder's answers make of it."""
+"""The unacknowledged messages of a publisher, in order, and the handling of the recorder's answers."""
 
 import time
 
@@ -6,26 +6,26 @@ from stream.delivery.outgoing import Held, OutgoingStream
 from stream.delivery.spool import Spool
 from stream.wire.acknowledgement import StreamId, StreamPosition
 
-BITE_BYTES = 256 << 10
+CHUNK_BYTES = 256 << 10
 _FIRST_CREDIT_BYTES = 1 << 20
 _LONGEST_PATIENCE_S = 10.0
 _PAUSE_HOLDS_S = 3.0
-_ASKED_IN_A_PAUSE = 10
-_LOST_AFTER = 5  # patiences, after which a recorder that asks for what it had acknowledged is believed
+_POLLED_IN_A_PAUSE = 10
+_LOST_AFTER = 5  # patiences, after which a request for acknowledged messages is taken as a loss
 
 Due = tuple[OutgoingStream, Held]
 
 
 class Outbox:
-    """The streams of one publisher, with what is held of them in memory. Whoever calls holds the publisher's lock.
+    """The streams of one publisher and their messages in memory; callers hold the publisher's lock.
 
-    `bytes` are held; what is sent again or read from the disk costs `credit`, which acknowledgements give back
-    twofold. `behind` are the streams with messages that wait to be published; `progress_at` is when a recorder last
-    gave a sign of life, `paused` what it then said; `broken` is why nothing can be delivered any more.
+    `bytes` are held; messages sent again or read from disk cost `credit`, which acknowledgements return twofold.
+    `behind` are the streams with messages that wait to be published. `progress_at` is the time of the recorder's last
+    activity, `paused` the reason of its pause; `broken` is why nothing can be delivered any more.
 
-    All goes to one store: `store` is its identity, that of the first recorder that has taken something where it is not
-    given. What recorders of others answer is not heard; `other_store` is the last of those that asked for something.
-    Answers that cannot be true, of numbers that were never sent, are `ignored`, and counted.
+    Everything goes to one store: `store` is its identity, if not given that of the first recorder that has taken
+    something. Answers of recorders of other stores are ignored; `other_store` is the last one that asked for something.
+    Answers about numbers that were never sent are counted in `ignored`.
     """
 
     def __init__(self, window_bytes: int, resend_after_s: float, spool: Spool | None, store: str | None = None) -> None:
@@ -49,7 +49,7 @@ class Outbox:
         self.warning: str | None = None
 
     def stream(self, stream_id: StreamId) -> OutgoingStream:
-        """The stream of that name, begun where the spool knows it to be."""
+        """The stream of that name, begun at its position in the spool."""
         stream = self.streams.get(stream_id)
         if stream is not None:
             return stream
@@ -65,7 +65,7 @@ class Outbox:
         return stream
 
     def hold(self, stream: OutgoingStream, held: Held) -> bool:
-        """Keep a message in memory; whether it is to be published now, as all before it in its stream were."""
+        """Keep a message in memory; returns whether it is published now, because all before it in its stream were."""
         if not stream.held:
             stream.quiet_since = time.monotonic()
             if not self.bytes:
@@ -84,32 +84,32 @@ class Outbox:
         return not self.bytes or self.bytes + size <= self._window_bytes
 
     def is_paused(self) -> bool:
-        """Whether the recorder has just said that it takes nothing."""
+        """Whether the recorder has just reported a pause."""
         return bool(self.paused) and time.monotonic() - self._paused_at < _PAUSE_HOLDS_S
 
     def count(self) -> int:
-        """Messages that are not acknowledged; of those on disk from before, at most so many."""
+        """Messages that are not acknowledged; of those on disk from before, an upper bound."""
         spooled = 0 if self._spool is None else self._spool.waiting
         return spooled + sum(len(stream.held) for stream in self.streams.values())
 
-    def told(self) -> str:
-        """What is outstanding, in words."""
+    def format_outstanding(self) -> str:
+        """What is outstanding, for people."""
         waiting = {stream.id.key: len(stream.held) for stream in self.streams.values() if stream.held}
-        told = f"{self.count()} messages are outstanding"
+        text = f"{self.count()} messages are outstanding"
         if waiting:
-            first, count = next(iter(sorted(waiting.items())))
+            first, count = min(waiting.items())
             more = f" and {len(waiting) - 1} more streams" if len(waiting) > 1 else ""
-            told = f"{count} messages of {first}{more} are outstanding"
+            text = f"{count} messages of {first}{more} are outstanding"
         if self._spool is None:
-            return told
-        return f"{told}; they are kept in {self._spool.folder} and sent when the same source starts again"
+            return text
+        return f"{text}; they are kept in {self._spool.folder} and sent when the same source starts again"
 
     def answer(self, store: str, position: StreamPosition, now: float) -> None:
-        """Take in what a recorder says of a stream."""
+        """Process the answer of a recorder about a stream."""
         name = (position.key, position.epoch)
         stream, base = self._renamed.get(name) or (self.streams.get(name), 0)
         if stream is None or base != stream.base:
-            return  # under a name from before: what was sent so is let go of, and what it lacks of it is lost
+            return  # of an epoch before: those messages are acknowledged or lost
         if self.store not in {None, store}:
             self.other_store = store
             return
@@ -119,42 +119,42 @@ class Outbox:
         elif position.rewind:
             self._rewind(stream, next_seq, now)
         else:
-            self._take(stream, store, next_seq, now)
+            self._acknowledge(stream, store, next_seq, now)
 
-    def told_other_store(self) -> str:
+    def format_other_store(self) -> str:
         """That a recorder of another store answers, as the end of a sentence; empty where none does."""
         if self.other_store is None:
             return ""
         return (
-            f"; a recorder of another store ({self.other_store[:40]}) asks for it, but it goes to the store "
+            f"; a recorder of another store ({self.other_store[:40]}) requests them, but they go to the store "
             f"{self.store}: send to one store until the run has ended"
         )
 
     def _ignore(self, stream: OutgoingStream, store: str, next_seq: int) -> None:
-        """Report an answer that no recorder of ours gives: of what was never sent."""
+        """Warn of an answer about numbers that were never sent."""
         self.ignored += 1
         self.warning = (
             f"an answer is ignored, {self.ignored} so far: it names number {next_seq} of {stream.id.key}, of which "
-            f"{stream.sent_to} were sent; another program answers on this bus in the name of store {store[:40]}"
+            f"{stream.sent_to} were sent; another program answers on this bus as store {store[:40]}"
         )
 
-    def hear_pause(self, reason: str, now: float) -> None:
-        """Take in why the recorder takes nothing; an empty reason: it takes."""
+    def update_pause(self, reason: str, now: float) -> None:
+        """Process the reason why the recorder pauses; empty while it records."""
         if reason:
             self.progress_at = self._paused_at = now
             for stream in self.streams.values():
                 stream.on_ack()
         elif self.paused:
             for stream in self.streams.values():
-                stream.quiet_since = float("-inf")  # it takes again: ask at once what it has
+                stream.quiet_since = float("-inf")  # it records again: poll at once
         self.paused = reason
 
-    def _take(self, stream: OutgoingStream, store: str, next_seq: int, now: float) -> None:
+    def _acknowledge(self, stream: OutgoingStream, store: str, next_seq: int, now: float) -> None:
         if next_seq:
             self.store = store
         if self._spool is not None:
             self._spool.acknowledge(store, stream.id, next_seq)
-        freed = stream.let_go(next_seq)
+        freed = stream.release(next_seq)
         if freed:
             stream.mark_progress(now)
             self.bytes -= freed
@@ -162,57 +162,54 @@ class Outbox:
             self.progress_at = now
 
     def _rewind(self, stream: OutgoingStream, asked: int, now: float) -> None:
-        """Go back to number `asked`, which the recorder lacks; what is before it is not durable there yet."""
+        """Return to number `asked`, which the recorder lacks; messages before it are not durable there yet."""
         if stream.held and stream.held[0].seq > asked:
             self._miss(stream, asked, now)
-        elif again := stream.go_back(asked, now):
+        elif again := stream.rewind(asked, now):
             self.resent += again
             self.credit = max(self.credit, _FIRST_CREDIT_BYTES)
             self.behind[stream] = None
 
     def _miss(self, stream: OutgoingStream, asked: int, now: float) -> None:
-        """The recorder asks for what is not here any more."""
-        told = f"the recorder asks for {stream.id.key} from number {asked}, and this source has it from"
+        """Handle a request for messages that are not here any more."""
+        text = f"the recorder asks for {stream.id.key} from number {asked}, and this source has it from"
         is_lost_there = asked < stream.acknowledged
         if is_lost_there:
             stream.lost_since = now if stream.lost_since is None else stream.lost_since
             if now - stream.lost_since <= _LOST_AFTER * self._resend_after_s:
-                return  # perhaps only a request that comes late
+                return  # it may be a late request
         if self._spool is not None:
-            self._begin_anew(stream, self._spool)
+            stream.begin_new_epoch()
+            self._spool.rebase(stream.id, stream.base)
+            self._renamed[stream.wire_id] = stream, stream.base
+            self.behind[stream] = None
             why = "its spool is damaged"
             if is_lost_there:
                 why = "the recorder has lost what it had acknowledged (see `gyrofleet verify`)"
-            self.warning = f"{told} {stream.base}, as {why}: it goes on under a new epoch"
+            self.warning = f"{text} {stream.base}, as {why}: it continues under a new epoch"
         elif is_lost_there:
             self.broken = (
-                f"{told} {stream.acknowledged}: it has lost what it had acknowledged; look at its store with "
+                f"{text} {stream.acknowledged}: it has lost what it had acknowledged; look at its store with "
                 f"`gyrofleet verify`"
             )
         else:
-            self.broken = f"{told} {stream.held[0].seq}; send what is before it, or begin a new epoch"
-
-    def _begin_anew(self, stream: OutgoingStream, spool: Spool) -> None:
-        stream.begin_anew()
-        spool.rebase(stream.id, stream.base)
-        self._renamed[stream.wire_id] = stream, stream.base
-        self.behind[stream] = None
+            self.broken = f"{text} {stream.held[0].seq}; send the messages before it, or begin a new epoch"
 
     def overdue(self, now: float) -> list[Due]:
-        """What to send again because nothing was answered."""
+        """The messages to send again because nothing was answered."""
         if self.credit <= 0:
-            self.credit = BITE_BYTES  # whatever is not answered, a little goes on
+            self.credit = CHUNK_BYTES  # without any answer, a little is still sent
         overdue = [stream for stream in self.streams.values() if stream.is_overdue(now)]
         if self.is_paused():
-            overdue = overdue[:_ASKED_IN_A_PAUSE]  # enough to learn that it is over
-        asked = [(stream, held) for stream in overdue for held in stream.ask(now, self._longest_wait_s)]
-        self.resent += len(asked)
-        return asked
+            overdue = overdue[:_POLLED_IN_A_PAUSE]  # enough to notice its end
+        polled = [(stream, held) for stream in overdue for held in stream.poll(now, self._longest_wait_s)]
+        self.resent += len(polled)
+        return polled
 
     def next_chunk(self) -> list[Due]:
-        """The next messages of the streams that are behind, as far as credit goes."""
+        """The next messages of the streams that are behind, up to the credit."""
         chunk: list[Due] = []
-        room = min(BITE_BYTES, self.credit)
+        room = min(CHUNK_BYTES, self.credit)
         while self.behind and room > 0:
             stream = next(iter(self.behind))
             messages = stream.unsent(room)

@@ -1,7 +1,7 @@
-"""One numbered stream on its way: what is not acknowledged yet, how much of it was sent, where to go back to."""
+"""One numbered stream of a publisher: what is not acknowledged, how much of it was sent, where to rewind."""
 
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import NamedTuple
 from uuid import UUID, uuid5
@@ -16,76 +16,61 @@ _FIRST_REWIND_PATIENCE_S = 0.5
 
 
 class Held(NamedTuple):
-    """A message that is kept: numbers `seq` to `next_seq - 1`."""
+    """An unacknowledged message: numbers `seq` to `next_seq - 1`."""
 
     seq: int
     next_seq: int
     payload: bytes
 
 
+@dataclass(slots=True, eq=False)
 class OutgoingStream:
-    """What a publisher knows of one stream.
+    """State of one stream of a publisher.
 
-    The first `sent` of the messages that are `held` have been published, and not those after them; `sent_to` is the
-    number behind the last one that ever was, beyond which nobody can have anything of it. `pumping` says that
-    a thread is about to publish some, so that nobody overtakes it. From number `base` on the stream is sent under an
-    epoch of its own, because what was before is lost.
+    The first `sent` of the messages that are `held` have been published; `sent_to` is the number after the last one
+    that ever was. `pumping`: a thread is about to publish some, so that no other may overtake it. From number `base` on
+    the stream is sent under an epoch of its own, because the messages before it are lost.
 
     Examples
     --------
     >>> stream = OutgoingStream(StreamId("k", "00000000000000000000000000000001"), 2.0)
     >>> stream.held.extend([Held(0, 10, b"a"), Held(10, 20, b"b"), Held(20, 30, b"c")])
     >>> stream.sent = 3
-    >>> stream.let_go(10)
+    >>> stream.release(10)
     1
-    >>> stream.go_back(10, now=0.0), stream.sent
+    >>> stream.rewind(10, now=0.0), stream.sent
     (2, 0)
     """
 
-    __slots__ = (
-        "_first_patience_s",
-        "_rewind_patience_s",
-        "_rewound_at",
-        "_rewound_to",
-        "acknowledged",
-        "base",
-        "encoder",
-        "epoch",
-        "held",
-        "id",
-        "lost_since",
-        "patience_s",
-        "pumping",
-        "quiet_since",
-        "sent",
-        "sent_to",
-    )
+    id: StreamId
+    patience_s: float
+    epoch: UUID | None = None
+    encoder: BatchEncoder = field(default_factory=BatchEncoder)
+    held: deque[Held] = field(default_factory=deque)
+    sent: int = 0
+    sent_to: int = 0
+    pumping: bool = False
+    base: int = 0
+    acknowledged: int = 0
+    lost_since: float | None = None
+    quiet_since: float = 0.0
+    _first_patience_s: float = field(init=False)
+    _rewound_to: int = -1
+    _rewound_at: float = 0.0
+    _rewind_patience_s: float = 0.0
 
-    def __init__(self, stream_id: StreamId, patience_s: float) -> None:
-        self.id = stream_id
-        self.epoch: UUID | None = None
-        self.encoder = BatchEncoder()
-        self.held: deque[Held] = deque()
-        self.sent = 0
-        self.sent_to = 0
-        self.pumping = False
-        self.base = 0
-        self.acknowledged = 0
-        self.lost_since: float | None = None
-        self.quiet_since = 0.0
-        self.patience_s = self._first_patience_s = patience_s
-        self._rewound_to = -1
-        self._rewound_at = 0.0
-        self._rewind_patience_s = 0.0
+    def __post_init__(self) -> None:
+        """Remember the patience to return to."""
+        self._first_patience_s = self.patience_s
 
     @property
     def wire_id(self) -> StreamId:
-        """What the recorder knows it as."""
+        """Identity of the stream at the recorder."""
         return self._id_from(self.base)
 
     def on_wire(self, payload: bytes) -> bytes:
         """A message as it is published."""
-        base = self.base  # once: an answer can move it meanwhile, and name and number belong together
+        base = self.base  # read once: an answer may change it meanwhile, and name and number belong together
         if not base:
             return payload
         epoch = self._id_from(base).epoch
@@ -95,8 +80,8 @@ class OutgoingStream:
         event = decode_event(payload)
         return encode_event(event.document, epoch, event.seq - base)
 
-    def let_go(self, next_seq: int) -> int:
-        """Forget what comes before `next_seq`, as a recorder has it; returns its bytes."""
+    def release(self, next_seq: int) -> int:
+        """Drop the messages before `next_seq`, which a recorder has; returns their bytes."""
         self.acknowledged = max(self.acknowledged, next_seq)
         held, size, count = self.held, 0, 0
         while held and held[0].next_seq <= next_seq:
@@ -106,7 +91,7 @@ class OutgoingStream:
         return size
 
     def on_ack(self) -> None:
-        """The recorder is there: it need not be asked less and less often."""
+        """Reset the patience: the recorder is there."""
         self.patience_s = self._first_patience_s
 
     def mark_progress(self, now: float) -> None:
@@ -116,23 +101,23 @@ class OutgoingStream:
         self.lost_since = None
 
     def is_overdue(self, now: float) -> bool:
-        """Whether it is time to ask what became of the last message that was sent."""
+        """Whether it is time to ask about the last message that was sent."""
         return self.sent > 0 and not self.pumping and now - self.quiet_since > self.patience_s
 
-    def ask(self, now: float, longest_s: float) -> list[Held]:
-        """The first and the last message that were sent and not acknowledged, to be sent once more.
+    def poll(self, now: float, longest_s: float) -> list[Held]:
+        """The first and the last message that were sent and not acknowledged, to be sent again.
 
-        The first may be what the recorder lacks; the last makes it ask, whatever else it lacks.
+        The recorder may lack the first; the last makes it ask for whatever else it lacks.
         """
         self.quiet_since = now
         self.patience_s = min(2 * self.patience_s, longest_s)
         return [self.held[i] for i in sorted({0, self.sent - 1})]
 
-    def go_back(self, asked: int, now: float) -> int:
-        """Begin again at number `asked`; returns how many messages will be sent once more.
+    def rewind(self, asked: int, now: float) -> int:
+        """Return to number `asked`; returns how many messages will be sent again.
 
-        What was on its way when it was first asked for makes the recorder ask for the same again: such requests are
-        left alone for a while, and longer each time.
+        Messages in transit make the recorder repeat its request: repeated requests are ignored for a while, longer
+        each time.
         """
         self.on_ack()
         if asked == self._rewound_to:
@@ -142,17 +127,13 @@ class OutgoingStream:
         else:
             self._rewind_patience_s = min(_FIRST_REWIND_PATIENCE_S, self._first_patience_s / 4)
         self._rewound_to, self._rewound_at = asked, now
-        first = 0
-        for message in self.held:
-            if message.next_seq > asked:
-                break
-            first += 1
+        first = next((i for i, message in enumerate(self.held) if message.next_seq > asked), len(self.held))
         again = max(0, self.sent - first)
         self.sent -= again
         return again
 
-    def begin_anew(self) -> None:
-        """What is held is sent under an epoch of its own: what was before it is lost."""
+    def begin_new_epoch(self) -> None:
+        """Send what is held under an epoch of its own: the messages before it are lost."""
         self.base = self.held[0].seq
         self.sent = 0
         self.lost_since = None

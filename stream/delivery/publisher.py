@@ -1,8 +1,8 @@
 """Delivery of numbered messages: kept by the source until a recorder has them on disk.
 
 Zenoh has no durable acknowledgement, and a publisher's put returns normally for a message that is then lost.
-So a source numbers what it sends per stream (a key expression and an epoch), keeps it, and lets go of it only
-when a recorder acknowledges it after its data are on disk. At least once on the wire, exactly once in the log.
+So a source numbers its messages per stream (a key expression and an epoch) and keeps each of them until a recorder
+acknowledges that it is on disk. At least once on the wire, exactly once in the log.
 """
 
 import threading
@@ -14,7 +14,7 @@ from uuid import uuid4
 
 from stream.batch import SampleBatch
 from stream.bounds import MAX_KEY_CHARS, MAX_MESSAGE_BYTES
-from stream.delivery.outbox import BITE_BYTES, Due, Outbox
+from stream.delivery.outbox import CHUNK_BYTES, Due, Outbox
 from stream.delivery.outgoing import Held, OutgoingStream
 from stream.delivery.spool import Spool, SpoolError, SpoolFull
 from stream.errors import DeliveryError, GyrofleetError, WireError
@@ -44,10 +44,10 @@ _TICK_S = 0.25
 
 
 class Sender(Protocol):
-    """Where a source hands its samples and documents to."""
+    """Destination of a source's samples and documents."""
 
     def send_batch(self, key: str, batch: SampleBatch) -> None:
-        """Send samples under `key`; waits while too much is on its way."""
+        """Send samples under `key`; waits while too much is unacknowledged."""
 
     def send_event(self, key: str, document: AnyDocument) -> None:
         """Send a run document under `key`."""
@@ -56,20 +56,20 @@ class Sender(Protocol):
 class DurablePublisher:
     """Sends samples and documents, and keeps them until they are acknowledged.
 
-    Messages of a stream are sent in their order. If the recorder asks for one once more, the stream goes back to it
-    and on from there, in an amount that grows with what is acknowledged. Where nothing is answered, the first and
-    the last message of the stream are sent again: the recorder then says what it has, or what it lacks.
+    Messages of a stream are sent in order. If the recorder asks for one again, the stream returns to it and continues
+    from there, in an amount that grows with what is acknowledged. Without an answer, the first and the last message of
+    the stream are sent again: the recorder then reports what it has, or what it lacks.
 
     Parameters
     ----------
     bus: Where to send.
     window_bytes: How much may be unacknowledged in memory. Beyond it `send_batch` waits, or, with a spool, leaves it on
         disk. It bounds the memory of the source and of the recorder's queue alike.
-    resend_after_s: Silence of a stream after which the recorder is asked; doubled each time, up to 10 s.
-    timeout_s: Silence after which waiting is given up with an error. A recorder that says why it pauses is not silent.
-    only_store: Identity of the store that has to have it; by default that of the first recorder that has taken
-        something. What recorders of others answer is not heard.
-    spool: Keeps messages on disk. What it holds from before is sent first. The caller closes it after the publisher.
+    resend_after_s: Silence of a stream after which the recorder is polled; doubled each time, up to 10 s.
+    timeout_s: Silence after which waiting ends with an error. A recorder that reports a pause is not silent.
+    only_store: Identity of the store to send to; by default that of the first recorder that has taken something.
+        Answers of recorders of other stores are ignored.
+    spool: Keeps messages on disk; earlier ones are sent first. The caller closes it after the publisher.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class DurablePublisher:
         self._epoch = uuid4().hex
         self._event_seq: dict[str, int] = {}
         self._by_key: dict[str, OutgoingStream] = {}
-        self._is_told = False
+        self._is_reported = False
         self._is_loading = False
         self._closed = False
         self._numbering = threading.Lock()
@@ -103,29 +103,29 @@ class DurablePublisher:
 
     @property
     def outstanding(self) -> int:
-        """Messages that no recorder has acknowledged yet; of those from before a restart, at most so many."""
+        """Messages that no recorder has acknowledged yet; of those from before a restart, an upper bound."""
         with self._lock:
             return self._out.count()
 
     @property
     def paused(self) -> str | None:
-        """Why the recorder takes nothing at the moment; None while it records, or says nothing."""
+        """Why the recorder pauses; None while it records, or reports nothing."""
         with self._lock:
             return self._out.paused if self._out.is_paused() else None
 
     @property
     def resent(self) -> int:
-        """How many messages were sent once more."""
+        """How many messages were sent again."""
         return self._out.resent
 
     @property
     def ignored(self) -> int:
-        """Answers that named what was never sent."""
+        """Answers about numbers that were never sent."""
         return self._out.ignored
 
     @property
     def warning(self) -> str | None:
-        """What people should know, while it is so; None where all is well."""
+        """Current warning, for people; None if there is none."""
         return (self._spool.failure if self._spool is not None else None) or self._out.warning
 
     def send_batch(self, key: str, batch: SampleBatch) -> None:
@@ -154,18 +154,16 @@ class DurablePublisher:
     def send_event(self, key: str, document: AnyDocument) -> None:
         """Send a run document under `key`, numbered within this publisher; waits and raises like `send_batch`.
 
-        Raises
-        ------
-        WireError: If no recorder would take it: it makes no sense, or a number in it is beyond its bounds.
+        It also raises a WireError if the document makes no sense, or a number in it is beyond its bounds.
         """
         try:
             decode_received(encode_event(document, self._epoch, 0))
         except (WireError, OverflowError) as error:
-            told = str(error).removeprefix("not a run document: ")
-            raise WireError(f"run {document.run[:80]}: {type(document).__name__} cannot be sent: {told}") from error
+            reason = str(error).removeprefix("not a run document: ")
+            raise WireError(f"run {document.run[:80]}: {type(document).__name__} cannot be sent: {reason}") from error
         _check_key(key)
         stream = self._stream(StreamId(key, self._epoch))
-        with self._numbering:  # whoever has a number sends before the next is given
+        with self._numbering:  # a number is sent before the next is assigned
             seq = self._event_seq.get(key, 0)
             payload = encode_event(document, self._epoch, seq)
             is_due = self._accept(stream, seq, seq + 1, payload)
@@ -174,7 +172,7 @@ class DurablePublisher:
                 self._bus.publish(key, stream.on_wire(payload))
 
     def drain(self, given_up: Callable[[], bool] = lambda: False) -> None:
-        """Wait until everything is acknowledged, or `given_up`, which is asked now and then, says so.
+        """Wait until everything is acknowledged, or until `given_up`, which is polled, returns True.
 
         Raises
         ------
@@ -189,26 +187,26 @@ class DurablePublisher:
                 self._wait(began)
 
     def fail(self, reason: str) -> None:
-        """Let whoever sends or drains have `reason` as a DeliveryError at once: there is nothing to wait for."""
+        """Make every sender and `drain` raise a DeliveryError with this reason at once."""
         with self._state:
             self._out.broken = self._out.broken or reason
             self._state.notify_all()
 
     def close(self) -> None:
-        """Stop sending, without waiting for what is outstanding.
+        """Stop sending, without waiting.
 
         Raises
         ------
-        DeliveryError: If something is, and no error has said so before; `drain` waits for it.
+        DeliveryError: If messages are outstanding and no error has reported it before; `drain` waits for them.
         """
         self._stop()
-        if (self._out.bytes or self._is_spooled()) and not self._is_told:
-            self._is_told = True
-            raise DeliveryError(f"closed before everything was acknowledged: {self._out.told()}")
+        if (self._out.bytes or self._is_spooled()) and not self._is_reported:
+            self._is_reported = True
+            raise DeliveryError(f"closed before everything was acknowledged: {self._out.format_outstanding()}")
 
     def abandon(self) -> None:
-        """Stop sending, whatever is outstanding; what is spooled is sent by the next publisher of the spool."""
-        self._is_told = True
+        """Stop sending, whatever is outstanding; the next publisher of the spool sends what is spooled."""
+        self._is_reported = True
         self._stop()
 
     def __enter__(self) -> Self:
@@ -218,7 +216,7 @@ class DurablePublisher:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         try:
-            if kind is None and not self._is_told:
+            if kind is None and not self._is_reported:
                 self.drain()
         finally:
             self._stop()
@@ -237,7 +235,7 @@ class DurablePublisher:
         return stream
 
     def _accept(self, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> bool:
-        """Keep a message until it is acknowledged; whether it is to be published now."""
+        """Keep a message until it is acknowledged; returns whether it is published now."""
         with self._lock:
             if self._spool is not None:
                 if not self._keep(self._spool, stream, seq, next_seq, payload):
@@ -249,7 +247,7 @@ class DurablePublisher:
             return self._out.hold(stream, Held(seq, next_seq, payload))
 
     def _keep(self, spool: Spool, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> bool:
-        """Put a message into the spool; whether it is to be held in memory as well."""
+        """Put a message into the spool; returns whether it is held in memory as well."""
         began = time.monotonic()
         while True:
             self._check()
@@ -259,7 +257,7 @@ class DurablePublisher:
             except SpoolFull as error:
                 self._wait(began, f"{error}: ")
             except SpoolError:
-                while self._is_spooled():  # what is on disk goes before what is not
+                while self._is_spooled():  # messages on disk are sent before
                     self._wait(began)
                 self._wait_for_room(len(payload))
                 return True
@@ -278,33 +276,34 @@ class DurablePublisher:
         self._check()
         silence_s = time.monotonic() - max(self._out.progress_at, began)
         if silence_s > self._timeout_s:
-            self._is_told = True
+            self._is_reported = True
             raise DeliveryError(
-                f"{why}no recorder has acknowledged anything for {silence_s:.0f} s and {self._out.told()}; "
-                f"is `gyrofleet record` running where this source is connected to?{self._out.told_other_store()}"
+                f"{why}no recorder has acknowledged anything for {silence_s:.0f} s and "
+                f"{self._out.format_outstanding()}; is `gyrofleet record` running where this source is connected to?"
+                f"{self._out.format_other_store()}"
             )
         self._state.wait(0.1)
 
     def _check(self) -> None:
         if self._out.broken:
-            self._is_told = True
+            self._is_reported = True
             raise DeliveryError(self._out.broken)
 
     def _on_acknowledgement(self, _key: str, payload: bytes) -> None:
         try:
             acknowledgement = decode_acknowledgement(payload)
         except WireError:
-            return  # not from a recorder of ours; without an acknowledgement everything is kept and sent again
+            return  # not from a recorder; without an acknowledgement everything is kept and sent again
         now = time.monotonic()
         with self._state:
             if self._out.store in {None, acknowledgement.store}:
-                self._out.hear_pause(acknowledgement.paused, now)
+                self._out.update_pause(acknowledgement.paused, now)
             for position in acknowledgement.positions:
                 self._out.answer(acknowledgement.store, position, now)
             self._state.notify_all()
 
     def _pump_loop(self) -> None:
-        """Publish what was asked for again, and what waits on disk, as acknowledgements allow."""
+        """Publish messages that are due again, and those that wait on disk, as acknowledgements allow."""
         tick_s = min(_TICK_S, self._resend_after_s / 2)
         tick_at = 0.0
         try:
@@ -335,13 +334,8 @@ class DurablePublisher:
         return self._out.credit > 0 and (bool(self._out.behind) or self._can_load())
 
     def _can_load(self) -> bool:
-        spool = self._spool
-        return (
-            spool is not None
-            and spool.waiting > 0
-            and self._out.bytes < self._window_bytes
-            and self._out.broken is None
-        )
+        is_waiting = self._spool is not None and self._spool.waiting > 0
+        return is_waiting and self._out.bytes < self._window_bytes and self._out.broken is None
 
     def _load(self) -> list[Due]:
         """Bring messages from the disk into memory; returns those to publish now, in their order."""
@@ -350,7 +344,7 @@ class DurablePublisher:
                 return []
             assert self._spool is not None
             self._is_loading = True
-            most_bytes = min(self._window_bytes - self._out.bytes, self._out.credit, BITE_BYTES)
+            most_bytes = min(self._window_bytes - self._out.bytes, self._out.credit, CHUNK_BYTES)
         messages = self._spool.read(most_bytes)
         now_due: list[Due] = []
         with self._state:

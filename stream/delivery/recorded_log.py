@@ -1,4 +1,4 @@
-"""A recorder as a worker sees it: a log to read again what it has missed, and a way to send documents there."""
+"""Interfaces of a recorder for a worker: a log to read missed messages from, and a sender of documents."""
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping
@@ -19,40 +19,40 @@ class LoggedMessage(Protocol):
 
     @property
     def payload(self) -> bytes:
-        """What was sent."""
+        """The message as sent."""
 
 
 class LogBeginning(Protocol):
-    """Where to begin in a log."""
+    """Start positions in a log."""
 
     @property
     def positions(self) -> dict[StreamId, int]:
-        """Numbers to begin with."""
+        """First numbers of the streams."""
 
     @property
     def ended(self) -> frozenset[str]:
-        """Runs that are left out of what comes behind them."""
+        """Runs that are left out after these positions."""
 
 
 class RecordedLog(Protocol):
-    """Where a worker reads again what it has missed."""
+    """The log from which a worker reads missed messages."""
 
     @property
     def identity(self) -> str:
         """Identity of the store."""
 
     def beginning(self, *, thorough: bool = False) -> LogBeginning:
-        """Where one begins who knows nothing: with runs that go on; if `thorough`, also those not estimated whole."""
+        """Where to begin without a checkpoint: with runs in progress; if `thorough`, also those not fully estimated."""
 
     def since(self, positions: Mapping[StreamId, int]) -> Iterator[LoggedMessage]:
-        """Messages beyond those positions, in their order."""
+        """Messages beyond those positions, in order."""
 
     def published(self, positions: Mapping[StreamId, int]) -> Iterator[str]:
         """Identities of the estimates and decisions beyond those positions."""
 
 
 class DocumentSender(Protocol):
-    """What estimates are sent with."""
+    """Sender of estimates."""
 
     @property
     def outstanding(self) -> int:
@@ -66,11 +66,7 @@ class DocumentSender(Protocol):
 
 
 class Identities:
-    """Which documents there are already, in 8 bytes each: after weeks there are millions.
-
-    Parameters
-    ----------
-    uids: Those that there are.
+    """A set of document identities in 8 bytes each: after weeks there are millions.
 
     Examples
     --------

@@ -1,8 +1,8 @@
-"""The spool: a publisher's messages on its own disk, until a recorder has them on another.
+"""The spool: a publisher's messages on its own disk, until a recorder has them.
 
 A folder of numbered files. Each begins with a table of all streams, so that it can be read without those before it;
-messages follow in the order in which they were sent, and between them how far the recorder has acknowledged. A file
-goes when all its messages are acknowledged. Every start begins a file of its own: a torn end is never written after.
+messages follow in the order in which they were sent, and between them the acknowledgements. A file is removed when all
+its messages are acknowledged. Every start begins a new file: nothing is written after a torn end.
 """
 
 import fcntl
@@ -13,7 +13,8 @@ from collections import deque
 from pathlib import Path
 from typing import NamedTuple, Self
 
-from stream.delivery.spool_frames import FIRST_STREAM, Frame, encode_frame, parse_frames
+from stream.atomic_file import sync_folder
+from stream.delivery.spool_frames import FIRST_STREAM, SpoolFrame, encode_frame, parse_frames
 from stream.delivery.spool_scan import SUFFIX, SpoolError, SpoolFile, held_messages, scan
 from stream.delivery.spool_streams import StreamState, StreamTable
 from stream.wire.acknowledgement import StreamId
@@ -27,7 +28,7 @@ _LEAST_FILES = 4
 
 
 class SpoolFull(SpoolError):
-    """A spool that holds as much as it may."""
+    """A spool that has reached its size."""
 
 
 class SpooledMessage(NamedTuple):
@@ -42,15 +43,15 @@ class SpooledMessage(NamedTuple):
 class Spool:
     """Messages of one publisher on disk.
 
-    What `append` has returned for survives the process; every `sync_interval_s` it is made to survive a power loss as
-    well. `damages` says what was found damaged, `failure` why nothing can be written at the moment.
+    Appended messages survive the process, and after at most `sync_interval_s` a power loss as well. `damages` lists
+    what was found damaged; `failure` is why nothing can be written at the moment.
 
     Parameters
     ----------
-    folder: Where; made if it is missing. One process at a time.
-    max_bytes: How much may wait there.
+    folder: Folder of the files, created if missing. One process at a time.
+    max_bytes: Size of all files.
     file_bytes: Size of a file; at most a quarter of `max_bytes`.
-    sync_interval_s: How often files are brought to the disk, and acknowledgements written down.
+    sync_interval_s: Interval at which files are synced to disk, and acknowledgements written.
 
     Raises
     ------
@@ -83,7 +84,7 @@ class Spool:
         self._files: deque[SpoolFile] = deque()
         self._bytes = 0
         self._out = -1
-        self._unsynced: list[int] = []  # of files before it that are not on the disk yet
+        self._unsynced: list[int] = []  # descriptors of earlier files that are not on the disk yet
         self._failed_at = float("-inf")
         self._moved: set[int] = set()
         self._lock = threading.RLock()
@@ -104,7 +105,7 @@ class Spool:
                 raise
         except OSError as error:
             raise SpoolError(
-                f"the spool {folder} cannot be opened: {error}; what it holds is kept; mend that and start again"
+                f"the spool {folder} cannot be opened: {error}; its messages are kept; correct this and start again"
             ) from error
         self._syncer = threading.Thread(target=self._sync_loop, name="gyrofleet-spool", daemon=True)
         self._syncer.start()
@@ -116,7 +117,7 @@ class Spool:
 
     @property
     def streams(self) -> dict[StreamId, StreamState]:
-        """What is known of every stream."""
+        """State of every stream."""
         with self._lock:
             return dict(self._table.streams)
 
@@ -132,12 +133,12 @@ class Spool:
         return 0 if state is None else state.appended
 
     def append(self, stream: StreamId, seq: int, next_seq: int, payload: bytes, *, taken: bool = False) -> None:
-        """Keep a message; `taken` says that it need not be read back while this process lives.
+        """Keep a message; one that is `taken` is not read back by this process.
 
         Raises
         ------
         SpoolFull: If there is no room; there is when more has been acknowledged.
-        SpoolError: If it cannot be written. It is then not kept; a second later a new file is tried.
+        SpoolError: If it cannot be written. It is then not kept; after a second a new file is tried.
         """
         with self._lock:
             if self.failure is not None and time.monotonic() - self._failed_at < _RETRY_S:
@@ -166,7 +167,7 @@ class Spool:
                 self._rotate()
 
     def acknowledge(self, store: str, stream: StreamId, next_seq: int) -> None:
-        """Let go of what a recorder has on disk."""
+        """Record that a recorder has the messages before `next_seq` on disk."""
         state = self._table.streams.get(stream)
         if state is not None and next_seq > state.acknowledged:
             with self._lock:
@@ -175,7 +176,7 @@ class Spool:
                 self._moved.add(state.number)
 
     def rebase(self, stream: StreamId, base: int) -> None:
-        """Remember that what is before `base` is lost, and that the stream goes on under another epoch."""
+        """Record that the messages before `base` are lost and the stream continues under another epoch."""
         with self._lock:
             state = self._table.streams[stream]
             state.base = base
@@ -185,12 +186,7 @@ class Spool:
                 self._failed(error)
 
     def read(self, most_bytes: int) -> list[SpooledMessage]:
-        """The next messages that wait, about so many bytes of them; those that were acknowledged are left out.
-
-        Raises
-        ------
-        SpoolError: If they cannot be read.
-        """
+        """The next waiting messages, about so many bytes, without those that were acknowledged."""
         found: list[SpooledMessage] = []
         size = 0
         with self._lock:
@@ -200,7 +196,7 @@ class Spool:
                     frames = self._read_frames(file, most_bytes - size)
                 except OSError as error:
                     raise SpoolError(
-                        f"the spool file {file.path} cannot be read: {error}; it is kept; mend the disk and start again"
+                        f"the spool file {file.path} cannot be read: {error}; repair the disk and start again"
                     ) from error
                 messages = [frame for frame in frames if frame.number >= FIRST_STREAM]
                 is_read = file.read_to >= file.size
@@ -216,7 +212,7 @@ class Spool:
         return found
 
     def close(self) -> None:
-        """Bring everything to the disk and let another process have the spool; what is acknowledged takes no room."""
+        """Sync everything to disk and release the lock; acknowledged messages are removed."""
         self._stopped.set()
         self._syncer.join()
         with self._lock:
@@ -254,7 +250,7 @@ class Spool:
             _write_whole(descriptor, head)
         except OSError:
             os.close(descriptor)
-            path.unlink()  # without its table it would be no file of its own
+            path.unlink()  # a file without its table cannot be read alone
             raise
         if self._out >= 0:
             self._unsynced.append(self._out)
@@ -276,7 +272,7 @@ class Spool:
         try:
             _write_whole(self._out, frame)
         except OSError:
-            # a frame cut off would be found and told as such; without it the file is as if nothing had happened
+            # a partial frame would be reported as damage
             os.ftruncate(self._out, file.size)
             raise
         file.size += len(frame)
@@ -285,8 +281,8 @@ class Spool:
     def _failed(self, error: OSError) -> SpoolError:
         self._failed_at = time.monotonic()
         self.failure = (
-            f"the spool {self.folder} cannot be written: {error}; until it can, what is sent is kept in memory only: "
-            f"free space or mend the disk"
+            f"the spool {self.folder} cannot be written: {error}; until it can, messages are kept in memory only: "
+            f"free space or repair the disk"
         )
         return SpoolError(self.failure)
 
@@ -300,7 +296,7 @@ class Spool:
                 f"`gyrofleet record` again, or let the spool be larger"
             )
 
-    def _read_frames(self, file: SpoolFile, most_bytes: int) -> list[Frame]:
+    def _read_frames(self, file: SpoolFile, most_bytes: int) -> list[SpoolFrame]:
         left = file.size - file.read_to
         for length in (min(left, most_bytes + _READ_BYTES), left):
             with file.path.open("rb") as opened:
@@ -332,13 +328,9 @@ class Spool:
             older, self._unsynced = self._unsynced, []
             current = os.dup(self._out)
         try:
-            for descriptor in (*older, current):  # in their order: what is later does not stand without what is before
+            for descriptor in (*older, current):  # in order: a later file is not durable before an earlier one
                 os.fdatasync(descriptor)
-            folder = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
+            sync_folder(self.folder)
         finally:
             for descriptor in (*older, current):
                 os.close(descriptor)
@@ -346,7 +338,7 @@ class Spool:
             self._drop_acknowledged()
 
     def _drop_acknowledged(self) -> None:
-        """Remove files from the front all of whose messages are acknowledged."""
+        """Remove the oldest files while all their messages are acknowledged."""
         known = self._table.by_number
         while len(self._files) > 1:
             file = self._files[0]

@@ -1,7 +1,7 @@
 """Frames of a spool file: numbered messages one after the other, each with a checksum.
 
 A frame is a head (mark, CRC-32, length, stream number, first and next number) and its payload. The CRC covers all
-that follows it. What follows a damaged frame is found again by the next mark whose frame is whole.
+that follows it. After a damaged frame, reading resumes at the next mark of a sound frame.
 """
 
 import struct
@@ -17,8 +17,8 @@ _REST = struct.Struct("<IIqq")
 _HEAD = struct.Struct("<4sIIIqq")
 
 
-class Frame(NamedTuple):
-    """One frame: a message of a stream, or, under the numbers below FIRST_STREAM, what is known of the streams."""
+class SpoolFrame(NamedTuple):
+    """One frame: a message of a stream, or, with a number below FIRST_STREAM, the state of the streams."""
 
     number: int
     seq: int
@@ -27,35 +27,31 @@ class Frame(NamedTuple):
 
 
 class Parsed(NamedTuple):
-    """What a piece of a spool file holds: whole frames, how far they reach, damaged spans, bytes of a torn end."""
+    """Contents of a piece of a spool file: sound frames, how far they reach, damaged spans, bytes of a torn end."""
 
-    frames: list[Frame]
+    frames: list[SpoolFrame]
     used: int
     damaged: list[tuple[int, int]]
     torn: int
 
 
 def encode_frame(number: int, seq: int, next_seq: int, payload: bytes) -> bytes:
-    """Put a frame into bytes.
+    """A frame as bytes.
 
     Examples
     --------
     >>> data = encode_frame(2, 0, 100, b"hello")
     >>> parse_frames(data, is_end=True).frames
-    [Frame(number=2, seq=0, next_seq=100, payload=b'hello')]
+    [SpoolFrame(number=2, seq=0, next_seq=100, payload=b'hello')]
     """
     rest = _REST.pack(len(payload), number, seq, next_seq)
     return b"".join((_MARK, zlib.crc32(payload, zlib.crc32(rest)).to_bytes(4, "little"), rest, payload))
 
 
 def parse_frames(data: bytes, *, is_end: bool) -> Parsed:
-    """Take a piece of a spool file apart.
+    """Read a piece of a spool file that begins with a frame.
 
-    Parameters
-    ----------
-    data: The piece; it begins with a frame.
-    is_end: Whether it reaches to the end of the file. If not, it is left at the first frame that is not whole, be it
-        cut off or damaged: `used` says where.
+    If it does not reach the end of the file (`is_end`), reading stops, at `used`, at the first frame that is not sound.
 
     Examples
     --------
@@ -63,9 +59,9 @@ def parse_frames(data: bytes, *, is_end: bool) -> Parsed:
     >>> data[33] ^= 1
     >>> found = parse_frames(bytes(data), is_end=True)
     >>> found.frames, found.damaged, found.torn
-    ([Frame(number=2, seq=1, next_seq=2, payload=b'two')], [(0, 35)], 0)
+    ([SpoolFrame(number=2, seq=1, next_seq=2, payload=b'two')], [(0, 35)], 0)
     """
-    frames: list[Frame] = []
+    frames: list[SpoolFrame] = []
     damaged: list[tuple[int, int]] = []
     at, torn = 0, 0
     while at < len(data):
@@ -85,7 +81,7 @@ def parse_frames(data: bytes, *, is_end: bool) -> Parsed:
     return Parsed(frames, at, damaged, torn)
 
 
-def _frame_at(data: bytes, at: int) -> Frame | None:
+def _frame_at(data: bytes, at: int) -> SpoolFrame | None:
     if at + _HEAD.size > len(data):
         return None
     mark, checksum, length, number, seq, next_seq = _HEAD.unpack_from(data, at)
@@ -95,7 +91,7 @@ def _frame_at(data: bytes, at: int) -> Frame | None:
     payload = data[at + _HEAD.size : end]
     if zlib.crc32(payload, zlib.crc32(data[at + 8 : at + _HEAD.size])) != checksum:
         return None
-    return Frame(number, seq, next_seq, payload)
+    return SpoolFrame(number, seq, next_seq, payload)
 
 
 def _next_frame(data: bytes, at: int) -> int:
@@ -107,7 +103,7 @@ def _next_frame(data: bytes, at: int) -> int:
 
 
 def _is_cut_off(data: bytes, at: int) -> bool:
-    """Whether what is left is the beginning of a frame, as a write leaves it that did not come to its end."""
+    """Whether the rest is the beginning of a frame, as an interrupted write leaves it."""
     left = data[at : at + _HEAD.size]
     if len(left) < _HEAD.size:
         return left[:4] == _MARK[: len(left)]

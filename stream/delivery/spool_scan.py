@@ -1,4 +1,4 @@
-"""What a spool's folder holds, as an earlier process left it."""
+"""The contents of a spool's folder, as an earlier process left it."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +16,7 @@ class SpoolError(DeliveryError):
 
 @dataclass
 class SpoolFile:
-    """A file of a spool; `unread` messages beyond `read_to`, and the next number of each stream in it."""
+    """A file of a spool: `unread` messages after `read_to`, and the next number of each stream in it."""
 
     path: Path
     size: int = 0
@@ -27,7 +27,7 @@ class SpoolFile:
 
 @dataclass
 class Scanned:
-    """All files of a spool in their order, what they say of the streams, what is damaged, and bytes of torn ends."""
+    """All files of a spool in order, the state of its streams, its damages, and bytes of torn ends."""
 
     table: StreamTable = field(default_factory=StreamTable)
     files: list[SpoolFile] = field(default_factory=list)
@@ -36,12 +36,7 @@ class Scanned:
 
 
 def scan(folder: Path) -> Scanned:
-    """Look at every file of a spool.
-
-    Raises
-    ------
-    OSError: If one cannot be read.
-    """
+    """Read every file of a spool."""
     found = Scanned()
     for path in sorted(folder.glob(f"*{SUFFIX}")):
         data = path.read_bytes()
@@ -50,12 +45,12 @@ def scan(folder: Path) -> Scanned:
         found.damages += [f"{path}: bytes {first} to {after} are damaged" for first, after in parsed.damaged]
         found.torn_bytes += parsed.torn
         for frame in parsed.frames:
-            found.table.know(frame)
+            found.table.apply(frame)
             if frame.number >= FIRST_STREAM:
                 file.unread += 1
                 file.last[frame.number] = max(frame.next_seq, file.last.get(frame.number, 0))
         found.files.append(file)
-    found.table.settle()
+    found.table.drop_acknowledged_losses()
     nameless = sum(number not in found.table.by_number for file in found.files for number in file.last)
     if nameless:
         found.damages.append(f"{folder}: the names of {nameless} streams are lost, their messages are kept")
@@ -65,7 +60,7 @@ def scan(folder: Path) -> Scanned:
 
 
 def held_messages(folder: Path) -> int:
-    """Messages in a spool's folder that no recorder has, as far as its source knows; it may be in use.
+    """Number of messages in a spool's folder that no recorder has, as far as its source knows; it may be in use.
 
     Raises
     ------
@@ -82,6 +77,6 @@ def held_messages(folder: Path) -> int:
             for frame in parse_frames(file.path.read_bytes(), is_end=True).frames
         )
     except FileNotFoundError:
-        return 0  # its source has just had the rest acknowledged
+        return 0  # the rest has just been acknowledged
     except OSError as error:
         raise SpoolError(f"the spool {folder} cannot be read: {error}") from error

@@ -1,26 +1,21 @@
-"""What a spool knows of its streams, and how that is written between the messages."""
+"""The state of the streams of a spool, and its frames between the messages."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import msgspec
 
-from stream.delivery.spool_frames import ACKNOWLEDGED, FIRST_STREAM, TABLE, Frame, encode_frame
+from stream.delivery.spool_frames import ACKNOWLEDGED, FIRST_STREAM, TABLE, SpoolFrame, encode_frame
 from stream.wire.acknowledgement import StreamId
 
 
 @dataclass
 class StreamState:
-    """How far one stream is.
+    """State of one stream, whose frames carry `number`.
 
-    Parameters
-    ----------
-    id: The stream.
-    number: What its frames carry.
-    appended: Number after its last message.
-    acknowledged: Number after the last message that a recorder has.
-    base: From this number on it is sent under another epoch, because what was before it is lost; 0 where nothing is.
-    lost: Spans of numbers that cannot be read any more.
+    `appended` and `acknowledged` are the numbers after its last message and after the last one that a recorder has.
+    From number `base`, if not 0, it is sent under another epoch, because the messages before are lost. `lost` are the
+    spans of numbers that cannot be read any more.
     """
 
     id: StreamId
@@ -62,7 +57,7 @@ class StreamTable:
     >>> from stream.delivery.spool_frames import parse_frames
     >>> table, again = StreamTable(), StreamTable()
     >>> table.add(StreamId("k", "e")).appended = 7
-    >>> again.know(parse_frames(table.rows(), is_end=True).frames[0])
+    >>> again.apply(parse_frames(table.rows(), is_end=True).frames[0])
     >>> again.streams[StreamId("k", "e")].appended
     7
     """
@@ -73,29 +68,29 @@ class StreamTable:
         self.by_number: dict[int, StreamState] = {}
 
     def add(self, stream: StreamId) -> StreamState:
-        """Give a stream a number."""
+        """Assign a number to a stream."""
         state = StreamState(stream, max(self.by_number, default=FIRST_STREAM - 1) + 1)
         self._put(state)
         return state
 
     def rows(self, states: Iterable[StreamState] | None = None) -> bytes:
-        """A frame with the rows of these streams, or of all."""
+        """A frame with the rows of these streams, by default of all."""
         chosen = self.streams.values() if states is None else states
         rows = [_Row(s.number, s.id.key, s.id.epoch, s.appended, s.acknowledged, s.base) for s in chosen]
         return encode_frame(TABLE, 0, 0, msgspec.msgpack.encode(_Table(self.store, rows)))
 
     def acknowledged(self, numbers: Iterable[int]) -> bytes:
-        """A frame that says how far these streams are acknowledged."""
+        """A frame with the acknowledged positions of these streams."""
         positions = [(number, self.by_number[number].acknowledged) for number in numbers]
         return encode_frame(ACKNOWLEDGED, 0, 0, msgspec.msgpack.encode(_Acknowledged(self.store, positions)))
 
-    def know(self, frame: Frame) -> None:
-        """Take in what a frame says of the streams; a message's frame, that its stream has come so far."""
+    def apply(self, frame: SpoolFrame) -> None:
+        """Update the state of the streams from a frame."""
         if frame.number == TABLE:
             table = _table_decoder.decode(frame.payload)
             self.store = table.store or self.store
             for row in table.rows:
-                self._know_row(row)
+                self._apply_row(row)
         elif frame.number == ACKNOWLEDGED:
             acknowledged = _acknowledged_decoder.decode(frame.payload)
             self.store = acknowledged.store or self.store
@@ -107,15 +102,15 @@ class StreamTable:
                 state.lost.append((state.appended, frame.seq))
             state.appended = max(state.appended, frame.next_seq)
 
-    def settle(self) -> None:
-        """After all frames: what a recorder has is not lost."""
+    def drop_acknowledged_losses(self) -> None:
+        """After all frames, remove spans from `lost` that a recorder has."""
         for state in self.streams.values():
             state.lost = [span for span in state.lost if span[1] > max(state.acknowledged, state.base)]
 
     def _put(self, state: StreamState) -> None:
         self.streams[state.id] = self.by_number[state.number] = state
 
-    def _know_row(self, row: _Row) -> None:
+    def _apply_row(self, row: _Row) -> None:
         state = self.by_number.get(row.number)
         if state is None:
             state = StreamState(StreamId(row.key, row.epoch), row.number, row.appended)

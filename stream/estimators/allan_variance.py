@@ -5,30 +5,25 @@ from typing import Self
 
 import numpy as np
 
-from stream.batch import FloatArray, IntArray
+from stream.batch import FloatArray, IntArray, first_finite
 from stream.errors import EstimatorError
-from stream.estimators.base import Estimator, NoEstimate, first_finite
-from stream.estimators.confidence import deviation_limits
-from stream.estimators.kernels.pyramid_kernel import PyramidState, begin_at, empty_state, push
-from stream.estimators.kernels.pyramid_merge import merge
-from stream.estimators.noise_exponent import Identified, identify
+from stream.estimators.base import LEAST_SHARE, NoEstimate, PointEstimator, Points
+from stream.estimators.confidence import deviation_bounds
+from stream.estimators.kernels.pyramid_kernel import PyramidState, begin_at, empty_state, merge, push
+from stream.estimators.noise.noise_exponent import Identified, identify
 from stream.events import EstimatePoint
 
 LEVELS = 27
 OVERLAP = 16
-LEAST_SHARE = 0.9
+OCTAVE_DIVISIONS = frozenset({1, 2, 4, 8})
 
 
-class AllanDeviation(Estimator):
+class AllanDeviation(PointEstimator):
     """Overlapping Allan deviation at octaves of the averaging time, in bounded memory.
 
     Parameters
     ----------
-    points_per_octave: 1, 2, 4 or 8 averaging times in an octave.
-
-    Raises
-    ------
-    EstimatorError: If `points_per_octave` is another number.
+    points_per_octave: 1, 2, 4 or 8 averaging times in an octave; another number is an EstimatorError.
 
     Notes
     -----
@@ -41,7 +36,10 @@ class AllanDeviation(Estimator):
     relative to the first valid sample and keep the count of their valid samples. A window counts if it holds at least
     90 % of its samples; the mean of those it holds then stands for all. Taus reach from dt to 2**30 dt and more.
 
-    Limits are by chi-square with the least equivalent degrees of freedom of the noises that are plausible at each
+    Erratum: JJF 2014-2022 7.2.20 (34)-(39) and GJB 2426A-2004 5.12.5.4.2 print clusters of k + 1 terms over k and
+    differences of clusters one sample apart, which falls as 1/tau**2 whatever the noise.
+
+    Bounds are by chi-square with the least equivalent degrees of freedom of the noises that are plausible at each
     averaging time (`noise_exponent`, `confidence`). Memory: 31 KB at one point per octave.
 
     Examples
@@ -63,8 +61,7 @@ class AllanDeviation(Estimator):
 
     def __init__(self, points_per_octave: int = 1) -> None:
         super().__init__()
-        if points_per_octave not in {1, 2, 4, 8}:
-            raise EstimatorError(f"{points_per_octave} points per octave: the pyramid offers 1, 2, 4 or 8")
+        check_points_per_octave(points_per_octave)
         self._lags = _lag_table(points_per_octave)
         history = 2 * int(self._lags.max())
         self._points_per_octave = points_per_octave
@@ -82,20 +79,16 @@ class AllanDeviation(Estimator):
             self._reference = first_finite(values)
         push(*self._state, self._lags, LEAST_SHARE, self._reference, first_slot, values)
 
-    def _go_on_from(self, earlier: Self) -> None:
+    def _continue_from(self, earlier: Self) -> None:
         begin_at(self._state, earlier._tracker.next_slot)
 
     def _append(self, later: Self) -> None:
         merge(*self._state, self._lags, LEAST_SHARE, *later._state)
 
-    def estimate(self) -> tuple[EstimatePoint, ...] | NoEstimate:
+    def estimate(self) -> Points | NoEstimate:
         """Deviation at every averaging time that has at least one pair of windows, shortest first."""
-        unit, signal, _ = self._signal
         if self._tracker.irregular:
-            return NoEstimate(
-                f"unit {unit}, signal {signal}: the samples lie on no grid of {self.sample_interval_s:g} s, and the "
-                "Allan deviation needs one; resample by block means, --resample SECONDS"
-            )
+            return self._no_grid("Allan deviation")
         state = self._state
         levels, columns = np.nonzero(state.windows)
         if len(levels) == 0:
@@ -107,7 +100,7 @@ class AllanDeviation(Estimator):
         variances = state.squares[levels, columns] / (2.0 * windows * np.square(factors, dtype=np.float64))
         values = np.sqrt(variances) * self._factor
         if not np.isfinite(values).all():
-            return NoEstimate(f"unit {unit}, signal {signal}: values too large to be squared; check the source")
+            return self._too_large()
         return tuple(
             allan_point(factor * self._tracker.dt_ns / 1e9, value, n, noise, self.confidence)
             for factor, value, n, noise in zip(
@@ -128,57 +121,23 @@ class AllanDeviation(Estimator):
         )
 
 
+def check_points_per_octave(number: int) -> None:
+    """Refuse a number of averaging times in an octave that is not offered."""
+    if number not in OCTAVE_DIVISIONS:
+        raise EstimatorError(f"{number} points per octave: 1, 2, 4 or 8 are offered")
+
+
 def allan_point(tau_s: float, value: float, windows: int, noise: Identified, confidence: float) -> EstimatePoint:
-    """A point of a curve with the limits that the noise there leaves room for."""
-    lo, hi = deviation_limits(value, noise.edf, confidence)
+    """A point of a curve with its confidence bounds."""
+    lo, hi = deviation_bounds(value, noise.edf, confidence)
     return EstimatePoint(tau_s=tau_s, value=value, lo=lo, hi=hi, edf=noise.edf, n=windows, plausible=noise.plausible)
 
 
 def _lag_table(points_per_octave: int) -> IntArray:
-    """Windows in blocks: row 0 for level 0, row 1 for the others; zeros fill up."""
+    """Window lengths in blocks: row 0 for level 0, row 1 for the others; padded with zeros."""
     top = list(range(OVERLAP, 2 * OVERLAP, OVERLAP // points_per_octave))
     low = [lag for octave in (1, 2, 4, 8) for lag in range(octave, 2 * octave, max(1, octave // points_per_octave))]
     table = np.zeros((2, len(low) + len(top)), np.int64)
     table[0] = low + top
     table[1, : len(top)] = top
     return table
-
-
-def overlapping_allan_variance(values: FloatArray, averaging_factor: int) -> float:
-    """Allan variance with full overlap, straight from its definition; for comparison.
-
-    Parameters
-    ----------
-    values: shape (n,); samples on a grid without gaps.
-    averaging_factor: tau over the sample interval, k below.
-
-    Returns
-    -------
-    float
-        Variance in the square of the unit of the values.
-
-    Raises
-    ------
-    EstimatorError: If there are fewer than 2 k samples.
-
-    Notes
-    -----
-    With the integrated values x_i (x_0 = 0, in units of the sample interval),
-
-        AVAR = sum_(i=0)^(n-2k) (x_(i+2k) - 2 x_(i+k) + x_i)**2 / (2 k**2 (n - 2k + 1)),
-
-    NIST SP 1065 equation (11), IEEE 952-2020 annex C; JJF 2014-2022 7.2.20 (34)-(39), GJB 2426A-2004 5.12.5.4.2.
-    Erratum: both Chinese standards print clusters of k + 1 terms over k and differences of clusters one sample apart,
-    JJF (37) also a further n in the denominator; that falls as 1/tau**2 whatever the noise.
-
-    Examples
-    --------
-    >>> overlapping_allan_variance(np.array([1.0, 3.0, 2.0, 6.0, 4.0]), 2)
-    2.5625
-    """
-    k, n = averaging_factor, len(values)
-    if k < 1 or n < 2 * k:
-        raise EstimatorError(f"{n} samples are too few for two averages of {k}")
-    integral = np.concatenate([[0.0], np.cumsum(values - values[0])])
-    second_difference = integral[2 * k :] - 2.0 * integral[k : n + 1 - k] + integral[: n + 1 - 2 * k]
-    return float(np.sum(np.square(second_difference)) / (2.0 * k**2 * (n - 2 * k + 1)))

@@ -8,11 +8,11 @@ from typing import Self
 
 import numpy as np
 
-from stream.batch import FloatArray, SampleBatch, writable
+from stream.batch import FloatArray, SampleBatch, first_finite, writable
 from stream.clock import Piece
 from stream.errors import EstimatorError
-from stream.estimators.base import Estimator, NoEstimate, first_finite
-from stream.estimators.confidence import deviation_limits
+from stream.estimators.base import LEAST_SHARE, NoEstimate, PointEstimator, Points
+from stream.estimators.confidence import deviation_bounds
 from stream.estimators.kernels.averages_kernel import (
     AVERAGES,
     BLOCK,
@@ -27,43 +27,36 @@ from stream.estimators.kernels.averages_kernel import (
     empty_averages,
     first_slot_of,
     merge_averages,
+    take_samples,
 )
-from stream.estimators.kernels.raw_averages_kernel import take_samples
 from stream.events import EstimatePoint
 
-LEAST_SHARE = 0.9
 _MOST_SECONDS = 1e9
 _MOST_AVERAGES = 1_000_000
 
 
-class BiasStability(Estimator):
+class BiasStability(PointEstimator):
     """Standard deviation of consecutive means of `average_s` seconds, of the whole record or a rolling window.
 
     Parameters
     ----------
-    average_s: Averaging time P in seconds, at least one sample interval; read to the nanosecond. 0 for the raw samples.
-    window_s: Length of the window that rolls with the last sample, seconds, a multiple of `average_s`; 0 for the whole
-        record.
-
-    Raises
-    ------
-    EstimatorError: If `average_s` is neither 0 nor between 1 ns and 1e9 s, or the window is not of 2 to 1,000,000
-        averages.
+    average_s: Averaging time P in seconds, 1e-9 to 1e9 and at least one sample interval; 0 for the raw samples.
+    window_s: Length of the rolling window in seconds, 2 to 1,000,000 averages; 0 for the whole record.
 
     Notes
     -----
     B_s = sqrt(sum (F_i - mean(F))**2 / (n - 1)), JJF 2014-2022 equation (29), of the means F_i that hold at
     least 90 % of their samples; GJB 2426A-2004 equation (20) is the same of the raw samples. Average i holds the
     samples whose time since the first, slot times nominal interval, lies in [i P, (i + 1) P): P need not be a whole
-    number of intervals. Samples on no grid are taken by their true times. The average that is still being filled is
-    not used.
+    number of intervals. Samples on no grid are averaged by their true times. The average that is still being filled
+    is not used.
 
-    A window keeps its averages and computes from them: nothing is ever subtracted from a sum, so that an outlier is
-    forgotten once it has left.
+    A window is computed from its averages: nothing is subtracted from a sum, so that an outlier has no effect once it
+    has left the window.
 
-    The limits are by chi-square with (n - 1)(1 - r**2)/(1 + r**2) degrees of freedom, r the correlation of neighbouring
+    The bounds are by chi-square with (n - 1)(1 - r**2)/(1 + r**2) degrees of freedom, r the correlation of neighbouring
     averages (Bartlett 1946, for a first-order process): those of a gyro are not white. Where the averages wander
-    over the whole record, the limits are for this record; a longer one will have a larger deviation.
+    over the whole record, the bounds are for this record; a longer one will have a larger deviation.
     Memory: 19 numbers, and 2 for each average in the window.
 
     Examples
@@ -118,7 +111,7 @@ class BiasStability(Estimator):
             super()._take(batch, pieces)
 
     def _take_run(self, first_slot: int, values: FloatArray) -> None:
-        self._refer_to(values)
+        self._set_reference(values)
         if self._average_ns == 0:
             take_samples(*self._state, self._reference, first_slot, values)
         elif self._average_ns >= self._tracker.dt_ns:
@@ -129,7 +122,7 @@ class BiasStability(Estimator):
         tracker = self._tracker
         times_ns, values = writable(batch.time_array), batch.own_values
         for _, start, stop in pieces:
-            self._refer_to(values[start:stop])
+            self._set_reference(values[start:stop])
             average_times(
                 *self._state,
                 self._reference,
@@ -141,11 +134,11 @@ class BiasStability(Estimator):
                 values[start:stop],
             )
 
-    def _refer_to(self, values: FloatArray) -> None:
+    def _set_reference(self, values: FloatArray) -> None:
         if math.isnan(self._reference):
             self._reference = first_finite(values)
 
-    def _go_on_from(self, earlier: Self) -> None:
+    def _continue_from(self, earlier: Self) -> None:
         tracker, block = self._tracker, int(earlier._state.places[BLOCK])
         if self._average_ns == 0:
             is_within = False
@@ -166,35 +159,34 @@ class BiasStability(Estimator):
             expected = float(end - first)
         merge_averages(*self._state, *later._state, expected, LEAST_SHARE if self._average_ns else 1.0)
 
-    def estimate(self) -> tuple[EstimatePoint, ...] | NoEstimate:
+    def estimate(self) -> Points | NoEstimate:
         """One point at tau = P, from two averages on."""
-        unit, signal, _ = self._signal
         if 0 < self._average_ns < self._tracker.dt_ns:
+            unit, signal, _ = self._signal
             return NoEstimate(
                 f"unit {unit}, signal {signal}: averages of {self.average_s:g} s are shorter than the sample "
                 f"interval of {self.sample_interval_s:g} s"
             )
-        n, squares, correlation = self._of_window() if self.window_s else self._of_record()
+        n, squares, correlation = self._statistics_of_window() if self.window_s else self._statistics_of_record()
         if n < 2:
             what = f"averages of {self.average_s:g} s" if self.average_s else "samples"
             within = f" within {self.window_s:g} s" if self.window_s else ""
             return NoEstimate(f"2 {what} needed{within}, {n} seen")
         value = math.sqrt(squares / (n - 1)) * self._factor
         if not math.isfinite(value):
-            return NoEstimate(f"unit {unit}, signal {signal}: values too large to be squared; check the source")
+            return self._too_large()
         degrees = effective_degrees(n, correlation)
-        lo, hi = deviation_limits(value, degrees, self.confidence)
+        lo, hi = deviation_bounds(value, degrees, self.confidence)
         tau_s = self.average_s or self.sample_interval_s
         return (EstimatePoint(tau_s=tau_s, value=value, lo=lo, hi=hi, edf=degrees, n=n),)
 
-    def _of_record(self) -> tuple[int, float, float]:
-        """Averages, the sum of squares about their mean, and the correlation of neighbours."""
+    def _statistics_of_record(self) -> tuple[int, float, float]:
+        """Number of averages, sum of squares about their mean, correlation of neighbours."""
         numbers = self._state.numbers
-        scale = math.sqrt(float(numbers[EARLY_SQUARES])) * math.sqrt(float(numbers[LATE_SQUARES]))
-        correlation = _within_one(float(numbers[COVARIANCE]), scale)
+        correlation = _correlation(*(float(numbers[i]) for i in (COVARIANCE, EARLY_SQUARES, LATE_SQUARES)))
         return int(self._state.places[AVERAGES]), float(numbers[SQUARES]), correlation
 
-    def _of_window(self) -> tuple[int, float, float]:
+    def _statistics_of_window(self) -> tuple[int, float, float]:
         places, _, ring, blocks = self._state
         in_window = np.flatnonzero(blocks >= max(0, int(places[BLOCK]) - len(ring)))
         in_window = in_window[np.argsort(blocks[in_window])]
@@ -208,14 +200,14 @@ class BiasStability(Estimator):
             if len(early) == 0:
                 return len(averages), squares, 0.0
             early, late = early - early.mean(), late - late.mean()
-            scale = math.sqrt(float(early @ early)) * math.sqrt(float(late @ late))
-            correlation = _within_one(float(early @ late), scale)
+            correlation = _correlation(float(early @ late), float(early @ early), float(late @ late))
         return len(averages), squares, correlation
 
 
-def _within_one(covariance: float, scale: float) -> float:
+def _correlation(products: float, early_squares: float, late_squares: float) -> float:
+    scale = math.sqrt(early_squares) * math.sqrt(late_squares)
     # squares of tiny numbers vanish before the numbers do
-    return max(-1.0, min(1.0, covariance / scale)) if scale > 0.0 else 0.0
+    return max(-1.0, min(1.0, products / scale)) if scale > 0.0 else 0.0
 
 
 def _averages_in(window_s: float, average_s: float) -> int:
@@ -231,7 +223,7 @@ def _averages_in(window_s: float, average_s: float) -> int:
 
 
 def effective_degrees(n: int, correlation: float) -> float:
-    """Degrees of freedom of the variance of `n` values whose neighbours correlate: Bartlett's, within 1 and n - 1.
+    """Degrees of freedom of the variance of `n` values with correlated neighbours: Bartlett's, within 1 and n - 1.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Means of consecutive blocks of time: irregular samples put on a grid, or a grid of another interval."""
+"""Means of consecutive blocks of time: irregular samples resampled to a grid, or a grid of another interval."""
 
 import math
 from typing import Any
@@ -8,25 +8,18 @@ from numba import njit
 
 from stream.batch import FloatArray, IntArray, SampleBatch, checked_batch
 from stream.errors import BadInput
-
-LEAST_SHARE = 0.9
+from stream.estimators.base import LEAST_SHARE
 
 _NO_TIMES = np.empty(0, np.int64)
 
 
 class BlockMeans:
-    """Turns the samples of a signal into means of consecutive blocks of `block_s` seconds.
+    """Means of the samples of a signal over consecutive blocks of `block_s` seconds.
 
-    A block counts if it holds at least 90 % of the samples that its length and the nominal interval let expect (of
+    A block counts if it holds at least 90 % of the samples expected from its length and the nominal interval (with
     exact times, of those that fall into it); others are gaps. Values that are not finite are missing.
 
-    Parameters
-    ----------
-    block_s: Length of a block in seconds, not shorter than the nominal sample interval.
-
-    Raises
-    ------
-    BadInput: If the length is no positive number.
+    Blocks are not shorter than the nominal sample interval.
 
     Examples
     --------
@@ -49,23 +42,18 @@ class BlockMeans:
         self._seq = 0
 
     def export_state(self) -> dict[str, Any]:
-        """Everything that is kept, in plain values."""
+        """The state, in plain values."""
         return {name: value for name, value in vars(self).items() if name != "_block_ns"}
 
     def import_state(self, state: dict[str, Any]) -> None:
-        """Take over what another one of the same length has exported."""
+        """Take over the state of another one of the same block length."""
         vars(self).update(state)
 
     def push(self, batch: SampleBatch) -> SampleBatch | None:
-        """Take in a batch; the means of the blocks that it completes, if there are any.
-
-        Raises
-        ------
-        BadInput: If the blocks are shorter than the nominal sample interval.
-        """
+        """Take in a batch; the means of the blocks that it completes, if there are any."""
         if batch.dt_ns > self._block_ns:
             raise BadInput(
-                f"run {batch.run}, unit {batch.unit}, signal {batch.signal}: blocks of {self._block_ns / 1e9:g} s are "
+                f"{batch.label}: blocks of {self._block_ns / 1e9:g} s are "
                 f"shorter than the sample interval of {batch.dt_ns / 1e9:g} s"
             )
         if self._t0_ns is None:
@@ -89,23 +77,16 @@ class BlockMeans:
         seq = self._seq
         self._seq += found
         return checked_batch(
-            {
-                "unit": batch.unit,
-                "signal": batch.signal,
-                "run": batch.run,
-                "epoch": batch.epoch,
-                "seq": seq,
-                "t0_ns": self._t0_ns + int(blocks[0]) * self._block_ns,
-                "dt_ns": self._block_ns,
-                "unit_of_measure": batch.unit_of_measure,
-                "counts": None,
-                "values": means[:found],
-                "times_ns": None if is_even else self._t0_ns + blocks[:found] * self._block_ns,
-                "irregular": False,
-                "scale": 1.0,
-                "offset": 0.0,
-                "flags": None,
-            }
+            unit=batch.unit,
+            signal=batch.signal,
+            run=batch.run,
+            epoch=batch.epoch,
+            seq=seq,
+            t0_ns=self._t0_ns + int(blocks[0]) * self._block_ns,
+            dt_ns=self._block_ns,
+            unit_of_measure=batch.unit_of_measure,
+            values=means[:found],
+            times_ns=None if is_even else self._t0_ns + blocks[:found] * self._block_ns,
         )
 
 
@@ -124,7 +105,7 @@ def _close_blocks(
 ) -> tuple[int, float, int, int, bool]:
     """Take in values; the block being filled, its sum and count, how many means were written, and if without a gap.
 
-    Times are relative to the beginning of block 0; without any they are exact.
+    Times are relative to the beginning of block 0; empty where they are exactly on the grid.
     """
     is_timed = times_ns.shape[0] > 0
     begin, end = index * block_ns, (index + 1) * block_ns

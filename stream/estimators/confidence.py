@@ -1,10 +1,10 @@
-"""Confidence limits of a deviation by its equivalent degrees of freedom.
+"""Confidence bounds of a deviation by its equivalent degrees of freedom.
 
 C. A. Greenhall, W. J. Riley, Uncertainty of stability variances based on finite differences, Proc. 35th PTTI (2003)
 267-278, with its equation numbers below; summarised in NIST SP 1065 (2008), section 5.4.
 
-The squares that an Allan variance averages overlap, hence are correlated: M of them are worth fewer, and the variance
-follows about chi-square with these equivalent degrees of freedom (edf). They depend on the noise, a power law
+The squares averaged in an Allan variance overlap and are correlated: M of them have fewer than M equivalent degrees of
+freedom (edf), with which the variance approximately follows chi-square. The edf depend on the noise, a power law
 S_y(f) ~ f**alpha: alpha = 2 quantisation, 1 flicker of angle, 0 angle random walk, -1 bias instability, -2 rate
 random walk.
 """
@@ -24,7 +24,7 @@ _FAR = 100.0
 def sw(t: FloatArray, alpha: int) -> FloatArray:
     """Generalised autocovariance of the phase of noise `alpha`, equation (7): abs(t)**n, n odd, or t**n ln abs(t).
 
-    Up to a factor that depends on `alpha` alone and may be negative; ratios of covariances do not notice.
+    Up to a factor that depends on `alpha` alone and may be negative; it cancels in ratios of covariances.
 
     Examples
     --------
@@ -40,8 +40,8 @@ def sw(t: FloatArray, alpha: int) -> FloatArray:
 def sx(t: FloatArray, averaging_factor: int, alpha: int) -> FloatArray:
     """Autocovariance of the phase averaged over 1/F, F the averaging factor; t in units of tau, equation (8).
 
-    sx = F**2 (2 sw(t) - sw(t - 1/F) - sw(t + 1/F)). This difference loses all its digits for large F: it is taken in
-    u = F t, and far from zero by its series, so that it holds for every F.
+    sx = F**2 (2 sw(t) - sw(t - 1/F) - sw(t + 1/F)). This difference loses all its digits for large F: it is computed
+    in u = F t, and far from zero by its series, so that it holds for every F.
     """
     factor = float(averaging_factor)
     u = np.abs(t) * factor
@@ -87,7 +87,7 @@ def basic_sum(windows: int, averaging_factor: int, stride_per_tau: int, alpha: i
 def _partial_sums(
     averaging_factor: int, stride_per_tau: int, alpha: int, d: int
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Sums over lags 1..j of r**2 and of lag * r**2, r the correlation of windows; they do not depend on the record."""
+    """Sums over lags 1..j of r**2 and of lag * r**2, r the correlation of windows; independent of the record."""
     lags = np.arange((d + 1) * stride_per_tau + 1, dtype=np.float64)
     covariance = sz(lags / stride_per_tau, averaging_factor, alpha, d)
     squares = (covariance / covariance[0]) ** 2
@@ -125,9 +125,9 @@ def edf(alpha: int, d: int, averaging_factor: int, windows: int, stride_per_tau:
 def least_edf(averaging_factor: int, windows: int, stride_per_tau: int, d: int = 2) -> float:
     """Least equivalent degrees of freedom that any of the `NOISE_EXPONENTS` gives.
 
-    For where nothing is known of the noise: the limits keep their level with each of them. Quantisation (+2) has the
-    least at tau of one or two intervals, random walk (-2) at long ones; white noise pays with limits wider by at most
-    the root of 1.7. Where the curve tells the noise, `noise_exponent` leaves out what it excludes.
+    For unknown noise: the bounds keep their level with each of them. Quantisation (+2) has the least at tau of one or
+    two intervals, random walk (-2) at long ones; bounds for white noise become wider by at most the root of 1.7. Where
+    the curve identifies the noise, `noise_exponent` leaves out the exponents that it excludes.
 
     Examples
     --------
@@ -137,23 +137,17 @@ def least_edf(averaging_factor: int, windows: int, stride_per_tau: int, d: int =
     return min(edf(alpha, d, averaging_factor, windows, stride_per_tau) for alpha in NOISE_EXPONENTS)
 
 
-def deviation_limits(value: float, edf: float, confidence: float) -> tuple[float, float]:
-    """Two-sided limits of a deviation whose square follows chi-square, NIST SP 1065 equation (45).
-
-    Parameters
-    ----------
-    value: The deviation, in any unit.
-    edf: Equivalent degrees of freedom, at least 1.
-    confidence: Probability that the true deviation lies between the limits.
+def deviation_bounds(value: float, edf: float, confidence: float) -> tuple[float, float]:
+    """Two-sided bounds of a deviation whose square follows chi-square, NIST SP 1065 equation (45).
 
     Notes
     -----
     s * sqrt(edf / chi2), chi2 the quantiles at (1 + confidence)/2 and (1 - confidence)/2. A deviation of 0 has the
-    limits 0 and 0.
+    bounds 0 and 0.
 
     Examples
     --------
-    >>> lo, hi = deviation_limits(1.0, edf=10.0, confidence=0.95)
+    >>> lo, hi = deviation_bounds(1.0, edf=10.0, confidence=0.95)
     >>> round(lo, 4), round(hi, 4)
     (0.6987, 1.7549)
     """

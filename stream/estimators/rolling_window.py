@@ -1,8 +1,8 @@
-"""A window that rolls along a signal: any estimator, of the last so many seconds.
+"""Rolling window: any estimator over the last seconds of a signal.
 
-The window is made of panes, an estimator each; the estimator of the window is that of its panes merged. Two stacks keep
-this at two merges a step (Tangwongsan, Hirzel, Schneider, Wu, DOI 10.14778/2752939.2752940), and nothing is ever
-subtracted: after an outlier has left the window, it is as if it had never been.
+The window consists of panes, an estimator each; the estimator of the window is that of its panes merged. Two stacks
+need two merges a step (Tangwongsan, Hirzel, Schneider, Wu, DOI 10.14778/2752939.2752940), and nothing is subtracted:
+an outlier has no effect once it has left the window.
 """
 
 import itertools
@@ -16,34 +16,26 @@ import numpy as np
 from stream.batch import SampleBatch
 from stream.clock import MAX_SPAN_NS
 from stream.errors import EstimatorError
-from stream.estimators.base import Estimator, NoEstimate
-from stream.events import EstimatePoint
+from stream.estimators.base import NoEstimate, PointEstimator, Points
 
 MOST_PANES = 100_000
 
 
 class WindowEstimate(NamedTuple):
-    """What is known of one window: from `start_ns` up to, not including, `stop_ns`."""
+    """Estimate over one window from `start_ns` up to, not including, `stop_ns`."""
 
     start_ns: int
     stop_ns: int
     samples: int
     missing: int
-    estimate: tuple[EstimatePoint, ...] | NoEstimate
+    estimate: Points | NoEstimate
 
 
 class RollingWindow:
     """An estimator over the last `window_s` seconds, once every `step_s`.
 
-    Parameters
-    ----------
-    make: Makes an estimator, as those of `default_estimators`.
-    window_s, step_s: Length of the window and by how much it moves on, in the signal's own time since its first sample;
-        the window is a whole number of steps.
-
-    Raises
-    ------
-    EstimatorError: If the window is not of 1 to 100,000 steps.
+    `make` is its factory, as in `default_estimators`. Times are the signal's own since its first sample; the window is
+    1 to 100,000 whole steps.
 
     Notes
     -----
@@ -61,7 +53,7 @@ class RollingWindow:
     [(0, 1.155), (2, 3.464)]
     """
 
-    def __init__(self, make: Callable[[], Estimator], window_s: float, step_s: float) -> None:
+    def __init__(self, make: Callable[[], PointEstimator], window_s: float, step_s: float) -> None:
         panes = round(window_s / step_s) if step_s > 0 and math.isfinite(window_s / step_s) else 0
         if not 1 <= panes <= MOST_PANES or not math.isclose(panes * step_s, window_s, rel_tol=1e-9):
             raise EstimatorError(
@@ -70,16 +62,15 @@ class RollingWindow:
             )
         if not 1 <= round(step_s * 1e9) <= window_s * 1e9 <= MAX_SPAN_NS:
             raise EstimatorError(f"a window of {window_s:g} s in steps of {step_s:g} s: steps take 1 ns to 146 years")
-        self._make = make
         self._panes = panes
         self._step_ns = round(step_s * 1e9)
         self._first_ns: int | None = None
         self._pane = 0
         self._now = make()
-        # merged from each pane to the last of those in front, the one of most panes at the end
-        self._front: list[Estimator] = []
-        self._back: deque[Estimator] = deque()
-        self._back_merged: Estimator | None = None
+        # merged from each pane to the last of those in front; the one of most panes is last
+        self._front: list[PointEstimator] = []
+        self._back: deque[PointEstimator] = deque()
+        self._back_merged: PointEstimator | None = None
 
     @property
     def unit_of_measure(self) -> str:
@@ -89,18 +80,14 @@ class RollingWindow:
     def update(self, batch: SampleBatch) -> list[WindowEstimate]:
         """Take in the next batch of the signal; returns the windows that it completes.
 
-        A window is complete once a sample has come that lies behind it. The first one ends `window_s` after the first
-        sample. Windows that lie within a gap are left out.
-
-        Raises
-        ------
-        EstimatorError: As the estimator does.
+        A window is complete once a later sample has come. The first one ends `window_s` after the first sample.
+        Windows within a gap are left out. Raises what the estimator raises.
         """
         times_ns = np.maximum.accumulate(batch.time_array)
         if self._first_ns is None:
             if self._step_ns < batch.dt_ns:
                 raise EstimatorError(
-                    f"run {batch.run}, unit {batch.unit}, signal {batch.signal}: steps of {self._step_ns / 1e9:g} s "
+                    f"{batch.label}: steps of {self._step_ns / 1e9:g} s "
                     f"are shorter than the sample interval of {batch.dt_ns / 1e9:g} s; take longer ones"
                 )
             self._first_ns = int(times_ns[0])
@@ -129,7 +116,7 @@ class RollingWindow:
 
     def _close_pane(self) -> WindowEstimate | None:
         done = self._now
-        self._now = done.successor()
+        self._now = done.continuation()
         self._pane += 1
         if len(self._front) + len(self._back) == self._panes:
             self._drop_oldest()
@@ -151,7 +138,7 @@ class RollingWindow:
 
     def _drop_oldest(self) -> None:
         if not self._front:
-            merged: Estimator | None = None
+            merged: PointEstimator | None = None
             while self._back:
                 pane = self._back.pop()
                 if merged is not None:

@@ -1,17 +1,15 @@
-"""The state of what follows a signal as bytes: versioned, compact, checked, and nothing of Python's own in it."""
+"""The state of an estimator as bytes: versioned, compact, checked, without Python's own serialisation."""
 
 import struct
 import zlib
-from typing import TYPE_CHECKING
+from typing import Any
 
 import msgspec
 import numpy as np
 import zstandard
 
 from stream.errors import EstimatorError
-
-if TYPE_CHECKING:
-    from stream.estimators.base import Follower
+from stream.estimators.base import Estimator, EstimatorState, estimator_classes
 
 SNAPSHOT_VERSION = 3
 
@@ -37,8 +35,8 @@ class _Content(msgspec.Struct, frozen=True):
 _decoder = msgspec.msgpack.Decoder(_Content)
 
 
-def take_snapshot(follower: "Follower") -> bytes:
-    """State of `follower`, to be brought back by `restore`; it goes on from there as if nothing had happened.
+def take_snapshot(estimator: Estimator[Any]) -> bytes:
+    """State of an estimator; the one that `restore` makes of it continues as if there had been no interruption.
 
     Examples
     --------
@@ -46,34 +44,32 @@ def take_snapshot(follower: "Follower") -> bytes:
     >>> restore(take_snapshot(BiasStability(10.0))).key
     'bias_stability_10s'
     """
-    state = follower.export_state()
+    state = estimator.export_state()
     content = _Content(
-        estimator=type(follower).__name__,
-        arguments=dict(follower.arguments),
+        estimator=type(estimator).__name__,
+        arguments=dict(estimator.arguments),
         signal=state.signal,
         tracker=state.tracker,
         reference=state.reference,
         arrays=tuple(_Array(a.dtype.str, a.shape, np.ascontiguousarray(a).tobytes()) for a in state.arrays),
     )
     packed = zstandard.ZstdCompressor(level=1).compress(msgspec.msgpack.encode(content))
-    return _HEAD.pack(_MARK, SNAPSHOT_VERSION, _checksum(SNAPSHOT_VERSION, packed)) + packed
+    return _HEAD.pack(_MARK, SNAPSHOT_VERSION, zlib.crc32(packed, SNAPSHOT_VERSION)) + packed
 
 
-def restore(snapshot: bytes) -> "Follower":
-    """The estimator, or whatever follows a signal, that a snapshot was taken of.
+def restore(snapshot: bytes) -> Estimator[Any]:
+    """The estimator that a snapshot was taken of.
 
     Raises
     ------
-    EstimatorError: If the bytes are no snapshot, are damaged, or were written by a newer gyrofleet.
+    EstimatorError: If the bytes are no snapshot, are damaged, or are of another version.
     """
-    from stream.estimators.base import EstimatorState, follower_classes
-
     if len(snapshot) < _HEAD.size:
         raise EstimatorError(f"{len(snapshot)} bytes are no snapshot of an estimator")
     mark, version, checksum = _HEAD.unpack_from(snapshot)
     packed = snapshot[_HEAD.size :]
-    if mark != _MARK or checksum != _checksum(version, packed):
-        raise EstimatorError("the snapshot of an estimator is damaged; estimate anew from the record")
+    if mark != _MARK or checksum != zlib.crc32(packed, version):
+        raise EstimatorError("the snapshot of an estimator is damaged; estimate again from the record")
     if version > SNAPSHOT_VERSION:
         raise EstimatorError(
             f"snapshot of version {version}, this gyrofleet reads up to {SNAPSHOT_VERSION}: upgrade this side"
@@ -81,20 +77,16 @@ def restore(snapshot: bytes) -> "Follower":
     if version < SNAPSHOT_VERSION:
         raise EstimatorError(
             f"snapshot of version {version}, of an older gyrofleet; this one keeps version {SNAPSHOT_VERSION}: "
-            "estimate anew from the record"
+            "estimate again from the record"
         )
     content = _decoder.decode(zstandard.ZstdDecompressor().decompress(packed))
-    classes = {cls.__name__: cls for cls in follower_classes()}
+    classes = {cls.__name__: cls for cls in estimator_classes()}
     if content.estimator not in classes:
         raise EstimatorError(
             f"snapshot of an estimator {content.estimator!r}, which this gyrofleet does not have; it has "
             f"{', '.join(classes)}"
         )
-    follower = classes[content.estimator](**content.arguments)
+    estimator = classes[content.estimator](**content.arguments)
     arrays = tuple(np.frombuffer(a.data, np.dtype(a.dtype)).reshape(a.shape) for a in content.arrays)
-    follower.import_state(EstimatorState(content.signal, content.tracker, content.reference, arrays))
-    return follower
-
-
-def _checksum(version: int, packed: bytes) -> int:
-    return zlib.crc32(packed, version)
+    estimator.import_state(EstimatorState(content.signal, content.tracker, content.reference, arrays))
+    return estimator

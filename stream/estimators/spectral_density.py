@@ -7,53 +7,48 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from stream.batch import FloatArray
+from stream.batch import FloatArray, first_finite
 from stream.errors import EstimatorError
-from stream.estimators.confidence import deviation_limits
-from stream.estimators.follower import Follower, NoEstimate, first_finite
-from stream.estimators.spectrum.spectral_lines import REACH_BINS, Line, Spectrum, WelchAverage, find_lines, welch_edf
-from stream.estimators.spectrum.spectral_segments import (
-    PAIRS,
-    SEGMENTS,
-    START,
-    SegmentState,
-    append,
-    empty_state,
-    state_behind,
-    take,
+from stream.estimators.base import Estimator, NoEstimate
+from stream.estimators.confidence import deviation_bounds
+from stream.estimators.spectrum.spectral_lines import (
+    REACH_BINS,
+    SpectralLine,
+    Spectrum,
+    WelchAverage,
+    find_lines,
+    welch_edf,
 )
+from stream.estimators.spectrum.spectral_segments import PAIRS, SEGMENTS, START, SegmentState, append, empty_state, take
+from stream.estimators.spectrum.spectral_segments import continuation as continuation_of
 
 FEWEST_SAMPLES = 128
 MOST_SAMPLES = 2**20
 FIRST_BIN = 2
 
 
-class SpectralDensity(Follower):
+class SpectralDensity(Estimator[Spectrum]):
     """One-sided power spectral density of one signal by Welch's method, in bounded memory.
 
     Parameters
     ----------
     segment_samples: Samples N of a segment, a power of two from 128 to 2**20. The bins lie 1/(N dt) apart.
-    confidence: Confidence level of all limits.
-
-    Raises
-    ------
-    EstimatorError: If a parameter is outside its range.
+    confidence: Confidence level of all bounds.
 
     Notes
     -----
-    Segment j holds the slots j N/2 .. j N/2 + N - 1 of the signal's grid, whatever the batches. Its mean is taken
-    off, then with the Hann window w_i = (1 - cos(2 pi i/N))/2 and X the Fourier transform of w x
+    Segment j holds the slots j N/2 .. j N/2 + N - 1 of the signal's grid, whatever the batches. Its mean is
+    subtracted, then with the Hann window w_i = (1 - cos(2 pi i/N))/2 and X the Fourier transform of w x
 
         P(k/(N dt)) = 2 dt abs(X_k)**2 / sum w_i**2,
 
     averaged over segments (Welch 1967). A segment with a missing or NaN slot is left out and counted. Bins 0 and 1
-    are not given, as taking off the mean lowers them by 2/3 and 1/6, nor is the Nyquist bin, which has half the
-    degrees of freedom. Limits are by chi-square with those of `spectral_lines.welch_edf`, for a density that is smooth
+    are not given, as subtracting the mean lowers them by 2/3 and 1/6, nor is the Nyquist bin, which has half the
+    degrees of freedom. Bounds are by chi-square with those of `spectral_lines.welch_edf`, for a density that is smooth
     over a bin. Frequencies are on the scale of the nominal sample interval.
 
-    Memory: 12 N bytes, and up to 8 N more in what `successor` begins: its first slots close the segments across the
-    seam when the parts are merged.
+    Memory: 12 N bytes, and up to 8 N more in a `continuation`: its first slots complete the segments across the seam
+    when the parts are merged.
 
     Examples
     --------
@@ -73,6 +68,7 @@ class SpectralDensity(Follower):
     """
 
     key = "spectral_density"
+    has_points = False
     names = MappingProxyType({"en": "Power spectral density", "zh": "功率谱密度"})
 
     def __init__(self, segment_samples: int = 4096, confidence: float = 0.95) -> None:
@@ -100,7 +96,7 @@ class SpectralDensity(Follower):
 
     @property
     def segments_left_out(self) -> int:
-        """Segments up to the last sample that are not averaged as a slot of theirs holds no finite value."""
+        """Segments up to the last sample that are not averaged because one of their slots holds no finite value."""
         if self._tracker.irregular:
             return 0
         half = self.segment_samples // 2
@@ -115,7 +111,7 @@ class SpectralDensity(Follower):
 
     @property
     def searched_hz(self) -> tuple[float, float]:
-        """From and up to where `lines` searches, Hz: the bins that have neighbours on both sides."""
+        """Frequency range searched by `lines`, Hz: the bins that have neighbours on both sides."""
         last = self.segment_samples // 2 - 1 - REACH_BINS
         return (FIRST_BIN + REACH_BINS) * self.bin_width_hz, last * self.bin_width_hz
 
@@ -126,24 +122,24 @@ class SpectralDensity(Follower):
             self._reference = first_finite(values)
         take(self._state, first_slot, values, self._reference)
 
-    def _go_on_from(self, earlier: Self) -> None:
-        self._state = state_behind(earlier._state)
+    def _continue_from(self, earlier: Self) -> None:
+        self._state = continuation_of(earlier._state)
 
     def _append(self, later: Self) -> None:
         append(self._state, later._state)
 
     def _room_for(self, arrays: tuple[npt.NDArray[Any], ...]) -> tuple[npt.NDArray[Any], ...]:
-        # only a part that goes on behind another has a head
+        # only a continuation has a head
         if len(arrays) == len(self._state) and arrays[-1].size < self.segment_samples:
             return self._state._replace(head=np.empty(arrays[-1].size))
         return self._state
 
     def estimate(self) -> Spectrum | NoEstimate:
-        """The density of every bin with its limits."""
+        """The density of every bin with its bounds."""
         average = self._average()
         if isinstance(average, NoEstimate):
             return average
-        lo, hi = deviation_limits(1.0, average.edf, self.confidence)
+        lo, hi = deviation_bounds(1.0, average.edf, self.confidence)
         used = slice(FIRST_BIN, -1)
         density = average.density[used]
         bins = np.arange(FIRST_BIN, self.segment_samples // 2, dtype=np.float64)
@@ -158,22 +154,16 @@ class SpectralDensity(Follower):
             segments=self.segments,
         )
 
-    def lines(self, false_alarm_probability: float = 0.01) -> tuple[Line, ...] | NoEstimate:
+    def lines(self, false_alarm_probability: float = 0.01) -> tuple[SpectralLine, ...] | NoEstimate:
         """Sinusoids above the smooth background, lowest frequency first; none is an empty tuple.
 
-        Parameters
-        ----------
-        false_alarm_probability: Most probability that a spectrum without any line shows one, over all its bins.
-
-        Raises
-        ------
-        EstimatorError: If the probability is not between 0 and 1.
+        A spectrum without any line shows one with at most the false-alarm probability, over all its bins.
 
         Notes
         -----
-        `spectral_lines.find_lines` has the test, and its fit the intervals. Searched are the bins from 30 to N/2 - 29,
-        which have neighbours on both sides; a longer segment reaches lower. A line is taken to keep its frequency
-        and amplitude; one that wanders over bins shows as broader and weaker.
+        `spectral_lines.find_lines` describes the test and the intervals. Searched are the bins from 30 to N/2 - 29,
+        which have neighbours on both sides; a longer segment reaches lower. A line is assumed to keep its frequency
+        and amplitude; one that wanders over bins appears broader and weaker.
         """
         if not 0.0 < false_alarm_probability < 1.0:
             raise EstimatorError(f"a false-alarm probability of {false_alarm_probability}: it lies between 0 and 1")
@@ -183,12 +173,8 @@ class SpectralDensity(Follower):
         return find_lines(average, false_alarm_probability, self.confidence)
 
     def _average(self) -> WelchAverage | NoEstimate:
-        unit, signal, _ = self._signal
         if self._tracker.irregular:
-            return NoEstimate(
-                f"unit {unit}, signal {signal}: the samples lie on no grid of {self.sample_interval_s:g} s, and the "
-                "power spectral density needs one; resample by block means, --resample SECONDS"
-            )
+            return self._no_grid("power spectral density")
         if self.segments == 0:
             missing = f", {self.missing} missing" if self.missing else ""
             return NoEstimate(
@@ -198,12 +184,12 @@ class SpectralDensity(Follower):
         # sum of the squares of the Hann window: 3 N/8
         scale = 2.0 * self.sample_interval_s * self._factor**2 / (0.375 * self.segment_samples * self.segments)
         pairs = int(self._state.places[PAIRS])
-        _, widest = deviation_limits(1.0, welch_edf(self.segments, pairs), self.confidence)
+        _, widest = deviation_bounds(1.0, welch_edf(self.segments, pairs), self.confidence)
         with np.errstate(over="ignore", invalid="ignore"):
             density = scale * self._state.power
             is_finite = bool(np.isfinite(density.sum() * widest**2))
         if not is_finite:
-            return NoEstimate(f"unit {unit}, signal {signal}: values too large to be squared; check the source")
+            return self._too_large()
         return WelchAverage(
             density=density, first_bin=FIRST_BIN, bin_width_hz=self.bin_width_hz, segments=self.segments, pairs=pairs
         )

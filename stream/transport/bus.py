@@ -1,4 +1,4 @@
-"""The bus as the rest of the program sees it, and one inside a process."""
+"""The interface of a bus, and a bus within one process."""
 
 import threading
 from collections import defaultdict
@@ -9,7 +9,7 @@ Handler = Callable[[str, bytes], None]
 
 
 class Bus(Protocol):
-    """Publish and subscribe by key expression. A handler gets (key, payload); one that raises hinders no other."""
+    """Publish and subscribe by key expression. A handler gets (key, payload); if it raises, others are still called."""
 
     def publish(self, key: str, payload: bytes) -> None:
         """Send `payload` under `key`; waits where the bus is congested."""
@@ -59,7 +59,7 @@ class LocalBus:
                 if _matches(expression, key)
                 for handler in handlers
             ]
-        hand_on(matching, key, payload)
+        call_handlers(matching, key, payload)
 
     def subscribe(self, key_expression: str, handler: Handler) -> None:
         """Call `handler` for every message that matches."""
@@ -83,22 +83,22 @@ class LocalBus:
         self.close()
 
 
-def hand_on(handlers: Iterable[Handler], key: str, payload: bytes) -> None:
-    """Give a message to handlers; what one of them raises is told by `threading.excepthook`, and the next has it too.
+def call_handlers(handlers: Iterable[Handler], key: str, payload: bytes) -> None:
+    """Call all handlers with a message; an error is reported by `threading.excepthook`, and the next one is called.
 
     Examples
     --------
-    >>> seen, told, hook = [], [], threading.excepthook
-    >>> threading.excepthook = lambda failure: told.append(failure.exc_type)
-    >>> hand_on([lambda key, payload: 1 / 0, lambda key, payload: seen.append(key)], "gyrofleet/x", b"")
+    >>> seen, raised, hook = [], [], threading.excepthook
+    >>> threading.excepthook = lambda failure: raised.append(failure.exc_type)
+    >>> call_handlers([lambda key, payload: 1 / 0, lambda key, payload: seen.append(key)], "gyrofleet/x", b"")
     >>> threading.excepthook = hook
-    >>> seen, told
+    >>> seen, raised
     (['gyrofleet/x'], [<class 'ZeroDivisionError'>])
     """
     for handler in handlers:
         try:
             handler(key, payload)
-        except Exception as error:  # noqa: BLE001  whatever it is, it is a mistake of this handler alone
+        except Exception as error:  # noqa: BLE001  a mistake of this handler alone
             failure = (type(error), error, error.__traceback__, threading.current_thread())
             threading.excepthook(threading.ExceptHookArgs(failure))
 

@@ -1,7 +1,7 @@
 """The bus over Zenoh. No other file imports zenoh.
 
-Nothing listens and nothing is announced unless it is asked for: no multicast scouting, no gossip, no endpoint.
-A session that listens is a router, so that those who connect to it see each other's messages.
+By default nothing listens and nothing is announced: no multicast scouting, no gossip, no endpoint.
+A session that listens is a router, so that its clients see each other's messages.
 """
 
 import json
@@ -14,31 +14,26 @@ import zenoh
 
 from stream.bounds import MAX_MESSAGE_BYTES
 from stream.errors import BusError
-from stream.transport.bus import Handler, hand_on
+from stream.transport.bus import Handler, call_handlers
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 
 _ENDPOINT = re.compile(r"[a-z]+/\S+:\d{1,5}(\?\S*)?")
 
-# Zenoh closes a transport that its other side has stalled for so long, and what waits there is lost without an error;
-# whoever needs it asks for it again. A source waits about as long as the lease (10 s), after which the other side has
-# given it up too: waiting longer only keeps it from connecting anew. A router does not wait for one slow consumer,
-# which holds up all others meanwhile.
+# Zenoh closes a transport that its other side has stalled for so long, and messages that wait there are lost without
+# an error; whoever needs them requests them again. A source waits about as long as the lease (10 s), after which the
+# other side has given up too: waiting longer only delays its reconnection. A router does not wait for a slow consumer,
+# which blocks all others meanwhile.
 _WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"
 _QUEUED_MESSAGES = 256
-_MESSAGE_ROOM_BYTES = 4 << 20  # beyond what is taken, so that one that is a little too large is counted and reported
+_MESSAGE_ROOM_BYTES = 4 << 20  # so that a message slightly too large arrives, and is counted and reported
 _PATIENCE_S = 5.0
 _SOURCE_WAITS_US = 8_000_000
 _ROUTER_WAITS_US = 200_000
 
 
 class ZenohBus:
-    """A session on Zenoh.
-
-    Parameters
-    ----------
-    listen: Endpoints to listen on, such as ``tcp/127.0.0.1:7447``. None by default: the bus is inside the process.
-    connect: Endpoints to connect to.
+    """A session on Zenoh with endpoints, such as ``tcp/127.0.0.1:7447``; without any the bus is inside the process.
 
     Raises
     ------
@@ -64,11 +59,11 @@ class ZenohBus:
             "listen/endpoints": list(listen),
             "connect/endpoints": list(connect),
             "connect/timeout_ms": 5000,
-            # a connection that breaks is sought again soon and for ever
+            # a broken connection is retried soon and for ever
             "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5},
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
-            # no faster than the loopback, 40 MB more, and a process that is killed leaves it behind
+            # no faster than the loopback, 40 MB more, and left behind by a killed process
             "transport/shared_memory/enabled": False,
             "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES + _MESSAGE_ROOM_BYTES,
             _WAIT_BEFORE_CLOSE: _ROUTER_WAITS_US if listen else _SOURCE_WAITS_US,
@@ -83,7 +78,7 @@ class ZenohBus:
         except zenoh.ZError as error:
             wanted = ", ".join([*(f"listen on {e}" for e in listen), *(f"connect to {e}" for e in connect)])
             raise BusError(
-                f"cannot {wanted or 'open a bus'}: {_told(error)}; "
+                f"cannot {wanted or 'open a bus'}: {_message_of(error)}; "
                 f"is the address right and free, and the other side running?"
             ) from error
         self._subscribers: dict[str, tuple[Any, threading.Thread]] = {}
@@ -91,37 +86,32 @@ class ZenohBus:
         self._lock = threading.Lock()
 
     def publish(self, key: str, payload: bytes) -> None:
-        """Send `payload` under `key`; waits where the bus is congested.
-
-        Raises
-        ------
-        BusError: If the session is closed.
-        """
+        """Send `payload` under `key`; waits where the bus is congested; a BusError if the session is closed."""
         try:
-            # a publisher of its own for each key takes 0.3 ms to declare, and every message twice as long
+            # declaring a publisher for each key takes 0.3 ms, and every message twice as long
             self._session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
         except zenoh.ZError as error:
-            raise BusError(f"cannot publish {key}: {_told(error)}") from error
+            raise BusError(f"cannot publish {key}: {_message_of(error)}") from error
 
     def subscribe(self, key_expression: str, handler: Handler) -> None:
-        """Call `handler` with (key, payload) for every message that matches; one that raises hinders no other."""
+        """Call `handler` with (key, payload) for every message that matches."""
         with self._lock:
             handlers = self._handlers.get(key_expression)
             if handlers is not None:
-                # one subscription for all: the payload is copied out of Zenoh once
+                # one subscription for all handlers: the payload is copied out of Zenoh once
                 handlers.append(handler)
                 return
             handlers = self._handlers[key_expression] = [handler]
 
-        # the default queue between Zenoh and Python has no bound; one that is full holds up who sends
+        # the default queue between Zenoh and Python has no bound; a full one blocks the sender
         subscriber = self._session.declare_subscriber(key_expression, zenoh.handlers.FifoChannel(_QUEUED_MESSAGES))
 
         def take() -> None:
             for first in subscriber:
-                # without waiting, and without giving others their turn in between, for all that is there
+                # all that is there, without waiting or switching threads in between
                 sample: zenoh.Sample | None = first
                 while sample is not None:
-                    hand_on(handlers, str(sample.key_expr), sample.payload.to_bytes())
+                    call_handlers(handlers, str(sample.key_expr), sample.payload.to_bytes())
                     sample = subscriber.try_recv()
 
         thread = threading.Thread(target=take, name=f"gyrofleet-bus {key_expression}", daemon=True)
@@ -155,6 +145,6 @@ def _end(subscriber: Any, thread: threading.Thread) -> None:
         thread.join(_PATIENCE_S)
 
 
-def _told(error: Exception) -> str:
+def _message_of(error: Exception) -> str:
     """Zenoh's message without the places in its own source."""
     return re.sub(r"\s+at \S+\.rs:\d+\.?", "", str(error).splitlines()[0])

@@ -1,4 +1,4 @@
-"""What a recorder answers: how far it has each stream on disk, and what it wants once more."""
+"""Answers of a recorder: how far it has each stream on disk, and what it requests again."""
 
 from typing import NamedTuple
 
@@ -8,14 +8,14 @@ from stream.errors import WireError
 
 
 class StreamId(NamedTuple):
-    """What is numbered without a gap: one key expression within one epoch of its source."""
+    """Messages numbered without a gap: one key expression within one epoch of its source."""
 
     key: str
     epoch: str
 
 
 class StreamPosition(msgspec.Struct, frozen=True, array_like=True):
-    """How far a recorder has a stream on disk; with `rewind` it asks for what comes next once more."""
+    """How far a recorder has a stream on disk; with `rewind` it requests the following messages again."""
 
     key: str
     epoch: str
@@ -26,7 +26,7 @@ class StreamPosition(msgspec.Struct, frozen=True, array_like=True):
 class Acknowledgement(msgspec.Struct, frozen=True, array_like=True):
     """Positions of the streams that moved since the last acknowledgement, and the store that holds them.
 
-    `paused` says why the recorder takes nothing at the moment; it is empty while it records.
+    `paused` is why the recorder pauses; empty while it records.
     """
 
     schema: int
@@ -40,7 +40,7 @@ _decoder = msgspec.msgpack.Decoder(Acknowledgement)
 
 
 def encode_acknowledgement(store: str, positions: tuple[StreamPosition, ...], paused: str = "") -> bytes:
-    """Put positions into their wire form.
+    """The wire form of positions.
 
     Examples
     --------
@@ -51,12 +51,7 @@ def encode_acknowledgement(store: str, positions: tuple[StreamPosition, ...], pa
 
 
 def decode_acknowledgement(payload: bytes) -> Acknowledgement:
-    """Read positions from their wire form.
-
-    Raises
-    ------
-    WireError: If it is none.
-    """
+    """Read positions from their wire form; raises WireError."""
     try:
         return _decoder.decode(payload)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:

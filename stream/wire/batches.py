@@ -1,4 +1,4 @@
-"""Wire form of a sample batch: Protobuf, its arrays as little-endian bytes (``samples.proto``)."""
+"""Wire form of sample batches: Protobuf, arrays as little-endian bytes (``samples.proto``)."""
 
 import functools
 from math import isfinite
@@ -29,7 +29,7 @@ _ITEM_BYTES = {
 
 
 def encode_batch(batch: SampleBatch) -> bytes:
-    """Put a batch into its wire form.
+    """The wire form of a batch.
 
     Examples
     --------
@@ -60,8 +60,8 @@ def encode_batch(batch: SampleBatch) -> bytes:
     return bytes(message.SerializeToString())
 
 
-class BatchHead(NamedTuple):
-    """What a sample batch on the wire is, without its samples; `epoch` in hexadecimal digits."""
+class WireBatchHead(NamedTuple):
+    """Head of a sample batch on the wire; `epoch` in hexadecimal digits."""
 
     unit: str
     signal: str
@@ -75,9 +75,9 @@ class BatchHead(NamedTuple):
 
 
 class WireBatch(NamedTuple):
-    """A sample batch as it came over the wire, checked, its arrays still bytes; empty where there is none.
+    """A sample batch as received, checked, its arrays still bytes, empty where there is none.
 
-    `meaning` is what neighbours must share to be put together: epoch, interval in nanoseconds, unit of measure, whether
+    `meaning` must be equal in batches that are joined: epoch, interval in nanoseconds, unit of measure, whether
     irregular, scale, offset.
     """
 
@@ -99,18 +99,10 @@ class WireBatch(NamedTuple):
         return self.meaning[2]
 
 
-def read_batch_head(payload: bytes, *, bounded: bool = True) -> BatchHead:
-    """Read what a batch is; refused is exactly what `decode_batch` refuses, and no array is made.
+def read_batch_head(payload: bytes, *, bounded: bool = True) -> WireBatchHead:
+    """Read the head of a batch; raises where `decode_batch` does, without making arrays.
 
-    Parameters
-    ----------
-    payload: The message.
-    bounded: Whether numbers beyond their bounds are refused too. A log may hold such from before there were bounds.
-
-    Raises
-    ------
-    NewerSchema: If it was written by a newer gyrofleet.
-    WireError: If it is not a batch, or not a whole one.
+    Without `bounded`, numbers beyond their bounds are accepted: old logs may contain them.
 
     Examples
     --------
@@ -121,7 +113,7 @@ def read_batch_head(payload: bytes, *, bounded: bool = True) -> BatchHead:
     """
     message, last_ns = _checked(payload, bounded=bounded)
     seq = message.seq
-    return BatchHead(
+    return WireBatchHead(
         message.unit,
         message.signal,
         message.run,
@@ -135,13 +127,7 @@ def read_batch_head(payload: bytes, *, bounded: bool = True) -> BatchHead:
 
 
 def read_wire_batch(payload: bytes) -> WireBatch:
-    """Read a batch whose samples are to be put to others: it is checked, and its arrays stay bytes.
-
-    Raises
-    ------
-    NewerSchema: If it was written by a newer gyrofleet.
-    WireError: If it is not a batch, or not a whole one.
-    """
+    """Read a batch whose samples will be joined to others: checked as by `decode_batch`, arrays left as bytes."""
     message, last_ns = _checked(payload)
     seq, counts = message.seq, _counts(message)
     return WireBatch(
@@ -170,29 +156,27 @@ def decode_batch(payload: bytes) -> SampleBatch:
     message, _ = _checked(payload)
     values, times_ns, flags = message.values, message.times_ns, message.flags
     return checked_batch(
-        {
-            "unit": message.unit,
-            "signal": message.signal,
-            "run": message.run,
-            "epoch": epoch_of(message.epoch),
-            "seq": message.seq,
-            "t0_ns": message.t0_ns,
-            "dt_ns": message.dt_ns,
-            "unit_of_measure": message.unit_of_measure,
-            "counts": _counts(message),
-            "values": np.frombuffer(values, "<f8") if values else None,
-            "times_ns": np.frombuffer(times_ns, "<i8") if times_ns else None,
-            "irregular": message.irregular,
-            "scale": message.scale,
-            "offset": message.offset,
-            "flags": np.frombuffer(flags, "u1") if flags else None,
-        }
+        unit=message.unit,
+        signal=message.signal,
+        run=message.run,
+        epoch=epoch_of(message.epoch),
+        seq=message.seq,
+        t0_ns=message.t0_ns,
+        dt_ns=message.dt_ns,
+        unit_of_measure=message.unit_of_measure,
+        counts=_counts(message),
+        values=np.frombuffer(values, "<f8") if values else None,
+        times_ns=np.frombuffer(times_ns, "<i8") if times_ns else None,
+        irregular=message.irregular,
+        scale=message.scale,
+        offset=message.offset,
+        flags=np.frombuffer(flags, "u1") if flags else None,
     )
 
 
 @functools.lru_cache(65_536)
 def epoch_of(raw: bytes) -> UUID:
-    """The epoch that 16 bytes of the wire say; making a UUID takes longer than reading the rest of a batch."""
+    """The epoch of 16 bytes; cached, since making a UUID takes longer than reading the rest of a batch."""
     return UUID(bytes=raw)
 
 

@@ -1,7 +1,7 @@
-"""Counts on the wire: planes of bytes, as few as hold them all.
+"""Counts on the wire: planes of bytes, as few as hold all counts.
 
-Most gyros fill 16 bits or fewer of the 32 that a count has. Only the bytes that say something are sent, those of equal
-weight beside each other: half the traffic, and a compressor takes an eighth of the time for a tenth less.
+Most gyros use 16 bits or fewer of the 32 of a count. Only significant bytes are sent, those of equal weight beside each
+other: half the traffic, and a compressor needs an eighth of the time for a tenth less.
 """
 
 import numpy as np
@@ -14,16 +14,7 @@ MOST_PLANES = 4
 
 
 def split_counts(counts: CountArray) -> bytes:
-    """Put counts into 1 to 4 planes of a byte a sample, the lowest byte first; two's complement.
-
-    Parameters
-    ----------
-    counts: shape (n,); at least one.
-
-    Returns
-    -------
-    bytes
-        Of length n times the least number of bytes that hold each of the counts.
+    """Split counts, at least one, into 1 to 4 planes of a byte a sample, the lowest byte first; two's complement.
 
     Examples
     --------
@@ -36,7 +27,7 @@ def split_counts(counts: CountArray) -> bytes:
 
 
 def join_counts(planes: bytes, n: int) -> CountArray:
-    """The `n` counts that planes hold; their length must be 1 to 4 times n.
+    """The `n` counts of planes; their length must be 1 to 4 times n.
 
     Examples
     --------

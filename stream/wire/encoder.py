@@ -1,4 +1,4 @@
-"""Sample batches into their wire form, where many of one stream follow each other."""
+"""Encoder of the successive sample batches of one stream."""
 
 import functools
 
@@ -9,10 +9,10 @@ from stream.wire.count_planes import split_counts
 
 
 class BatchEncoder:
-    """Puts the batches of one stream into their wire form; for one thread.
+    """Encodes the batches of one stream; for one thread.
 
-    What is the same in all batches of a stream is encoded once. Fields in the order of their numbers may be encoded
-    apart and joined: the bytes are those of `encode_batch`.
+    Fields that are the same in all batches of a stream are encoded once. Fields encoded separately and joined in the
+    order of their numbers give the same bytes as `encode_batch`.
 
     Examples
     --------
@@ -30,9 +30,9 @@ class BatchEncoder:
         self._head = self._interval = self._measure = self._scale = b""
 
     def encode(self, batch: SampleBatch) -> bytes:
-        """Put a batch into its wire form."""
+        """The wire form of a batch."""
         if self._like is None or not _is_like(batch, self._like):
-            self._learn(batch)
+            self._encode_common(batch)
         position = self._position
         position.seq, position.samples, position.t0_ns = batch.seq, len(batch), batch.t0_ns
         parts = [self._head, position.SerializeToString(), self._interval]
@@ -48,7 +48,7 @@ class BatchEncoder:
             parts += _field(18, split_counts(batch.counts))
         return b"".join(parts)
 
-    def _learn(self, batch: SampleBatch) -> None:
+    def _encode_common(self, batch: SampleBatch) -> None:
         head = samples_pb2.SampleBatch(
             schema=SAMPLE_SCHEMA, unit=batch.unit, signal=batch.signal, run=batch.run, epoch=batch.epoch.bytes
         )
@@ -82,7 +82,7 @@ def _field(number: int, data: bytes) -> tuple[bytes, bytes]:
 
 @functools.lru_cache(maxsize=4096)
 def _field_head(number: int, length: int) -> bytes:
-    """What stands before the bytes of a field: its number and its length."""
+    """Number and length of a field, before its bytes."""
     return _varint(number << 3 | 2) + _varint(length)
 
 

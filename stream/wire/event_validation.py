@@ -1,4 +1,4 @@
-"""Whether a document that can be read makes sense: what is refused on arrival, and passed over where a log holds it."""
+"""Validation of decoded documents: invalid ones are refused on arrival, and skipped in a log."""
 
 import re
 from uuid import UUID
@@ -24,11 +24,7 @@ _LOST_NUMBERS = ("first_seq", "last_seq")
 
 
 def decode_received(payload: bytes) -> EventMessage:
-    """Read a document that comes over the wire.
-
-    Raises
-    ------
-    WireError: If it is none, or makes no sense.
+    """Read a document from the wire; raises WireError if it is none, or is invalid.
 
     Examples
     --------
@@ -51,7 +47,7 @@ def decode_received(payload: bytes) -> EventMessage:
 
 
 def invalid_reason(document: AnyDocument) -> str | None:
-    """Why nobody can make use of a document; None where it makes sense.
+    """Why a document is invalid; None if it is valid.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""What a source asks a recorder before it sends, and the answers: who sends what, and what the store has of it.
+"""Requests of a source to a recorder, and the replies: who sends what, and what the store has of it.
 
-Requests go under one key, answers under a key of each request's own. A chunk of a key that starts with ``@`` is matched
-by no wildcard, so that neither is recorded.
+Requests have one key, replies a key for each request. A chunk of a key that starts with ``@`` is matched by no
+wildcard, so that neither is recorded.
 """
 
 from typing import Any
@@ -13,7 +13,7 @@ from stream.errors import WireError
 from stream.identity import ROOT
 
 REQUEST_KEY = f"{ROOT}/@request"
-LEASE_S = 3.0  # how long a claim lasts that is not renewed
+LEASE_S = 3.0  # duration of a claim that is not renewed
 RENEW_S = 0.7
 MOST_ROWS = 1_000_000  # samples in one answer
 
@@ -37,7 +37,7 @@ class Release(msgspec.Struct, frozen=True, tag=True):
 
 
 class Settle(msgspec.Struct, frozen=True, tag=True):
-    """Bring everything that has come to the lake; what is asked then is answered from it."""
+    """Move everything that has come to the lake, from which later requests are answered."""
 
 
 class AskSignals(msgspec.Struct, frozen=True, tag=True):
@@ -47,7 +47,7 @@ class AskSignals(msgspec.Struct, frozen=True, tag=True):
 
 
 class AskRuns(msgspec.Struct, frozen=True, tag=True):
-    """What is known of these runs: date, end, documents?"""
+    """Date, end and documents of these runs?"""
 
     runs: tuple[str, ...]
 
@@ -66,7 +66,7 @@ Question = Hello | Claim | Release | Settle | AskSignals | AskRuns | AskSamples
 
 
 class Request(msgspec.Struct, frozen=True):
-    """A question to the recorder of a store; to every recorder where `store` is empty."""
+    """A question to the recorder of a store; to every recorder if `store` is empty."""
 
     id: str
     store: str
@@ -74,7 +74,7 @@ class Request(msgspec.Struct, frozen=True):
 
 
 class Reply(msgspec.Struct, frozen=True):
-    """The answer of the recorder of a store, or why there is none."""
+    """The answer of the recorder of a store, or its error."""
 
     id: str
     store: str
@@ -87,12 +87,12 @@ _reply_decoder = msgspec.msgpack.Decoder(Reply)
 
 
 def reply_key(request_id: str) -> str:
-    """Key expression of the answers to a request."""
+    """Key expression of the replies to a request."""
     return f"{ROOT}/@reply/{request_id}"
 
 
 def encode(message: Request | Reply) -> bytes:
-    """Put a request or an answer into its wire form.
+    """The wire form of a request or a reply.
 
     Examples
     --------
@@ -103,23 +103,13 @@ def encode(message: Request | Reply) -> bytes:
 
 
 def decode_request(payload: bytes) -> Request:
-    """Read a request.
-
-    Raises
-    ------
-    WireError: If it is none.
-    """
+    """Read a request; raises WireError."""
     request: Request = _decoded(_request_decoder, payload)
     return request
 
 
 def decode_reply(payload: bytes) -> Reply:
-    """Read an answer.
-
-    Raises
-    ------
-    WireError: If it is none.
-    """
+    """Read a reply; raises WireError."""
     reply: Reply = _decoded(_reply_decoder, payload)
     return reply
 

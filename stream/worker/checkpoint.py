@@ -1,17 +1,16 @@
-"""A worker's checkpoint: what it knows of every signal, in one file that is there whole or not at all.
+"""A worker's checkpoint: the state of every signal in one file, written atomically.
 
-Two generations are kept. One that is damaged is moved aside, and the one before it is as good: it only takes more out
-of the log.
+Two generations are kept. A damaged one is quarantined and the one before it is used: more is then read from the log.
 """
 
 import hashlib
-import os
 import struct
 import time
 from pathlib import Path
 
 import msgspec
 
+from stream.atomic_file import write_durably
 from stream.errors import CheckpointDamaged, EstimatorError
 from stream.events import CompensationStarted, LimitsApplied
 from stream.worker.signal_analysis import SignalState
@@ -27,12 +26,12 @@ class Checkpoint(msgspec.Struct, frozen=True):
 
     Parameters
     ----------
-    store: Identity of the store whose log goes on where the checkpoint ends.
-    positions: How far every stream was taken in.
+    store: Identity of the store whose log continues where the checkpoint ends.
+    positions: Key, epoch and next number of every stream.
     ended: Runs whose messages beyond those positions are left out.
-    limits: Those of the runs that go on.
-    signals: The signals of the runs that go on.
-    compensated: Which of them are compensated, whose samples the end of a run waits for.
+    limits: Limits of the runs in progress.
+    signals: Signals of the runs in progress.
+    compensated: Compensated signals among them, whose samples the end of a run waits for.
     """
 
     store: str
@@ -58,34 +57,22 @@ def generations(path: Path) -> tuple[Path, Path]:
 
 
 def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
-    """Put a checkpoint in the place of the newest, which becomes the previous one.
+    """Write the newest checkpoint; the one before becomes the previous one.
 
     Raises
     ------
-    EstimatorError: If it cannot be written; those before are then still there.
+    EstimatorError: If it cannot be written; an earlier one is then still there.
     """
     content = msgspec.msgpack.encode(checkpoint)
     head = _HEAD.pack(_MARK, CHECKPOINT_VERSION, _digest(CHECKPOINT_VERSION, content))
     newest, previous = generations(path)
-    fresh = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with fresh.open("wb") as file:
-            file.write(head + content)
-            file.flush()
-            os.fsync(file.fileno())
-        if newest.exists():
-            newest.replace(previous)
-        fresh.replace(newest)
-        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        write_durably(newest, head + content, previous=previous)
     except OSError as error:
         raise EstimatorError(
-            f"the checkpoint {path} cannot be written: {error}; free space or mend the disk, so that estimating can go "
-            "on from it after a stop"
+            f"the checkpoint {path} cannot be written: {error}; free space or repair the disk, so that estimation can "
+            "resume from it after a stop"
         ) from error
 
 
@@ -94,7 +81,7 @@ def read_checkpoint(path: Path) -> Checkpoint | None:
 
     Raises
     ------
-    CheckpointDamaged: If it is not what was written, or of an older version.
+    CheckpointDamaged: If its checksum is wrong, or it is of an older version.
     EstimatorError: If it cannot be read, or is of a newer version.
     """
     try:
@@ -102,7 +89,9 @@ def read_checkpoint(path: Path) -> Checkpoint | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise EstimatorError(f"the checkpoint {path} cannot be read: {error}; mend the disk or move it away") from error
+        raise EstimatorError(
+            f"the checkpoint {path} cannot be read: {error}; repair the disk or move it away"
+        ) from error
     if len(content) < _HEAD.size or content[:4] != _MARK:
         raise CheckpointDamaged(f"the checkpoint {path} is damaged: it does not begin as one")
     _, version, digest = _HEAD.unpack_from(content)
@@ -111,7 +100,7 @@ def read_checkpoint(path: Path) -> Checkpoint | None:
     if is_whole and version > CHECKPOINT_VERSION:
         raise EstimatorError(
             f"checkpoint {path} of version {version}, this gyrofleet reads {CHECKPOINT_VERSION}: use the one that "
-            "wrote it, or move it away to begin anew from the log"
+            "wrote it, or move it away to begin again from the log"
         )
     if not is_whole or version < CHECKPOINT_VERSION:
         raise CheckpointDamaged(
@@ -123,18 +112,18 @@ def read_checkpoint(path: Path) -> Checkpoint | None:
         raise CheckpointDamaged(f"the checkpoint {path} cannot be read: {error}") from error
 
 
-def keep_aside(path: Path) -> Path:
-    """Move a checkpoint that cannot be used out of the way; where it is then.
+def quarantine(path: Path) -> Path:
+    """Rename a checkpoint that cannot be used; returns its new path.
 
     Raises
     ------
-    EstimatorError: If it cannot be moved.
+    EstimatorError: If it cannot be renamed.
     """
     aside = path.with_name(f"{path.name}.damaged-{time.time_ns()}")
     try:
         path.rename(aside)
     except OSError as error:
-        raise EstimatorError(f"the checkpoint {path} cannot be moved aside: {error}; move it away yourself") from error
+        raise EstimatorError(f"the checkpoint {path} cannot be renamed: {error}; move it away yourself") from error
     return aside
 
 

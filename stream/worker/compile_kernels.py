@@ -1,19 +1,42 @@
-"""The estimators made ready before a command takes samples, and a word on why it takes some seconds."""
+"""The machine code of all estimators, compiled or loaded before a command takes samples."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext
+from uuid import UUID
 
+import numpy as np
+
+from stream.batch import SampleBatch
 from stream.console import notes
-from stream.estimators.warm_up import warm_up
+from stream.estimators.base import all_estimators
+from stream.estimators.block_means import BlockMeans
+from stream.estimators.noise.noise_kernel import descend, weighted_least_squares
 
 
 def compile_kernels(*, quiet: bool) -> None:
-    """Make the estimators' machine code ready; says so, for it takes some seconds the first time."""
-    console = notes()
-    with console.status("making the estimators ready (some seconds, the first time only)") if not quiet else _nothing():
+    """Prepare the machine code of the estimators and say so: it takes some seconds the first time."""
+    status = notes().status("preparing the estimators (some seconds, the first time only)")
+    with nullcontext() if quiet else status:
         warm_up()
 
 
-@contextmanager
-def _nothing() -> Iterator[None]:
-    yield
+def warm_up() -> None:
+    """Compile the machine code of all estimators, or load it where it was compiled before.
+
+    It is kept on disk beside the modules, or in the user's cache directory where that cannot be written; compiling
+    takes some seconds, once an installation.
+    """
+    values = np.array([1.0, np.nan, 2.0, 4.0])
+    times_ns = np.array([0, 1, 5, 6], np.int64) * 10**9
+    regular = SampleBatch("unit", "signal", "run", UUID(int=0), 0, 0, 10**9, "1", values=values)
+    irregular = SampleBatch(
+        "unit", "signal", "run", UUID(int=0), 0, 0, 10**9, "1", values=values, times_ns=times_ns, irregular=True
+    )
+    for batch in (regular, irregular):
+        for factory in all_estimators().values():
+            estimator = factory()
+            estimator.update(batch)
+            estimator.merge(estimator.continuation())
+            estimator.estimate()
+        BlockMeans(1.0).push(batch)
+    descend(np.ones((2, 1)), np.ones(2), np.ones(1), np.ones(1, np.bool_))
+    weighted_least_squares(np.ones((2, 1)), np.ones(2), np.ones(2), np.zeros(2), np.ones(1, np.bool_))

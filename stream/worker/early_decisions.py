@@ -1,35 +1,37 @@
-"""The early decisions on one signal: one for each limit of its run, looked at whenever its estimates are published."""
+"""The early decisions on one signal: one for each limit of its run, updated whenever its estimates are published."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any, NamedTuple, Self
 
 import msgspec
+import numpy as np
 
 from stream.batch import SampleBatch
 from stream.errors import GyrofleetError
 from stream.estimators.allan_variance import OVERLAP, AllanDeviation
-from stream.estimators.base import NoEstimate
+from stream.estimators.base import NoEstimate, PointEstimator
+from stream.estimators.bias_stability import BiasStability
 from stream.estimators.block_means import BlockMeans
 from stream.estimators.decision.decision import AllanDecision, BiasStabilityDecision, Decision, DecisionPlan, Outcome
 from stream.estimators.snapshot import restore, take_snapshot
 from stream.events import EarlyDecision, EstimatePoint, EstimatePublished, Limit, LimitsApplied
 from stream.quantities import conversion
+from stream.worker.limit_checks import ALLAN_DEVIATION, ANGLE_RANDOM_WALK, estimator_key
 
-ALLAN_DEVIATION, ANGLE_RANDOM_WALK, BIAS_STABILITY = "allan_deviation", "angle_random_walk", "bias_stability"
 _SAME = 1e-6
 _STEPS = OVERLAP
 _EVEN = 6.0
 
 
 class DecisionLook(NamedTuple):
-    """What a look at one limit found."""
+    """Result of a look at one limit."""
 
     limit: Limit
     decision: Decision
 
     def document(self, head: dict[str, Any]) -> EarlyDecision:
-        """Return it as a run document with that head."""
+        """The run document with that head."""
         decision = self.decision
         return EarlyDecision(
             **head,
@@ -45,8 +47,8 @@ class DecisionLook(NamedTuple):
         )
 
 
-class _Exactly:
-    """The Allan deviation at one averaging time, of means over a sixteenth of it: what the octaves do not hold."""
+class _ExactTau:
+    """The Allan deviation at one averaging time that is no octave, from means over a sixteenth of it."""
 
     def __init__(self, tau_s: float) -> None:
         self._means = BlockMeans(tau_s / _STEPS)
@@ -75,9 +77,17 @@ class EarlyDecisions:
     of samples, some hold one more than others, which raises the deviation by less than 0.3 %. Shorter ones are
     decided where they are an octave of the interval, limits on the bias stability where it is estimated.
 
+    Limits on one record of the run (`LimitsApplied.since_ns`) have estimators of their own, which see the samples of
+    that record only. A record that is begun again replaces the one before it.
+
     Parameters
     ----------
     signal: Which signal.
+
+    Attributes
+    ----------
+    since_ns: Start of the record that the limits are on; None for the whole run.
+    estimators: Those of the record; none for the whole run.
     """
 
     def __init__(self, signal: str) -> None:
@@ -85,37 +95,97 @@ class EarlyDecisions:
         self._planned_s: float | None = None
         self._limits: tuple[Limit, ...] = ()
         self._tests: dict[int, AllanDecision | BiasStabilityDecision] = {}
-        self._exactly: dict[int, _Exactly] = {}
+        self._exact: dict[int, _ExactTau] = {}
         self._plans: dict[int, DecisionPlan] = {}
+        self._next: LimitsApplied | None = None
+        self.since_ns: int | None = None
+        self.estimators: list[PointEstimator] = []
 
     def apply(self, limits: LimitsApplied) -> None:
-        """Take the limits of the run; they do nothing without its planned duration. The first ones stand."""
-        if limits.planned_s is None or self._planned_s is not None:
-            return
-        self._planned_s = limits.planned_s
-        self._set(tuple(limit for limit in limits.limits if limit.signal == self._signal))
+        """Take limits of the run; they do nothing without a planned duration.
 
-    def _set(self, limits: tuple[Limit, ...]) -> None:
-        self._limits = limits
-        self._exactly = {i: _Exactly(_tau_s(limit)) for i, limit in enumerate(limits) if _is_allan(limit)}
+        The first ones on the whole run stand; those on a record count from its first sample on.
+        """
+        if limits.planned_s is None:
+            return
+        if limits.since_ns is not None:
+            self._next = limits if limits.since_ns != self.since_ns else None
+        elif self._planned_s is None:
+            self._planned_s = limits.planned_s
+            self._set(self._own(limits))
+
+    def _own(self, limits: LimitsApplied) -> tuple[Limit, ...]:
+        return tuple(limit for limit in limits.limits if limit.signal == self._signal)
+
+    def _set(self, limits: tuple[Limit, ...], since_ns: int | None = None) -> None:
+        self._limits, self.since_ns = limits, since_ns
+        self._tests, self._plans = {}, {}
+        self._exact = {i: _ExactTau(_tau_s(limit)) for i, limit in enumerate(limits) if _is_allan(limit)}
+        self.estimators = []
+        if since_ns is not None:
+            keys = {estimator_key(limit): limit for limit in limits}
+            self.estimators = [
+                AllanDeviation() if _is_allan(limit) else BiasStability(_tau_s(limit)) for limit in keys.values()
+            ]
+
+    def _of_record(self, batch: SampleBatch) -> Iterator[SampleBatch]:
+        """The samples of a batch that belong to the record that the limits are on."""
+        first_ns, last_ns = batch.t0_ns, batch.last_ns
+        following = self._next
+        if following is not None and following.since_ns is not None and last_ns >= following.since_ns:
+            self._next, self._planned_s = None, following.planned_s
+            self._set(self._own(following), following.since_ns)
+        if self.since_ns is None:
+            yield batch
+            return
+        assert self._planned_s is not None
+        until_ns = self.since_ns + round(self._planned_s * 1e9)
+        if self.since_ns <= first_ns and last_ns < until_ns:
+            yield batch
+            return
+        times_ns = batch.time_array
+        inside = np.flatnonzero((times_ns >= self.since_ns) & (times_ns < until_ns))
+        if len(inside):
+            yield batch.part(int(inside[0]), int(inside[-1]) + 1)
 
     def update(self, batch: SampleBatch) -> None:
-        """Take in the next batch of the signal."""
-        for number, exactly in list(self._exactly.items()):
+        """Take in the next batch of the signal.
+
+        Raises
+        ------
+        GyrofleetError: If an estimator refuses it.
+        """
+        for part in self._of_record(batch) if self._limits or self._next else ():
+            for estimator in self.estimators:
+                estimator.update(part)
+            self._update_exact(part)
+
+    def _update_exact(self, batch: SampleBatch) -> None:
+        for number, exact in list(self._exact.items()):
             samples = _tau_s(self._limits[number]) * 1e9 / _STEPS / batch.dt_ns
             # means of few samples, now one more and now one less, would have another deviation
             is_uneven = samples < 1.0 - _SAME or abs(samples - round(samples)) > _SAME * samples
-            if (samples < _EVEN and is_uneven) or self._decided(number) is not None:
-                del self._exactly[number]  # it is one of the octaves, or none; or nothing is left to be known
+            is_done = self.since_ns is None and self._decided(number) is not None
+            if (samples < _EVEN and is_uneven) or is_done:
+                del self._exact[number]  # it is one of the octaves, or none; or nothing is left to be known
             else:
-                exactly.update(batch)
+                exact.update(batch)
+
+    def exact_points(self) -> tuple[EstimatePoint, ...]:
+        """Allan deviation at the averaging times of limits on a record, where they are not interpolated."""
+        found: list[EstimatePoint] = []
+        for number, exact in self._exact.items() if self.since_ns is not None else ():
+            points, tau_s = exact.allan.estimate(), _tau_s(self._limits[number])
+            if not isinstance(points, NoEstimate):
+                found += [each for each in points if abs(each.tau_s - tau_s) <= _SAME * tau_s]
+        return tuple(found)
 
     def _decided(self, number: int) -> Decision | None:
         test = self._tests.get(number)
         return None if test is None else test.decision
 
     def look(self, elapsed_s: float, estimates: Mapping[str, EstimatePublished]) -> list[DecisionLook]:
-        """Hold the estimates after `elapsed_s` against each limit; estimates by the key of their estimator."""
+        """Compare the estimates after `elapsed_s`, by the key of their estimator, with each limit."""
         return [
             DecisionLook(limit, self._look(number, limit, elapsed_s, estimates))
             for number, limit in enumerate(self._limits)
@@ -128,14 +198,14 @@ class EarlyDecisions:
         if decided is not None:
             return decided
         tau_s = _tau_s(limit)
-        key = ALLAN_DEVIATION if _is_allan(limit) else f"{BIAS_STABILITY}_{tau_s:g}s"
+        key = estimator_key(limit)
         estimate = estimates.get(key)
         if estimate is None:
             return _cannot(f"{key} is not estimated while the signal flows", f"运行中不估计 {key}")
         points = estimate.points
-        exactly = self._exactly.get(number)
-        if exactly is not None:
-            found = exactly.allan.estimate()
+        exact = self._exact.get(number)
+        if exact is not None:
+            found = exact.allan.estimate()
             points = () if isinstance(found, NoEstimate) else found
         point = next((each for each in points if abs(each.tau_s - tau_s) <= _SAME * tau_s), None)
         try:
@@ -164,7 +234,7 @@ class EarlyDecisions:
             factor, offset = conversion(limit.unit_of_measure, "deg/sqrt(h)")[0] * 60.0, 0.0
         else:
             factor, offset = conversion(limit.unit_of_measure, estimate.unit_of_measure)
-        lag = _STEPS if number in self._exactly else round(_tau_s(limit) / estimate.sample_interval_s)
+        lag = _STEPS if number in self._exact else round(_tau_s(limit) / estimate.sample_interval_s)
         return DecisionPlan(
             tau_s=_tau_s(limit),
             limit=limit.upper * factor + offset,
@@ -173,7 +243,7 @@ class EarlyDecisions:
         )
 
     def export_state(self) -> dict[str, Any]:
-        """Everything that is kept, in plain values."""
+        """The state, in plain values."""
         tests = {
             str(number): {"plan": asdict(self._plans[number]), "state": test.export_state()}
             for number, test in self._tests.items()
@@ -182,21 +252,28 @@ class EarlyDecisions:
             "planned_s": self._planned_s,
             "limits": [msgspec.to_builtins(limit) for limit in self._limits],
             "tests": tests,
-            "exactly": {str(number): exactly.export_state() for number, exactly in self._exactly.items()},
+            "exactly": {str(number): exact.export_state() for number, exact in self._exact.items()},
+            "since_ns": self.since_ns,
+            "estimators": [take_snapshot(estimator) for estimator in self.estimators],
+            "next": None if self._next is None else msgspec.json.encode(self._next),
         }
 
     @classmethod
     def from_state(cls, signal: str, state: dict[str, Any]) -> Self:
-        """Go on from what another one has exported."""
+        """Resume from the state of another one."""
         decisions = cls(signal)
         decisions._planned_s = state["planned_s"]
-        decisions._set(tuple(msgspec.convert(limit, Limit) for limit in state["limits"]))
+        decisions._set(tuple(msgspec.convert(limit, Limit) for limit in state["limits"]), state.get("since_ns"))
+        restored = [restore(snapshot) for snapshot in state.get("estimators", ())]
+        decisions.estimators = [each for each in restored if isinstance(each, AllanDeviation | BiasStability)]
+        following = state.get("next")
+        decisions._next = None if following is None else msgspec.json.decode(following, type=LimitsApplied)
         for number, saved in state["tests"].items():
             decisions._begin(int(number), msgspec.convert(saved["plan"], DecisionPlan))
             decisions._tests[int(number)].import_state(saved["state"])
-        decisions._exactly = {int(n): decisions._exactly[int(n)] for n in state["exactly"]}
+        decisions._exact = {int(n): decisions._exact[int(n)] for n in state["exactly"]}
         for number, saved in state["exactly"].items():
-            decisions._exactly[int(number)].import_state(saved)
+            decisions._exact[int(number)].import_state(saved)
         return decisions
 
 

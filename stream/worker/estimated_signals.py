@@ -15,11 +15,8 @@ class EstimatedSignals(NamedTuple):
     A noise fit costs more than the import of a file of a few hundred rows, and nobody asks for that of a supply
     voltage. `gyrofleet allan` and `gyrofleet spectrum` compute any recorded signal from its samples.
 
-    Parameters
-    ----------
-    names: Signals that are estimated whatever they measure.
-    rates: Whether angular rates are estimated, and signals named ``rate`` or ``rate_*`` in other units, such as counts.
-    everything: Whether every signal is estimated.
+    `names` are estimated whatever they measure; `rates`: also angular rates, and signals named ``rate`` or ``rate_*``
+    in other units, such as counts; `everything`: every signal.
 
     Examples
     --------

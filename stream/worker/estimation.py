@@ -1,4 +1,4 @@
-"""What is known of every signal: numbered messages in, documents out; in whose thread, and from where, is left open."""
+"""Estimation of all signals: numbered messages in, documents out; independent of threads and transport."""
 
 import functools
 from collections.abc import Callable, Iterator, Mapping
@@ -6,22 +6,23 @@ from dataclasses import dataclass
 
 from stream.delivery.publisher import StreamId
 from stream.errors import BadInput, WireError
-from stream.estimators.base import Estimator
+from stream.estimators.base import PointEstimator
 from stream.events import AnyDocument, CompensationStarted, EventMessage, LimitsApplied, RunEnded
 from stream.identity import EstimateKey, EventKey, Place, SampleKey, estimate_key, parse_key, sample_key
 from stream.wire.batches import WireBatch, read_wire_batch
 from stream.wire.event_validation import decode_received
 from stream.worker.checkpoint import Checkpoint
 from stream.worker.estimated_signals import EstimatedSignals
-from stream.worker.held_ends import HeldEnds, streams_of
-from stream.worker.signal_analysis import Documents, SignalAnalysis, fresh_followers
+from stream.worker.limit_checks import VERDICT, unit_verdicts
+from stream.worker.pending_ends import PendingEnds, streams_of
+from stream.worker.signal_analysis import Documents, SignalAnalysis, new_estimators
 
 _parse = functools.lru_cache(65_536)(parse_key)
 
 
 @dataclass
 class EstimationCounts:
-    """What has been taken in."""
+    """Counts of samples and messages."""
 
     samples: int = 0
     duplicates: int = 0
@@ -33,32 +34,30 @@ class EstimationCounts:
 
 
 class Estimation:
-    """Takes the messages of all streams, keeps an analysis of every signal, and hands on the documents that are due.
+    """Takes the messages of all streams, keeps an analysis of every signal, and publishes the documents that are due.
 
     Parameters
     ----------
-    every_ns: Interval between estimates in a signal's time, nanoseconds; a signal keeps the one that it was begun with.
-    factories: Each makes one estimator of a signal.
+    every_ns: Interval between estimates in a signal's time, nanoseconds; a signal keeps its first one.
     publish: Given the key expression and the document.
-    fill: Given a stream and a number: it takes in what is missing before that number, if a log has it soon. A message
-        that comes before it can be had is left out, and comes again out of the log; and the end of a run waits for all
-        its samples. Without one, what is missing is passed over, and a stream may be joined in its middle.
-
-    spectrum: Whether a spectral density is kept as well.
-    estimated: Which signals are estimated; those that limits of a run are on always are.
+    fill: Given a stream and a number: reads the missing messages before that number from a log, if it has them soon. A
+        message after a gap that remains is left out, and comes again from the log; and the end of a run waits for all
+        its samples. Without `fill`, gaps are skipped, and a stream may be joined in its middle.
+    spectrum: Whether to estimate the spectral density.
+    estimated: Which signals are estimated, beside those that a run has limits on.
 
     Attributes
     ----------
-    positions: Number that is expected next of every stream.
-    catching_up: Set while messages come out of the log, where nothing is missing between them.
+    positions: Next number of every stream.
+    catching_up: Set while messages come from the log, which has no gaps.
     ended: Runs to be left out.
-    left_out: Set when something is left to be taken out of the log.
+    left_out: Set when messages are left to be read from the log.
     """
 
     def __init__(
         self,
         every_ns: int,
-        factories: Mapping[str, Callable[[], Estimator]],
+        factories: Mapping[str, Callable[[], PointEstimator]],
         publish: Callable[[str, AnyDocument], None],
         fill: Callable[[StreamId, int], None] | None = None,
         *,
@@ -67,26 +66,21 @@ class Estimation:
     ) -> None:
         self._every_ns = every_ns
         self._estimated = estimated
-        self._passed_over: set[tuple[str, str, str]] = set()
-        self._fresh = functools.partial(fresh_followers, factories, spectrum=spectrum)
+        self._not_estimated: set[tuple[str, str, str]] = set()
+        self._new_estimators = functools.partial(new_estimators, factories, spectrum=spectrum)
         self._publish = publish
         self._fill = fill
         self._signals: dict[tuple[str, str, str], SignalAnalysis] = {}
-        self._limits: dict[str, LimitsApplied] = {}
+        self._limits: dict[tuple[str, str | None], LimitsApplied] = {}
         self._compensated: dict[str, list[CompensationStarted]] = {}
-        self._held = HeldEnds()
+        self._pending = PendingEnds()
         self.positions: dict[StreamId, int] = {}
         self.catching_up = self.left_out = False
         self.ended: frozenset[str] = frozenset()
         self.counts = EstimationCounts()
 
     def take(self, key: str, payload: bytes) -> None:
-        """Take in a message if it is the next of its stream; what cannot be read is counted, and left to the recorder.
-
-        Raises
-        ------
-        GyrofleetError: From publishing.
-        """
+        """Process a message if it is the next of its stream; invalid ones are counted, and left to the recorder."""
         try:
             parsed = _parse(key)
             if isinstance(parsed, SampleKey):
@@ -94,10 +88,10 @@ class Estimation:
             else:
                 self._take_document(key, parsed, decode_received(payload))
         except (BadInput, WireError):
-            self.counts.rejected += 1  # the recorder keeps it aside and reports it
+            self.counts.rejected += 1  # the recorder quarantines and reports it
 
     def checkpoint(self, store: str) -> Checkpoint:
-        """Everything that is kept, with the identity of the store that it goes with."""
+        """The state, with the identity of its store."""
         return Checkpoint(
             store=store,
             positions=[(stream.key, stream.epoch, next_seq) for stream, next_seq in self.positions.items()],
@@ -107,16 +101,11 @@ class Estimation:
             signals=[analysis.export_state() for analysis in self._signals.values()],
         )
 
-    def go_on_from(self, checkpoint: Checkpoint) -> None:
-        """Take over a checkpoint.
-
-        Raises
-        ------
-        EstimatorError: If a snapshot in it is damaged or of another version; nothing is taken over then.
-        """
+    def resume(self, checkpoint: Checkpoint) -> None:
+        """Resume from a checkpoint; an EstimatorError, and no change, if a snapshot in it is damaged."""
         analyses = [SignalAnalysis.from_state(state) for state in checkpoint.signals]
         self._signals = {(each.run, each.unit, each.signal): each for each in analyses}
-        self._limits = {limits.run: limits for limits in checkpoint.limits}
+        self._limits = {(limits.run, limits.unit): limits for limits in checkpoint.limits}
         self._compensated = {}
         for begun in checkpoint.compensated:
             self._compensated.setdefault(begun.run, []).append(begun)
@@ -124,22 +113,18 @@ class Estimation:
         self.ended = frozenset(checkpoint.ended)
 
     def release(self, *, is_last: bool = False) -> None:
-        """Take in the ends of runs that waited for samples: which have come, or do not come any more.
-
-        Parameters
-        ----------
-        is_last: Nothing comes any more.
-        """
-        for stream in self._held.streams:
-            while (waiting := self._held.first(stream)) is not None:
+        """Process the ends of runs whose samples have come or are lost; if `is_last`, of all."""
+        for stream in self._pending.streams:
+            while (waiting := self._pending.first(stream)) is not None:
                 place, message = waiting
-                if self._must_wait(place, message) and not is_last and not self._held.is_lost(stream, self.positions):
+                must_wait = self._must_wait(place, message) and not is_last
+                if must_wait and not self._pending.is_lost(stream, self.positions):
                     self.left_out = True
                     break
-                self._held.pop(stream)
+                self._pending.pop(stream)
                 self.positions[stream] = message.seq + 1
                 if message.document.run not in self.ended:
-                    self._follow(message.document)
+                    self._process(place, message.document)
 
     def _take_samples(self, key: str, parsed: SampleKey, batch: WireBatch) -> None:
         if batch.unit != parsed.unit or batch.signal != parsed.signal:
@@ -154,7 +139,7 @@ class Estimation:
                 self.left_out = True
                 return
         if first < expected:
-            # what overlaps only in part is quarantined by the recorder too
+            # partial overlaps are quarantined by the recorder too
             counts.duplicates += after <= expected
             counts.rejected += after > expected
             return
@@ -164,38 +149,38 @@ class Estimation:
         counts.lost += first - expected
         counts.samples += after - first
         name = (batch.run, batch.unit, batch.signal)
-        if name in self._passed_over:
+        if name in self._not_estimated:
             return
         analysis = self._signals.get(name) or self._begin(parsed.place, name, batch.unit_of_measure)
         if analysis is None:
-            self._passed_over.add(name)
+            self._not_estimated.add(name)
             return
         documents = analysis.take(batch)
         if documents:
-            self._hand_on(analysis, documents)
+            self._publish_all(analysis, documents)
 
     def _take_document(self, key: str, parsed: EventKey | EstimateKey, message: EventMessage) -> None:
         stream = StreamId(key, message.epoch)
-        expected = self._held.next_seq(stream) or self._expected(stream, message.seq)
+        expected = self._pending.next_seq(stream) or self._expected(stream, message.seq)
         if message.seq > expected and not self.catching_up and self._fill is not None:
             self._fill(stream, message.seq)
-            expected = self._held.next_seq(stream) or self._expected(stream, message.seq)
+            expected = self._pending.next_seq(stream) or self._expected(stream, message.seq)
             if message.seq > expected:
                 self.left_out = True
                 return
         if message.seq < expected:
-            self._held.mark_seen(stream, message.seq, is_recorded=self.catching_up)
+            self._pending.mark_seen(stream, message.seq, is_recorded=self.catching_up)
             return
-        if isinstance(parsed, EventKey) and (self._held.next_seq(stream) or self._must_wait(parsed.place, message)):
-            self._held.hold(stream, parsed.place, message, is_recorded=self.catching_up)
+        if isinstance(parsed, EventKey) and (self._pending.next_seq(stream) or self._must_wait(parsed.place, message)):
+            self._pending.hold(stream, parsed.place, message, is_recorded=self.catching_up)
             self.left_out = True
             return
         self.positions[stream] = message.seq + 1
         if isinstance(parsed, EventKey) and message.document.run not in self.ended:
-            self._follow(message.document)
+            self._process(parsed.place, message.document)
 
     def _must_wait(self, place: Place, message: EventMessage) -> bool:
-        """Whether it is the end of a run whose last samples are still to come."""
+        """Whether it is the end of a run whose last samples have not come yet."""
         document = message.document
         if self._fill is None or not isinstance(document, RunEnded) or document.run in self.ended:
             return False
@@ -204,7 +189,7 @@ class Estimation:
         return any(positions.get(stream, 0) < total for stream, total in expected)
 
     def _compensated_streams(self, place: Place, ended: RunEnded) -> Iterator[tuple[StreamId, int]]:
-        """Compensated signals of a run, which come behind the raw ones: each has as many samples."""
+        """Compensated signals of a run, which come after the raw ones: each has as many samples."""
         totals = {(each.unit, each.signal, each.epoch.replace("-", "")): each.samples for each in ended.totals}
         for each in self._compensated.get(ended.run, ()):
             total = totals.get((each.unit, each.signal, each.epoch.replace("-", "")))
@@ -213,42 +198,46 @@ class Estimation:
                 yield StreamId(key, each.compensated_epoch.replace("-", "")), total - each.first_seq
 
     def _expected(self, stream: StreamId, first: int) -> int:
-        # with a log it is known which streams were there before; without, one may be joined in its middle
+        # with a log a stream begins at 0; without, it may be joined in its middle
         return self.positions.get(stream, first if self._fill is None else 0)
 
-    def _follow(self, document: AnyDocument) -> None:
+    def _process(self, place: Place, document: AnyDocument) -> None:
         if isinstance(document, LimitsApplied):
-            self._limits[document.run] = document
-            self._forget_passed_over(document.run)  # the limits may be on one of them
+            self._limits[document.run, document.unit] = document
+            self._forget_not_estimated(document.run)  # the limits may be on one of them
             for analysis in self._signals.values():
-                if analysis.run == document.run:
+                if analysis.run == document.run and document.unit in {None, analysis.unit}:
                     analysis.apply_limits(document)
         elif isinstance(document, CompensationStarted):
             self._compensated.setdefault(document.run, []).append(document)
         elif isinstance(document, RunEnded):
             self._compensated.pop(document.run, None)
-            for name in [each for each in self._signals if each[0] == document.run]:
-                analysis = self._signals.pop(name)
-                self._hand_on(analysis, analysis.finish())
-            self._limits.pop(document.run, None)
-            self._forget_passed_over(document.run)
+            finished = [self._signals.pop(name) for name in [each for each in self._signals if each[0] == document.run]]
+            for analysis in finished:
+                self._publish_all(analysis, analysis.finish())
+            applied = [self._limits.pop(each) for each in [each for each in self._limits if each[0] == document.run]]
+            final = [estimate for analysis in finished for estimate in analysis.judged]
+            for verdict in unit_verdicts(document, applied, final):
+                signal = verdict.checks[0].limit.signal
+                self._publish(estimate_key(place, verdict.unit, signal, VERDICT), verdict)
+            self._forget_not_estimated(document.run)
 
-    def _forget_passed_over(self, run: str) -> None:
-        self._passed_over = {each for each in self._passed_over if each[0] != run}
+    def _forget_not_estimated(self, run: str) -> None:
+        self._not_estimated = {each for each in self._not_estimated if each[0] != run}
 
     def _begin(self, place: Place, name: tuple[str, str, str], unit_of_measure: str) -> SignalAnalysis | None:
         """Start the analysis of a signal; None where it is not estimated."""
         run, unit, signal = name
-        limits = self._limits[run].limits if run in self._limits else ()
-        is_limited = any(limit.signal == signal for limit in limits)
+        limits = self._limits.get((run, unit)) or self._limits.get((run, None))
+        is_limited = limits is not None and any(limit.signal == signal for limit in limits.limits)
         if not is_limited and not self._estimated.includes(signal, unit_of_measure):
             return None
-        followers = self._fresh()
-        analysis = self._signals[name] = SignalAnalysis(place, (unit, signal, run), self._every_ns, followers)
-        if run in self._limits:
-            analysis.apply_limits(self._limits[run])
+        analysis = SignalAnalysis(place, (unit, signal, run), self._every_ns, self._new_estimators())
+        self._signals[name] = analysis
+        if limits is not None:
+            analysis.apply_limits(limits)
         return analysis
 
-    def _hand_on(self, analysis: SignalAnalysis, documents: Documents) -> None:
+    def _publish_all(self, analysis: SignalAnalysis, documents: Documents) -> None:
         for what, document in documents:
             self._publish(estimate_key(analysis.place, analysis.unit, analysis.signal, what), document)

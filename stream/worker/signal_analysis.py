@@ -1,4 +1,4 @@
-"""Everything that is estimated of one signal while it flows, and the documents that say so."""
+"""All estimates of one signal while it flows, and the documents that report them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
@@ -8,8 +8,7 @@ import msgspec
 
 from stream.errors import GyrofleetError
 from stream.estimators.allan_variance import AllanDeviation
-from stream.estimators.base import Estimator, NoEstimate
-from stream.estimators.follower import Follower
+from stream.estimators.base import Estimator, NoEstimate, PointEstimator
 from stream.estimators.noise.noise_fit import fit_noise
 from stream.estimators.snapshot import restore, take_snapshot
 from stream.estimators.spectral_density import SpectralDensity
@@ -18,7 +17,7 @@ from stream.identity import Place
 from stream.quantities import ANGULAR_RATE_UNIT
 from stream.wire.batches import WireBatch
 from stream.worker.early_decisions import EarlyDecisions
-from stream.worker.piece_buffer import Piece, PieceBuffer, PieceBufferState
+from stream.worker.piece_buffer import BufferedPiece, PieceBuffer
 
 NOISE_COEFFICIENTS = "noise_coefficients"
 SPECTRAL_LINES = "spectral_lines"
@@ -30,10 +29,10 @@ _NAMESPACE = UUID("8d3f3c5e-6a2f-4d53-9a3c-5f0c7f0a9b11")
 
 
 class SignalState(msgspec.Struct, frozen=True):
-    """A signal's analysis as it is kept in a checkpoint."""
+    """State of a signal's analysis in a checkpoint."""
 
     place: tuple[str, str]
-    gathering: PieceBufferState
+    buffer: PieceBuffer = msgspec.field(name="gathering")
     first_ns: int | None
     last_ns: int
     refusal: str | None
@@ -45,49 +44,49 @@ class SignalAnalysis:
     """The estimators, the spectrum and the early decisions of one signal of one run.
 
     Documents are due whenever the signal's own time passes a multiple of the interval, counted from its first sample,
-    and when its run ends. What they say, and when, is a function of the samples alone: not of the batches in which they
-    came, nor of the moments.
+    and when its run ends. Their content and times are a function of the samples alone, not of the batches in which they
+    came, nor of when they came. `name` is unit, signal and run.
 
-    Parameters
+    Attributes
     ----------
-    place: Where the signal comes from.
-    name: Unit, signal and run.
-    every_ns: Interval between documents in the signal's own time, nanoseconds.
-    followers: Estimators and the spectral density.
+    judged: Once it is finished: the final estimates that limits are compared with.
     """
 
-    def __init__(self, place: Place, name: tuple[str, str, str], every_ns: int, followers: Sequence[Follower]) -> None:
+    def __init__(
+        self, place: Place, name: tuple[str, str, str], every_ns: int, estimators: Sequence[Estimator[Any]]
+    ) -> None:
         self.place = place
         self.unit, self.signal, self.run = name
         self._every_ns = every_ns
-        self._followers = list(followers)
+        self._estimators = list(estimators)
         self._pieces = PieceBuffer(name, every_ns)
         self._decisions = EarlyDecisions(self.signal)
         self._refusal: str | None = None
         self._first_ns: int | None = None
         self._last_ns = 0
+        self.judged: tuple[EstimatePublished, ...] = ()
 
     def apply_limits(self, limits: LimitsApplied) -> None:
         """Decide early on those limits of the run that are on this signal."""
         self._decisions.apply(limits)
 
     def take(self, batch: WireBatch) -> Documents:
-        """Take in the next batch; the documents that are due, with the names under which they are published."""
+        """Take in the next batch; returns the documents that are due, with the names under which they are published."""
         found: Documents = []
         for piece in self._pieces.take(batch):
-            self._follow(piece)
+            self._take_piece(piece)
             if piece.is_due:
                 found += self._documents(final=False)
         return found
 
     def finish(self) -> Documents:
-        """Take in what is left: the run has ended; the documents that say what is known, marked final."""
+        """Take in the remaining samples of a run that has ended; returns its last documents, marked final."""
         for piece in self._pieces.rest():
-            self._follow(piece)
+            self._take_piece(piece)
         return self._documents(final=True)
 
-    def _follow(self, piece: Piece) -> None:
-        """Let all follow; a signal that is refused once stays so."""
+    def _take_piece(self, piece: BufferedPiece) -> None:
+        """Update all estimators; a signal that is refused once stays refused."""
         batch = piece.batch
         if self._first_ns is None:
             self._first_ns, self._last_ns = int(batch.time_array[0]), piece.last_ns
@@ -95,8 +94,8 @@ class SignalAnalysis:
         if self._refusal is not None:
             return
         try:
-            for follower in self._followers:
-                follower.update(batch)
+            for estimator in self._estimators:
+                estimator.update(batch)
             self._decisions.update(batch)
         except GyrofleetError as error:
             self._refusal = str(error)
@@ -104,17 +103,26 @@ class SignalAnalysis:
     def _documents(self, *, final: bool) -> Documents:
         found: Documents = []
         points: dict[str, EstimatePublished] = {}
-        for follower in self._followers:
-            if isinstance(follower, Estimator):
-                points[follower.key] = document = self._estimate(follower, final=final)
-                found.append((follower.key, document))
-                if final and isinstance(follower, AllanDeviation):
-                    found.append((NOISE_COEFFICIENTS, self._noise(follower, document)))
-            elif final and isinstance(follower, SpectralDensity):
-                found.append((SPECTRAL_LINES, self._lines(follower)))
-        # to the end of the last sample's interval: then a test of its planned length is finished
-        interval_s = max((follower.sample_interval_s for follower in self._followers), default=0.0)
+        for estimator in self._estimators:
+            if estimator.has_points:
+                points[estimator.key] = document = self._estimate(estimator, final=final)
+                found.append((estimator.key, document))
+            if final and isinstance(estimator, AllanDeviation):
+                found.append((NOISE_COEFFICIENTS, self._noise(estimator, document)))
+            elif final and isinstance(estimator, SpectralDensity):
+                found.append((SPECTRAL_LINES, self._lines(estimator)))
+        # to the end of the last sample's interval, where a test of its planned length is finished
+        interval_s = max((estimator.sample_interval_s for estimator in self._estimators), default=0.0)
         elapsed_s = (self._last_ns - (self._first_ns or 0)) / 1e9 + interval_s
+        if (since_ns := self._decisions.since_ns) is not None:
+            elapsed_s = max(0.0, (self._last_ns - since_ns) / 1e9 + interval_s)
+            points = {each.key: self._estimate(each, final=final) for each in self._decisions.estimators}
+        if final:
+            exact = self._decisions.exact_points()
+            self.judged = tuple(
+                msgspec.structs.replace(each, points=(*exact, *each.points)) if key == AllanDeviation.key else each
+                for key, each in points.items()
+            )
         for number, decision in enumerate(self._decisions.look(elapsed_s, points)):
             found.append((EARLY_DECISION, decision.document(self._head(f"decision-{number}", final=final))))
         return found
@@ -124,7 +132,7 @@ class SignalAnalysis:
         uid = uuid5(_NAMESPACE, name).hex
         return {"run": self.run, "t_ns": self._last_ns, "uid": uid, "unit": self.unit, "signal": self.signal}
 
-    def _estimate(self, estimator: Estimator, *, final: bool) -> EstimatePublished:
+    def _estimate(self, estimator: PointEstimator, *, final: bool) -> EstimatePublished:
         estimate = NoEstimate(self._refusal) if self._refusal else estimator.estimate()
         return EstimatePublished(
             **self._head(estimator.key, final=final),
@@ -166,34 +174,31 @@ class SignalAnalysis:
         )
 
     def export_state(self) -> SignalState:
-        """Everything that is kept, for a checkpoint."""
+        """The state, for a checkpoint."""
         return SignalState(
             place=(self.place.site, self.place.station),
-            gathering=self._pieces.export_state(),
+            buffer=self._pieces,
             first_ns=self._first_ns,
             last_ns=self._last_ns,
             refusal=self._refusal,
-            snapshots=tuple(take_snapshot(follower) for follower in self._followers),
+            snapshots=tuple(take_snapshot(estimator) for estimator in self._estimators),
             decisions=self._decisions.export_state(),
         )
 
     @classmethod
     def from_state(cls, state: SignalState) -> Self:
-        """Go on from a checkpoint.
-
-        Raises
-        ------
-        EstimatorError: If a snapshot in it is damaged or of another version.
-        """
-        followers = [restore(snapshot) for snapshot in state.snapshots]
-        analysis = cls(Place(*state.place), state.gathering.name, state.gathering.every_ns, followers)
-        analysis._pieces = PieceBuffer.from_state(state.gathering)
+        """Resume from a checkpoint; an EstimatorError if a snapshot in it is damaged or of another version."""
+        estimators = [restore(snapshot) for snapshot in state.snapshots]
+        analysis = cls(Place(*state.place), state.buffer.name, state.buffer.every_ns, estimators)
+        analysis._pieces = state.buffer
         analysis._decisions = EarlyDecisions.from_state(analysis.signal, state.decisions)
         analysis._refusal = state.refusal
         analysis._first_ns, analysis._last_ns = state.first_ns, state.last_ns
         return analysis
 
 
-def fresh_followers(factories: Mapping[str, Callable[[], Estimator]], *, spectrum: bool = True) -> list[Follower]:
-    """One of each estimator, and a spectral density if it is wanted."""
+def new_estimators(
+    factories: Mapping[str, Callable[[], PointEstimator]], *, spectrum: bool = True
+) -> list[Estimator[Any]]:
+    """One of each estimator, and a spectral density if `spectrum`."""
     return [*(make() for make in factories.values()), *([SpectralDensity()] if spectrum else [])]

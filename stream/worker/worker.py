@@ -1,4 +1,4 @@
-"""The worker: bus -> estimators -> estimates on the bus."""
+"""The worker: samples from the bus -> estimators -> estimates on the bus."""
 
 import threading
 import time
@@ -10,55 +10,52 @@ from typing import Self
 from stream.delivery.publisher import StreamId
 from stream.delivery.recorded_log import DocumentSender, Identities, RecordedLog
 from stream.errors import CheckpointDamaged, EstimatorError, GyrofleetError
-from stream.estimators.base import Estimator, default_estimators
+from stream.estimators.base import PointEstimator, default_estimators
 from stream.events import AnyDocument, EstimatePublished
 from stream.identity import EVERYTHING
 from stream.transport.bus import Bus
-from stream.worker.checkpoint import generations, keep_aside, read_checkpoint, write_checkpoint
+from stream.worker.checkpoint import generations, quarantine, read_checkpoint, write_checkpoint
 from stream.worker.estimated_signals import EstimatedSignals
 from stream.worker.estimation import Estimation, EstimationCounts
 
-# A worker that falls behind must hold up neither the recorder, which shares its subscription, nor the bus that it
-# publishes on itself: sources in the same process wait for room, from others it leaves out what it cannot hold.
+# A worker that falls behind must block neither the recorder, which shares its subscription, nor the bus that it
+# publishes on: sources in the same process wait for room; messages of others that it cannot hold are left out.
 _ROOM_BYTES = 16 << 20
 _MOST_BYTES = 48 << 20
-# a recorder has on disk what it was given within a second; for what is not there after this, nothing is held up: it is
-# looked for in the log again a while later
+# a recorder has messages on disk within a second; for those not there after this time nothing waits: the log is read
+# again later
 _PATIENCE_S = 2.0
 _OVERHEAD_BYTES = 200  # of a message in the queue, beside its key and payload
 _RETRY_S = 0.2
-_LOOK_AGAIN_S = 2.0
-_MOST_LOOK_AGAIN_S = 60.0
+_READ_AGAIN_S = 2.0
+_LONGEST_READ_AGAIN_S = 60.0
 # how long samples wait so that the documents before a checkpoint reach the log, and when it is tried again
 _SETTLE_S = 1.0
 _SETTLE_AGAIN_S = 5.0
 
 
 class EstimationWorker:
-    """Keeps the estimators of every signal on the bus up to date and publishes what they say.
+    """Updates the estimators of every signal on the bus and publishes their estimates.
 
     Estimates are published whenever a signal's own time passes a multiple of `every_s`, and once more, marked
-    final, when its run ends: a function of the samples, not of the batches they come in, the moments, or how often the
-    worker was stopped. With them go the early
-    decisions on the limits of a run whose duration is planned, and at its end its noise coefficients and spectral
-    lines.
+    final, when its run ends: a function of the samples, not of the batches or times in which they come, or how often
+    the worker was stopped. With them go the early decisions on the limits of a run whose duration is planned, and at
+    its end its noise coefficients and spectral lines.
 
-    Given the log of the recorder, nothing is missed: what did not come over the bus is read there, and a run that
-    goes on when the worker starts is taken from its beginning. With a checkpoint, a worker that was stopped or killed
-    goes on where it stood, and gives the documents that it would have given, each once.
+    With the log of the recorder nothing is missed: messages that did not come over the bus are read there, and a run
+    in progress when the worker starts is read from its beginning. With a checkpoint, a worker that was stopped or
+    killed resumes, and publishes the same documents, each once.
 
     Parameters
     ----------
-    bus: Where samples come from.
-    publisher: What the estimates are sent with.
     every_s: Interval between estimates in the signal's time, seconds; signals in a checkpoint keep theirs.
-    estimators: Each makes one estimator of a signal; by default those of `default_estimators`.
+    estimators: Factories of the estimators of a signal, by default `default_estimators`.
     on_document: Called with every document that is published, in the worker's thread.
     log: The log of the store that is recorded to.
     checkpoint: File of the checkpoint, beside which the one before it is kept; it needs the log.
     checkpoint_every_s: Interval between checkpoints, seconds.
-    spectrum: Whether a spectral density of each signal is kept as well, for its lines; it is a third of the work.
-    estimated: Which signals are estimated; by default angular rates, and those that limits of a run are on.
+    spectrum: Whether to estimate the spectral density of each signal, for its lines; it is a third of the work.
+    estimated: Which signals are estimated; by default angular rates, and those that a run has limits on.
 
     Raises
     ------
@@ -66,8 +63,8 @@ class EstimationWorker:
 
     Attributes
     ----------
-    resumed: Whether it goes on from a checkpoint.
-    warnings: What was found amiss and did not stop it.
+    resumed: Whether it resumed from a checkpoint.
+    warnings: Problems that did not stop it.
     """
 
     def __init__(
@@ -76,7 +73,7 @@ class EstimationWorker:
         publisher: DocumentSender,
         *,
         every_s: float = 60.0,
-        estimators: Mapping[str, Callable[[], Estimator]] | None = None,
+        estimators: Mapping[str, Callable[[], PointEstimator]] | None = None,
         on_document: Callable[[AnyDocument], None] | None = None,
         log: RecordedLog | None = None,
         checkpoint: Path | None = None,
@@ -100,8 +97,8 @@ class EstimationWorker:
         )
         self._known = Identities(())
         self._fill_at = 0.0
-        self._fill_wait_s = self._look_wait_s = _LOOK_AGAIN_S
-        self._look_at = time.monotonic() + _LOOK_AGAIN_S
+        self._fill_wait_s = self._read_wait_s = _READ_AGAIN_S
+        self._read_at = time.monotonic() + _READ_AGAIN_S
         self.failure: GyrofleetError | None = None
         self.warnings: list[str] = []
         self.resumed = False if log is None else self._resume(log)
@@ -110,24 +107,19 @@ class EstimationWorker:
         self._state = threading.Condition()
         self._closing = self._killed = False
         self._thread = threading.Thread(target=self._loop, name="gyrofleet-estimators", daemon=True)
-        # what comes between the reading of the log and the bus is missed by neither: the bus is first
+        # subscribed before the log is read, so that no message between the two is missed
         bus.subscribe(EVERYTHING, self._on_message)
         self._thread.start()
 
     @property
     def counts(self) -> EstimationCounts:
-        """What it has done since it started."""
+        """Counts since it started."""
         return self._estimation.counts
 
     def close(self) -> None:
-        """Work off what has arrived, write a checkpoint, and stop.
+        """Process what has arrived, write a checkpoint, and stop; raises the error that had stopped it before.
 
-        Of runs that have not ended nothing more is published: that would depend on the moment, and with a checkpoint
-        they go on.
-
-        Raises
-        ------
-        GyrofleetError: If the worker had stopped before.
+        Of runs that have not ended nothing more is published: with a checkpoint they resume.
         """
         with self._state:
             self._closing = True
@@ -137,7 +129,7 @@ class EstimationWorker:
             raise self.failure
 
     def kill(self) -> None:
-        """Stop at once, and leave undone what has not been done: as a process that is killed."""
+        """Stop at once, like a process that is killed."""
         with self._state:
             self._killed = self._closing = True
             self._incoming.clear()
@@ -151,7 +143,7 @@ class EstimationWorker:
         self.close()
 
     def wait_for_room(self) -> None:
-        """Wait until the worker is not far behind; for a source in the same process, before it sends more."""
+        """Wait until the worker is not far behind; called by a source in the same process before it sends more."""
         with self._state:
             while self._incoming_bytes > _ROOM_BYTES and self.failure is None and self._thread.is_alive():
                 self._state.wait(0.1)
@@ -161,29 +153,29 @@ class EstimationWorker:
             if self._killed:
                 return
             if self._incoming_bytes > _MOST_BYTES:
-                return  # the gap in the numbers is counted as lost when the next batch of the signal is taken
+                return  # the gap in the numbers is counted as lost with the next batch of the signal
             self._incoming.append((key, payload))
             self._incoming_bytes += _size(key, payload)
             if len(self._incoming) == 1:
                 self._state.notify_all()
 
     def _resume(self, log: RecordedLog) -> bool:
-        """Take over the newest checkpoint that holds; without one, begin with the runs that go on in the log."""
+        """Resume from the newest sound checkpoint; without one, begin with the runs in progress in the log."""
         is_damaged = False
         for path in () if self._checkpoint is None else generations(self._checkpoint):
             try:
                 found = read_checkpoint(path)
                 if found is None or found.store != log.identity:
                     continue
-                self._estimation.go_on_from(found)
+                self._estimation.resume(found)
             except CheckpointDamaged as error:
                 is_damaged = True
-                self.warnings.append(f"{error}; it is kept as {keep_aside(path)}, and what it held is read in the log")
+                self.warnings.append(f"{error}; it is kept as {quarantine(path)}, and the log is read instead")
             else:
                 return True
         beginning = log.beginning(thorough=is_damaged)
         self._estimation.positions, self._estimation.ended = beginning.positions, beginning.ended
-        self._write()  # so that one who is killed before the first regular one begins here again
+        self._write()  # a worker killed before the first regular one begins here again
         return False
 
     def _loop(self) -> None:
@@ -195,29 +187,27 @@ class EstimationWorker:
                 self._known = Identities(())
                 self._estimation.ended = frozenset()
             while self._work():
-                self._look_into_log()
+                self._read_log_when_due()
             if not self._killed:
                 self._finish()
-        except Exception as error:  # noqa: BLE001  whatever it is, a worker that stopped must say so
+        except Exception as error:  # noqa: BLE001  a worker that stopped must report any error
             with self._state:
-                self.failure = (
-                    error
-                    if isinstance(error, GyrofleetError)
-                    else EstimatorError(f"the estimators stopped ({type(error).__name__}: {error}); recording goes on")
-                )
+                if not isinstance(error, GyrofleetError):
+                    error = EstimatorError(f"estimation stopped ({type(error).__name__}: {error}); recording continues")
+                self.failure = error
                 self._state.notify_all()
 
     def _work(self) -> bool:
-        """Take in what has come; whether there may be more."""
+        """Process what has come; returns whether there may be more."""
         with self._state:
             while not self._incoming and not self._closing:
                 self._state.wait(0.5)
-                if time.monotonic() >= min(self._next_save, self._look_at):
+                if time.monotonic() >= min(self._next_save, self._read_at):
                     break
             taken, self._incoming = self._incoming, deque()
         if taken and not self._estimation.left_out:
-            self._look_wait_s = _LOOK_AGAIN_S
-            self._look_at = time.monotonic() + _LOOK_AGAIN_S
+            self._read_wait_s = _READ_AGAIN_S
+            self._read_at = time.monotonic() + _READ_AGAIN_S
         take = self._estimation.take
         for key, payload in taken:
             if self._killed:
@@ -233,21 +223,21 @@ class EstimationWorker:
             self._save_if_it_can_be()
         return not is_last and not self._killed
 
-    def _look_into_log(self) -> None:
-        """Take out of the log what was left to it, and what may have been missed where nothing comes any more."""
-        if time.monotonic() >= self._look_at:
+    def _read_log_when_due(self) -> None:
+        """Read messages from the log that were left out, or may have been missed where nothing comes any more."""
+        if time.monotonic() >= self._read_at:
             self._estimation.left_out = False
             if self._log is not None:
                 self._recall()
-            self._look_wait_s = min(2 * self._look_wait_s, _MOST_LOOK_AGAIN_S)
-            self._look_at = time.monotonic() + self._look_wait_s
+            self._read_wait_s = min(2 * self._read_wait_s, _LONGEST_READ_AGAIN_S)
+            self._read_at = time.monotonic() + self._read_wait_s
         self._estimation.release()
 
     def _finish(self) -> None:
-        """Take in what can be had, and write a checkpoint."""
+        """Read the rest of the log, and write a checkpoint."""
         if self._log is not None and (self._checkpoint is not None or self._estimation.left_out):
             self._recall()
-        # one with a checkpoint goes on waiting when it is started again
+        # a worker with a checkpoint waits for the rest when it is started again
         self._estimation.release(is_last=self._checkpoint is None)
         self._save(is_last=True)
 
@@ -255,12 +245,12 @@ class EstimationWorker:
         try:
             self._save()
         except EstimatorError as error:
-            # those before still stand, and the next is tried in its turn
+            # earlier ones remain, and the next is tried in its turn
             if str(error) not in self.warnings:
                 self.warnings.append(str(error))
 
     def _save(self, *, is_last: bool = False) -> None:
-        """Write a checkpoint, once what was published before it is in the log."""
+        """Write a checkpoint, once the documents published before it are in the log."""
         self._next_save = time.monotonic() + self._checkpoint_every_s
         if self._checkpoint is None:
             return
@@ -280,7 +270,7 @@ class EstimationWorker:
             write_checkpoint(self._checkpoint, self._estimation.checkpoint(self._log.identity))
 
     def _recall(self, *, saving: bool = False) -> None:
-        """Take in what the log holds beyond what was seen."""
+        """Read the messages of the log beyond the positions."""
         assert self._log is not None
         estimation = self._estimation
         before = self.counts.samples
@@ -295,7 +285,7 @@ class EstimationWorker:
         self.counts.recalled += self.counts.samples - before
 
     def _fill(self, stream: StreamId, first: int) -> None:
-        """Read from the log what is missing of a stream before that number, if it comes there soon."""
+        """Read the missing messages of a stream before that number from the log, if they arrive there soon."""
         now = time.monotonic()
         if now < self._fill_at or self._closing:
             return
@@ -304,13 +294,13 @@ class EstimationWorker:
         while True:
             self._recall()
             if positions.get(stream, 0) >= first:
-                self._fill_wait_s = _LOOK_AGAIN_S
+                self._fill_wait_s = _READ_AGAIN_S
                 return
             if time.monotonic() > deadline or self._closing:
                 break
             time.sleep(_RETRY_S)
         self._fill_at = time.monotonic() + self._fill_wait_s
-        self._fill_wait_s = min(2 * self._fill_wait_s, _MOST_LOOK_AGAIN_S)
+        self._fill_wait_s = min(2 * self._fill_wait_s, _LONGEST_READ_AGAIN_S)
 
     def _publish(self, key: str, document: AnyDocument) -> None:
         if document.uid in self._known:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from matplotlib.text import Text
 
 from analytics.curves.allan_curve import AllanCurve
-from analytics.curves.limits import demo_limits
+from analytics.demo.demo import demo_limits
 from analytics.plots import allan_plot, plot_fonts
 from analytics.plots.allan_marks import limit_marks, spread
 from analytics.plots.allan_plot import plot_allan
@@ -55,7 +55,7 @@ def texts(curves: list[AllanCurve], **options: object) -> list[str]:
 
 @pytest.mark.parametrize("name", ["fleet.png", "fleet.PNG"])
 def test_png_is_written(tmp_path: Path, name: str) -> None:
-    plot_allan(FLEET, tmp_path / name, limits=demo_limits().limits)
+    plot_allan(FLEET, tmp_path / name, limits=demo_limits().live)
     head = (tmp_path / name).read_bytes()[:24]
     assert head[:8] == b"\x89PNG\r\n\x1a\n"
     width, height = struct.unpack(">II", head[16:])
@@ -69,7 +69,7 @@ def test_svg_is_written_and_has_no_date(tmp_path: Path) -> None:
 
 
 def test_names_units_and_limits_are_written() -> None:
-    written = texts(FLEET, limits=list(demo_limits().limits))
+    written = texts(FLEET, limits=list(demo_limits().live))
     assert {c.unit for c in FLEET} <= set(written)
     assert "Averaging time τ (s)" in written
     assert "Allan deviation (deg/h)" in written
@@ -95,7 +95,7 @@ def test_curves_of_one_unit_are_told_apart_by_run() -> None:
 
 
 def test_limits_are_marked_in_the_unit_of_the_curves() -> None:
-    walk, allan = demo_limits().limits[:2]
+    walk, allan = demo_limits().live[:2]
     marks = limit_marks([walk, allan], {"rate"}, "deg/s")
     assert [mark.tau_s for mark in marks] == [1.0, 100.0]
     assert [mark.deviation * 3600 for mark in marks] == pytest.approx([1.8, 0.2])

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from analytics.metrics.variance_components import Variance, between, beyond, means_noise, scatter
-from stream.estimators.random_walk_normalised import angle_random_walk_normalised
+from stream.estimators.noise.normalised_random_walk import angle_random_walk_normalised
 from stream.events import NoiseFitted
 
 START_NS = 1_763_683_200 * 10**9  # 2025-11-21 00:00 UTC

@@ -9,9 +9,9 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from analytics.specifications.specification import parse_specification
 from analytics.step_records.kept_file import read_kept, write_kept
 from storage.segments.records import SAMPLES, LogRecord
+from storage.specifications.specification import parse_specification
 from storage.sql.catalog import Catalog
 from stream.batch import SampleBatch
 from stream.errors import BadInput

@@ -23,9 +23,9 @@ from analytics.plots.allan_plot import plot_allan
 from storage.sql.reading import SignalRecord
 from stream.batch import FloatArray, SampleBatch
 from stream.estimators.base import NoEstimate
-from stream.estimators.noise.noise_fit import Coefficient, Markov, NoiseFit
+from stream.estimators.noise.noise_fit import MarkovNoise, NoiseCoefficient, NoiseFit
 from stream.estimators.noise.noise_model import TERMS
-from stream.estimators.random_walk_normalised import NormalisedRandomWalk, angle_random_walk_normalised
+from stream.estimators.noise.normalised_random_walk import NormalisedRandomWalk, angle_random_walk_normalised
 
 UNITS = {term.key: term.unit_of_measure for term in TERMS}
 NONE = NoEstimate("sample interval of 0.1 s: the standard asks for less")
@@ -41,10 +41,10 @@ def curve(*, walk: float = 0.02, instability: float = 0.1, points: int = 18) -> 
     return AllanCurve("FOG-1", "rate", "r1", "deg/h", 0.1, 200_000, 0, taus_s, values, lo, hi, degrees)
 
 
-def coefficient(key: str, value: float, *, observable: bool = True) -> Coefficient:
+def coefficient(key: str, value: float, *, observable: bool = True) -> NoiseCoefficient:
     unit = UNITS.get(key, "deg/h/sqrt(h)")
     reason = "" if observable else f"at most {value * 1.1} {unit}"
-    return Coefficient(
+    return NoiseCoefficient(
         value=value, lo=value * 0.9, hi=value * 1.1, unit_of_measure=unit, observable=observable, reason=reason
     )
 
@@ -54,7 +54,7 @@ def every_term() -> NoiseCoefficients:
     """A model of all six terms, the rate ramp not observable."""
     values = dict(zip(UNITS, (0.03, 0.02, 0.1, 0.5, 1.0), strict=True))
     terms = {key: coefficient(key, value, observable=key != "rate_ramp") for key, value in values.items()}
-    markov = Markov(
+    markov = MarkovNoise(
         amplitude=coefficient("markov_noise", 2.0), correlation_s=20.0, correlation_lo_s=10.0, correlation_hi_s=40.0
     )
     fit = NoiseFit(**terms, markov=markov, confidence=0.95, points=18, misfit=0.0)
@@ -207,12 +207,12 @@ def test_the_normalised_random_walk_is_that_of_the_samples(monkeypatch: pytest.M
     record = SignalRecord("FOG-1", "rate", "r1", "deg/s", 60_000, False)
     values = np.random.default_rng(7).standard_normal(60_000) * 0.02 * 60 / np.sqrt(0.005) / 3600
 
-    def walk(**options: object) -> Coefficient | NoEstimate:
+    def walk(**options: object) -> NoiseCoefficient | NoEstimate:
         settings: dict[str, Any] = {"values": values, "dt_ns": 5_000_000} | options
         monkeypatch.setattr(normalised_walk, "read_signal", batches(**settings))
         return normalised_walk.normalised_walk(None, record)  # type: ignore[arg-type]
 
-    def direct(rates_deg_per_h: FloatArray) -> Coefficient:
+    def direct(rates_deg_per_h: FloatArray) -> NoiseCoefficient:
         found = angle_random_walk_normalised(rates_deg_per_h, 0.005)
         assert isinstance(found, NormalisedRandomWalk)
         return found.coefficient

@@ -439,7 +439,7 @@ def test_the_scale_factors_that_others_may_use(tested: Any, table: Callable[...,
         catalog._unfilled.clear()
         define_views(catalog, steps)
         keep_scale_fits(catalog)
-        found = catalog.rows("select unit, signal, run, value, t_to_ns from scale_factors")
+        found = catalog.rows("select unit, signal, run, value, t_to_ns from internal.scale_factors")
     ((unit, signal, run, value, t_to_ns),) = found
     assert (unit, signal, run) == ("U1", "rate", "r1")
     assert value == pytest.approx(0.02, rel=1e-5)

@@ -7,12 +7,12 @@ import pyarrow as pa
 import pytest
 
 from analytics.evaluation.evaluation import define_views
-from analytics.specifications.entering import add_specification, specification_named, stored_specifications
-from analytics.specifications.periods import NEVER, periods_of
-from analytics.specifications.specification import parse_specification
+from analytics.specifications.checks import checked_specification
+from analytics.specifications.entering import add_specification
 from analytics.step_records.step_table import step_means
 from storage.check.verify import verify
 from storage.findings import Severity
+from storage.specifications.validity import NEVER, periods_of, specification_named, stored_specifications
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.errors import BadInput, NotFound
@@ -82,20 +82,20 @@ def add(store: Store, tmp_path: Path) -> Add:
 )
 def test_what_is_not_right_is_refused_and_named(content: bytes, said: list[str]) -> None:
     with pytest.raises(BadInput) as refused:
-        parse_specification(content, "fog.toml")
+        checked_specification(content, "fog.toml")
     assert all(each in str(refused.value) for each in ["fog.toml", *said]), refused.value
 
 
 @pytest.mark.parametrize(("metric", "unit"), [("bias", "deg/s"), ("bias", "rad/s"), ("bias_stability", "arcsec/s")])
 def test_a_unit_that_fits_is_taken(metric: str, unit: str) -> None:
-    found = parse_specification(spec(limits=limit(metric=f'"{metric}"', unit_of_measure=f'"{unit}"')), "fog.toml")
+    found = checked_specification(spec(limits=limit(metric=f'"{metric}"', unit_of_measure=f'"{unit}"')), "fog.toml")
     assert found.limits[0].unit_of_measure == unit
 
 
 def test_the_name_is_the_files_whether_or_not_the_revision_stands_in_it() -> None:
-    assert parse_specification(spec("B"), "dir/fog-70.toml").label == "fog-70-B"
-    assert parse_specification(spec("B"), "dir/fog-70-B.toml").label == "fog-70-B"
-    assert parse_specification(spec("B", 'name = "other"'), "dir/fog-70-B.toml").label == "other-B"
+    assert checked_specification(spec("B"), "dir/fog-70.toml").label == "fog-70-B"
+    assert checked_specification(spec("B"), "dir/fog-70-B.toml").label == "fog-70-B"
+    assert checked_specification(spec("B", 'name = "other"'), "dir/fog-70-B.toml").label == "other-B"
 
 
 def test_what_is_added_is_kept_as_it_is_and_cannot_be_changed(store: Store, add: Add) -> None:
@@ -122,7 +122,7 @@ def test_a_revision_ends_where_the_next_begins(store: Store, add: Add) -> None:
     assert third.until_ns - third.from_ns == 31 * day  # its last day is included
     assert [each.specification.revision for each in (first, second, third)] == ["A", "B", "C"]
     assert specification_named(store, "fog")[0].specification.revision == "C"
-    assert specification_named(store, "fog-A")[1] == spec("A")
+    assert specification_named(store, "fog-A")[1].encode() == spec("A")
     with pytest.raises(NotFound, match="fog-A, fog-B, fog-C"):
         specification_named(store, "fog-D")
 
@@ -188,7 +188,7 @@ def test_the_numbers_of_a_product_are_those_of_the_revision_that_began_last(stor
             for run, at in begins.items()
         ]
         define_views(catalog, pa.Table.from_pylist(rows, schema=step_means(catalog).schema))
-        found = catalog.rows("select run, max_rate_deg_per_s from run_products order by run")
+        found = catalog.rows("select run, max_rate_deg_per_s from internal.run_products order by run")
     assert found == [("r2023", 8.0), ("r2024", 8.0), ("r2026", 10.0)]  # of a time before all, the first
 
 

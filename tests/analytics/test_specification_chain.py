@@ -10,23 +10,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from analytics.specifications.entering import (
-    add_specification,
-    settle_chain,
-    stored_specifications,
-    withdraw_specification,
-)
-from analytics.specifications.periods import EVER, NEVER, editions_of, in_force
+from analytics.specifications.entering import add_specification, settle_chain, withdraw_specification
 from analytics.specifications.verdicts import rows_of, verdicts_of
 from storage.check.recover import recover
 from storage.check.verify import verify
 from storage.findings import Severity
 from storage.log.event_log import EventLog
-from storage.log.seal import sealed_specification
 from storage.log.sequence import place_of
+from storage.log.store_documents import signed_specification
 from storage.recording.recorder import Recorder
 from storage.segments.records import EVENTS, LogRecord
 from storage.specifications.chain import Chain, append_document, chain_of, hash_of, read_chain
+from storage.specifications.validity import EVER, NEVER, editions_of, in_force, stored_specifications
 from storage.sql.catalog import Catalog
 from storage.store import Store, WriterLock
 from stream.errors import BadInput, NotFound
@@ -315,16 +310,16 @@ def test_a_lost_document_leaves_no_verdict_until_a_person_accepts_it(measured_st
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"seal": "0" * 64}, "has not its seal"),
-        ({"seal": ""}, "has not its seal"),
-        ({"reason": "forged"}, "has not its seal"),
+        ({"seal": "0" * 64}, "lacks its seal"),
+        ({"seal": ""}, "lacks its seal"),
+        ({"reason": "forged"}, "lacks its seal"),
         ({"store": "5e"}, "of another store"),
     ],
 )
 def test_what_another_says_over_the_bus_changes_no_specification(
     store: Store, changes: dict[str, str], said: str
 ) -> None:
-    sealed = sealed_specification(store, A)
+    sealed = signed_specification(store, A)
     with (
         LocalBus() as bus,
         WriterLock(store, "test"),

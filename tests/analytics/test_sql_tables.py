@@ -19,9 +19,8 @@ from click.testing import CliRunner
 from storage import open_store
 from storage.commands.sql import sql
 from storage.specifications.chain import append_document, read_chain
-from storage.sql.catalog import VIEWS, Catalog, layers
-from storage.sql.columns import column_words, read_words
-from storage.sql.tables import columns_of, examples, export_catalogue, known_tables, told_tables
+from storage.sql.catalog import VIEWS, Catalog, known_tables, layers
+from storage.sql.tables import column_texts, columns_of, described_tables, examples, export_catalogue, read_texts
 from storage.store import Store
 from stream.errors import BadInput, NotFound, QueryError
 from stream.events import EstimatePoint, EstimatePublished, SpecificationAction, SpecificationEntered, new_uid
@@ -92,9 +91,9 @@ def fill(tested: Any) -> None:
 
 def test_every_table_says_what_it_is(store: Store) -> None:
     with Catalog(store) as catalog:
-        told = {row["table"]: row["what"] for row in told_tables(catalog)}
+        told = {row["table"]: row["what"] for row in described_tables(catalog)}
     assert list(told) == [*VIEWS, *(table for layer in layers() for table in layer.tables)]
-    assert [name for name, what in told.items() if not what or "cannot be made" in str(what)] == []
+    assert [name for name, what in told.items() if not what or "cannot be computed" in str(what)] == []
 
 
 def test_every_column_says_what_it_holds(store: Store) -> None:
@@ -109,7 +108,7 @@ def test_every_column_says_what_it_holds(store: Store) -> None:
 def test_words_are_of_tables_and_columns_that_there_are(store: Store) -> None:
     """A column that was renamed takes its words with it."""
     written = [
-        read_words(files("storage.sql").joinpath("schema", "columns.toml")),
+        read_texts(files("storage.sql").joinpath("schema", "columns.toml")),
         *(layer.columns for layer in layers()),
     ]
     with Catalog(store) as catalog:
@@ -187,7 +186,7 @@ def test_the_command_tells_tables_and_columns(store: Store) -> None:
     assert rows["rate_command"] == {
         "column": "rate_command",
         "type": "DOUBLE",
-        "what": "rate that the table was told, deg/s",
+        "what": "commanded rate of the table, deg/s",
     }
     assert runner.invoke(sql, ["--tables", "nothing", "--store", str(store.folder)]).exit_code != 0
 
@@ -216,7 +215,7 @@ def test_the_exported_catalogue_answers_alike_in_any_duckdb(store: Store, tmp_pa
         shown = plain.sql(
             "select comment from duckdb_columns() where table_name = 'samples' and column_name = 'counts'"
         )
-        assert shown.fetchall() == [("as the device gave it; null where it gives no counts",)]
+        assert shown.fetchall() == [("raw counts of the device; null if it gives none",)]
         told = plain.sql(
             "select table_name || '.' || column_name from duckdb_columns() "
             f"where table_name in {tuple(known_tables())} and comment is null"
@@ -286,9 +285,9 @@ def test_a_layer_that_cannot_be_made_harms_no_other_table(store: Store, tmp_path
                 catalog.rows("select count(*) from unit_metrics")
         ((samples,),) = catalog.rows("select sum(samples) from signals where signal = 'rate'")
         assert samples == 4 * 3600 + 4 * 600
-        told = {row["table"]: str(row["what"]) for row in told_tables(catalog)}
+        told = {row["table"]: str(row["what"]) for row in described_tables(catalog)}
         assert told["samples"].startswith("every sample")
-        assert "cannot be made: " in told["unit_metrics"]
+        assert "cannot be computed: " in told["unit_metrics"]
         assert "broken-A.toml" in told["unit_metrics"]
         assert columns_of(catalog, "samples")
     withdrawn = msgspec.structs.replace(
@@ -301,9 +300,9 @@ def test_a_layer_that_cannot_be_made_harms_no_other_table(store: Store, tmp_path
 
 
 def test_words_of_a_table_go_before_those_of_every(store: Store) -> None:
-    assert column_words("unit_metrics")["n"] == "how many single results it rests on"
-    assert column_words("rate_steps")["n"] == "samples in the evaluated part"
-    assert column_words("estimates")["n"] == "terms that it rests on"
+    assert column_texts("unit_metrics")["n"] == "how many single results it rests on"
+    assert column_texts("rate_steps")["n"] == "samples in the evaluated part"
+    assert column_texts("estimates")["n"] == "number of averaged terms"
 
 
 def test_what_the_guide_asks_runs(store: Store) -> None:

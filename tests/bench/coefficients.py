@@ -24,7 +24,7 @@ from scipy.signal import lfilter
 from stream.batch import FloatArray, SampleBatch
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
-from stream.estimators.noise.noise_fit import Coefficient, fit_noise
+from stream.estimators.noise.noise_fit import NoiseCoefficient, fit_noise
 from stream.estimators.noise.noise_model import TERMS, term_columns
 from stream.events import EstimatePoint
 
@@ -116,7 +116,7 @@ def one_run(seed: int, truth: Truth, samples: int, interval_s: float, per_octave
     fit = fit_noise(points)
     assert not isinstance(fit, NoEstimate), fit.reason
     result = np.full((5, 8), np.nan)
-    found: list[Coefficient] = [getattr(fit, term.key) for term in TERMS]
+    found: list[NoiseCoefficient] = [getattr(fit, term.key) for term in TERMS]
     result[4, :5] = printed_fit(points)
     result[0, 7] = fit.misfit
     if fit.markov is not None:

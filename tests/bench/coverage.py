@@ -32,8 +32,8 @@ import scipy.stats
 from stream.batch import FloatArray, IntArray, SampleBatch
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
-from stream.estimators.confidence import deviation_limits, edf, least_edf
-from stream.estimators.noise_exponent import identify
+from stream.estimators.confidence import deviation_bounds, edf, least_edf
+from stream.estimators.noise.noise_exponent import identify
 
 CONFIDENCE = 0.95
 LEAST, MOST = 0.93, 0.98
@@ -161,7 +161,7 @@ def simulated(noise: str, lengths: tuple[int, int], runs: int, seed: int) -> lis
 @lru_cache(maxsize=100_000)
 def limits(degrees: float) -> tuple[float, float]:
     """Limits of a deviation of 1."""
-    return deviation_limits(1.0, degrees, CONFIDENCE)
+    return deviation_bounds(1.0, degrees, CONFIDENCE)
 
 
 def coverage(ratios: FloatArray, degrees: Iterable[float]) -> float:

@@ -18,7 +18,7 @@ import scipy.stats
 
 from stream.batch import FloatArray
 from stream.estimators.decision.decision import BiasStabilityDecision, Decision, DecisionPlan, Outcome
-from stream.estimators.decision.decision_bounds import table
+from tests.bench.decision_calibration import table
 from tests.stream.test_decision import KINDS, R, a_point, hourly, judged, noise, squares
 
 HOURS = 24.0

@@ -19,6 +19,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from uuid import UUID
 
 import allantools
@@ -28,10 +29,9 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from stream.batch import FloatArray, SampleBatch
 from stream.estimators.allan_variance import AllanDeviation
-from stream.estimators.base import NoEstimate, default_followers
-from stream.estimators.follower import Follower
-from stream.estimators.warm_up import warm_up
+from stream.estimators.base import Estimator, NoEstimate, all_estimators
 from stream.events import EstimatePoint
+from stream.worker.compile_kernels import warm_up
 
 EPOCH = UUID(int=1)
 DT_NS = 1_000_000
@@ -58,7 +58,7 @@ def points_of(estimator: AllanDeviation) -> tuple[EstimatePoint, ...]:
     return points
 
 
-def fed(estimator: Follower, blocks: Iterator[FloatArray]) -> float:
+def fed(estimator: Estimator[Any], blocks: Iterator[FloatArray]) -> float:
     """CPU seconds of the updates. Batches are made in small lots just before, as they come from a bus."""
     seconds = 0.0
     first = 0
@@ -128,23 +128,23 @@ def speed(repeats: int = 5) -> dict[str, float]:
 def memory() -> dict[str, float]:
     values = np.random.default_rng(1).standard_normal(10 * BATCH)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    fleet: list[list[Follower]] = []
+    fleet: list[list[Estimator[Any]]] = []
     began = time.thread_time()
     for i in range(SIGNALS):
-        followers = [make() for make in default_followers().values()] if i == 0 else [f.copy() for f in fleet[0]]
+        estimators = [make() for make in all_estimators().values()] if i == 0 else [f.copy() for f in fleet[0]]
         if i == 0:
-            fleet.append(followers)
+            fleet.append(estimators)
             continue
-        fleet.append(followers)
+        fleet.append(estimators)
         for batch in batches(values, 0, f"FOG-{i:05d}"):
-            for follower in followers:
-                follower.update(batch)
+            for estimator in estimators:
+                estimator.update(batch)
     after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     one = fleet[1]
     return {
         "signals": SIGNALS,
-        "followers_per_signal": len(one),
-        "state_bytes_per_signal": sum(follower.state_bytes for follower in one),
+        "estimators_per_signal": len(one),
+        "state_bytes_per_signal": sum(estimator.state_bytes for estimator in one),
         "allan_state_bytes": next(f.state_bytes for f in one if isinstance(f, AllanDeviation)),
         "process_mb": after / 1024,
         "process_mb_before": before / 1024,

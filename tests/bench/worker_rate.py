@@ -26,11 +26,11 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from stream.batch import SampleBatch
 from stream.delivery.publisher import StreamId
 from stream.delivery.recorded_log import LoggedMessage
-from stream.estimators.warm_up import warm_up
 from stream.events import AnyDocument, Limit, LimitsApplied, encode_event
 from stream.identity import Place, event_key, sample_key
 from stream.transport.bus import LocalBus
 from stream.wire.batches import encode_batch
+from stream.worker.compile_kernels import warm_up
 from stream.worker.worker import EstimationWorker
 
 PLACE = Place("plant", "bench")

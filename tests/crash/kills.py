@@ -77,7 +77,7 @@ class Station:
             "estimate": (*at, *store, "--every", f"{EVERY_S:g}", "--checkpoint-every", "0.5"),
             "run": (*run_options(self.run), *at, *store),
         }
-        return gyrofleet(role, *options[role], "--json")
+        return gyrofleet("run-simulated" if role == "run" else role, *options[role], "--json")
 
     def start(self, role: str) -> None:
         """Start a role."""
@@ -240,7 +240,7 @@ def trial(folder: Path, kills: int, seed: int) -> dict[str, Any]:
     wrong = station.failures if len(station.failures) > _MOST_FAILURES else []
     runs = len(station.finished)
     for number in range(1, runs + 1):
-        run_to_end(gyrofleet("run", *run_options(number), "--store", folder / "whole", "--json"), folder)
+        run_to_end(gyrofleet("run-simulated", *run_options(number), "--store", folder / "whole", "--json"), folder)
     for store in (station.store, folder / "whole"):
         verified = subprocess.run(gyrofleet("verify", "--store", store, "--json"), capture_output=True, text=True)
         if verified.returncode != 0:
@@ -248,7 +248,7 @@ def trial(folder: Path, kills: int, seed: int) -> dict[str, Any]:
     with Catalog(Store.open(station.store)) as killed, Catalog(Store.open(folder / "whole")) as whole:
         rows, different = compare(killed, whole, runs)
         ((recovered,),) = killed.rows("select count(*) from events where document->>'$.what' = 'segment_recovered'")
-        ((twice,),) = killed.rows("select count(*) - count(distinct uid) from lake_events")
+        ((twice,),) = killed.rows("select count(*) - count(distinct uid) from internal.lake_events")
     wrong += different
     if rows.get("samples") != runs * SAMPLES:
         wrong.append(f"{rows.get('samples')} samples, {runs} runs have {runs * SAMPLES}")

@@ -63,7 +63,7 @@ def test_a_full_disk_stops_recording_and_room_lets_it_go_on(
     assert source.process.poll() is None, "the source was to wait"
     ballast.unlink()
     assert source.process.wait(timeout=90) == 0, source.errors
-    assert any("goes on after a pause" in line["text"] for line in record.lines if line["event"] == "warning")
+    assert any("resumes after a pause" in line["text"] for line in record.lines if line["event"] == "warning")
     record.stop()
     assert record.process.returncode == 0, record.errors
     check(gyrofleet, store)
@@ -123,7 +123,7 @@ def test_errors_of_the_disk_cost_a_segment_and_no_sample(
     assert source.code == 0, source.err
     record.stop()
     assert "INJECTED" in trace.read_text(), "the fault was never reached"
-    assert any("the segment is given up" in line.get("text", "") for line in record.lines)
+    assert any("the segment is abandoned" in line.get("text", "") for line in record.lines)
     ended = next(line for line in record.lines if line["event"] == "ended")
     assert (ended["samples"], ended["interruptions"] >= 1) == (SAMPLES, True)
     check(gyrofleet, store)

@@ -49,7 +49,7 @@ class Bench:
         """A run that lasts so long, or as many samples as fast as they go."""
         hours = lasts_s * SPEED / 3600
         return self.service(
-            "running", "run", "--run", "r1", "--simulate", UNITS, "--rate-hz", RATE_HZ, "--hours", hours,
+            "running", "run-simulated", "--run", "r1", "--simulate", UNITS, "--rate-hz", RATE_HZ, "--hours", hours,
             "--speed", speed, "--store", self._folder / store, "--connect", endpoint,
         )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""`gyrofleet run` as a process of its own: killed, stopped, and gone on with, each sample once."""
+"""`gyrofleet run-simulated` as a process of its own: killed, stopped, and gone on with, each sample once."""
 
 import json
 import random
@@ -10,7 +10,7 @@ from typing import Any
 
 Spawn = Callable[..., subprocess.Popen[str]]
 
-RUN = ("run", "--run", "r1", "--simulate", 3, "--rate-hz", 1000, "--json")
+RUN = ("run-simulated", "--run", "r1", "--simulate", 3, "--rate-hz", 1000, "--json")
 COUNT = (
     "select signal, count(*) as n, count(distinct (unit, t_ns)) as moments, count(distinct run) as runs "
     "from samples group by signal order by signal"
@@ -136,7 +136,7 @@ def test_estimates_of_a_run_that_was_killed_are_those_of_one_that_was_not(
     gyrofleet: Callable[..., Any], spawn: Spawn
 ) -> None:
     def command(store: str) -> tuple[object, ...]:
-        return ("run", "--run", "r1", "--simulate", 2, "--hours", 3, "--speed", 0, "--store", store, "--json")
+        return ("run-simulated", "--run", "r1", "--simulate", 2, "--hours", 3, "--speed", 0, "--store", store, "--json")
 
     for delay_s in (0.1, 0.7):
         source = spawn(*command("killed"))

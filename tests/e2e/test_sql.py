@@ -25,7 +25,7 @@ BY_COMMAND = [
     "explain analyze drop view samples",
     "create table t as select 1",
     "with x as (copy (select 42) to 'PLACE') from x",
-    "with x as (delete from lake_channels returning *) select * from x",
+    "with x as (delete from internal.lake_channels returning *) select * from x",
     "select 1; copy (select 42) to 'PLACE'",
     "from read_text('/etc/passwd')",
     "update extensions",

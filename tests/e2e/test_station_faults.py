@@ -57,8 +57,8 @@ def test_a_chamber_that_never_settles_is_given_up_and_gone_on_with(
     assert found["off"] < 0.5
     reasons = "select document->>'$.reason' as reason from events where kind = 'RunResumed' order by t_ns"
     assert [row["reason"] for row in kept.rows(reasons)] == [
-        "taken up again at step 3; no step was cut",
-        "taken up again at step 3; step 4 is begun again, from step 3 on",
+        "resumed at step 3; no step was cut",
+        "resumed at step 3; step 4 is begun again, from step 3 on",
     ]
 
 

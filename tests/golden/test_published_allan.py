@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from stream.batch import FloatArray, SampleBatch
-from stream.estimators.allan_variance import AllanDeviation, overlapping_allan_variance
+from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
-from stream.estimators.confidence import deviation_limits, edf, least_edf
+from stream.estimators.confidence import deviation_bounds, edf, least_edf
 from stream.events import EstimatePoint
+from tests.allan_definition import overlapping_allan_variance
 
 REFERENCE = Path(__file__).parents[2].parent / "shared" / "reference"
 STABLE32_CONFIDENCE = 0.683
@@ -69,8 +70,8 @@ def test_stable32_octave_limits() -> None:
     for row in table.tolist():
         m, windows, alpha = int(row[0]), int(row[2]), int(row[3])
         low, value, high = row[4:7]
-        lo, hi = deviation_limits(value, edf(alpha, 2, m, windows, m), STABLE32_CONFIDENCE)
+        lo, hi = deviation_bounds(value, edf(alpha, 2, m, windows, m), STABLE32_CONFIDENCE)
         assert (lo, hi) == pytest.approx((low, high), rel=2e-3)
-        wide_lo, wide_hi = deviation_limits(value, least_edf(m, windows, m), STABLE32_CONFIDENCE)
+        wide_lo, wide_hi = deviation_bounds(value, least_edf(m, windows, m), STABLE32_CONFIDENCE)
         assert wide_lo <= lo
         assert wide_hi >= hi

@@ -9,7 +9,7 @@ import pytest
 
 from stream.batch import FloatArray, SampleBatch
 from stream.estimators.base import NoEstimate
-from stream.estimators.confidence import deviation_limits, edf
+from stream.estimators.confidence import deviation_bounds, edf
 from stream.estimators.full_overlap.deviation_forms import Deviation
 from stream.estimators.full_overlap.full_overlap import FullOverlap
 from stream.events import EstimatePoint
@@ -78,5 +78,5 @@ def test_stable32_octave_limits() -> None:
         m, windows, alpha = int(row[0]), int(row[2]), int(row[3])
         low, value, high = row[4:7]
         white = edf(alpha, 2, m, windows, m)
-        assert deviation_limits(value, white, STABLE32_CONFIDENCE) == pytest.approx((low, high), rel=2e-3)
+        assert deviation_bounds(value, white, STABLE32_CONFIDENCE) == pytest.approx((low, high), rel=2e-3)
         assert found[m].edf <= white * (1 + 1e-9)

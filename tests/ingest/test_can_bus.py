@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from ingest.can.bus.bus import CanBus, CanBusOptions
-from ingest.can.bus.open import filter_in_interface
+from ingest.can.bus.interface import filter_in_interface
 from ingest.can.frames import EXTENDED
 from ingest.can.mapping import automatic_plan
 from ingest.can.stream import CanDecoder

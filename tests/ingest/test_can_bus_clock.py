@@ -6,7 +6,7 @@ import can
 import can.interfaces
 import numpy as np
 
-from ingest.can.bus.clock import ReceiveClock
+from ingest.can.bus.columns import ReceiveClock
 from ingest.station_clock import StationClock
 
 MakeFrame = Callable[..., can.Message]

@@ -14,9 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ingest.can.bus.bus import CanBusOptions
-from ingest.can.bus.clock import ReceiveClock
-from ingest.can.bus.columns import kernel_columns, message_columns
-from ingest.can.bus.intake import SocketIntake
+from ingest.can.bus.columns import ReceiveClock, kernel_columns, message_columns
+from ingest.can.bus.interface import SocketIntake
 from ingest.can.frames import EXTENDED
 from ingest.station_clock import StationClock
 
@@ -136,8 +135,8 @@ def test_a_socket_gives_frames_with_the_kernels_time_and_its_losses() -> None:
     lost = 401 - len(got)
     if not any(kind == 40 for _, kind, _ in taken[-1].ancillary) and lost:
         pytest.skip("this system does not tell what it dropped")
-    assert intake.new_overruns() == lost
-    assert intake.new_overruns() == 0
+    assert columns.overruns == lost
+    assert intake.columns(taken).overruns == 0
 
 
 def test_a_bus_off_that_an_error_frame_tells_of_is_reported_and_the_socket_lives_on(

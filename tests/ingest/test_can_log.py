@@ -2,6 +2,7 @@
 
 import struct
 import warnings
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 
 from ingest.can.frames import EXTENDED
 from ingest.can.log import CanLog
+from ingest.can.log_structure import find_damage
 from stream.errors import BadInput
 
 START_S = 1_700_000_000.25
@@ -129,14 +131,22 @@ def test_a_blf_that_was_never_closed_is_said(tmp_path: Path) -> None:
     assert "not closed" in log.damage
 
 
-def test_an_unfinished_mf4_is_said(tmp_path: Path) -> None:
+def test_an_unfinished_mf4_is_said_and_is_no_damage_if_its_records_are_complete(tmp_path: Path) -> None:
     path = written(tmp_path / "a.mf4", messages(100))
     content = bytearray(path.read_bytes())
     content[:8] = b"UnFinMF "
     path.write_bytes(content)
     log = CanLog(path)
     assert len(read(log)) == 100
-    assert "not finished" in log.damage
+    assert "not finished" in log.note
+    assert log.damage == ""
+    begin = content.index(b"##DZ") + 32  # size and zipped size, zipped data behind them
+    size, zipped_size = struct.unpack_from("<QQ", content, begin)
+    cut = zlib.compress(zlib.decompress(content[begin + 16 : begin + 16 + zipped_size])[:-5], 9)
+    struct.pack_into("<QQ", content, begin, size - 5, len(cut))
+    content[begin + 16 : begin + 16 + len(cut)] = cut
+    path.write_bytes(content)
+    assert "may be missing" in find_damage(path)[0]
 
 
 @pytest.mark.parametrize("suffix", [".log", ".asc"])
@@ -170,3 +180,53 @@ def test_mf4_without_asammdf_says_what_to_install(tmp_path: Path, monkeypatch: A
     (tmp_path / "a.mf4").write_bytes(b"MDF     ")
     with pytest.raises(BadInput, match="pip install"):
         CanLog(tmp_path / "a.mf4")
+
+
+def recorder_mf4(records: bytes, flags: int = 0x65) -> bytes:
+    """An MF4 as a recorder leaves it: one group of two kinds of records, the last block without its length."""
+
+    def block(kind: bytes, links: list[int], content: bytes) -> bytes:
+        head = struct.pack("<4s4xQQ", kind, 24 + 8 * len(links) + len(content), len(links))
+        return head + struct.pack(f"<{len(links)}Q", *links) + content
+
+    def channels(link: int, record: int, kind: int, octets: int) -> bytes:
+        return block(b"##CG", [link, 0, 0, 0, 0, 0], struct.pack("<QQHH4xLL", record, 0, kind, 0, octets, 0))
+
+    identification = b"UnFinMF 4.11    logger  ".ljust(60, b"\0") + struct.pack("<HH", flags, 0)
+    header_size = len(block(b"##HD", [0] * 6, bytes(32)))
+    group_at = 64 + header_size
+    first_at = group_at + len(block(b"##DG", [0] * 4, bytes(8)))
+    second_at = first_at + len(channels(0, 1, 0, 4))
+    data_at = second_at + len(channels(0, 2, 1, 0))
+    return b"".join(
+        [
+            identification,
+            block(b"##HD", [group_at, 0, 0, 0, 0, 0], bytes(32)),
+            block(b"##DG", [0, first_at, data_at, 0], b"\1" + bytes(7)),
+            channels(second_at, 1, 0, 4),
+            channels(0, 2, 1, 0),
+            struct.pack("<4s4xQQ", b"##DT", 24, 0),
+            records,
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("records", "is_complete"),
+    [
+        (b"", True),
+        (b"\1abcd\1efgh", True),
+        (b"\1abcd\2" + struct.pack("<L", 3) + b"xyz\1efgh", True),
+        (b"\1abcd\1efg", False),
+        (b"\1abcd\2" + struct.pack("<L", 3) + b"xy", False),
+        (b"\1abcd\2" + b"\3\0", False),
+        (b"\1abcd\7", False),
+    ],
+)
+def test_records_of_an_unfinished_mf4_are_whole_or_not(tmp_path: Path, records: bytes, is_complete: bool) -> None:
+    path = tmp_path / "a.mf4"
+    path.write_bytes(recorder_mf4(records))
+    damage, note = find_damage(path)
+    assert ("complete" in note, "may be missing" in damage) == (is_complete, not is_complete)
+    path.write_bytes(recorder_mf4(records, flags=0x75))  # the list of data blocks is not up to date either
+    assert "may be missing" in find_damage(path)[0]

@@ -6,10 +6,11 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from ingest.can.checksum import crc8_sae_j1850
-from ingest.can.frames import Frame, frame_block
-from ingest.can.mapping import CanPlan, automatic_plan, load_mapping
+from ingest.can.frames import CanFrame, frame_block
+from ingest.can.mapping import automatic_plan, load_mapping
+from ingest.can.plan import CanPlan
 from ingest.can.stream import CanDecoder
+from ingest.checksums import checksums
 from stream.batch import SampleBatch
 from stream.errors import BadInput
 from stream.quantities import check_unit
@@ -18,10 +19,10 @@ DBC = Path(__file__).with_name("can_bench.dbc")
 MS = 1_000_000
 
 
-def imu(t_ns: int, i: int, *, identifier: int = 0x101, channel: int = 0, index: int = 0) -> Frame:
+def imu(t_ns: int, i: int, *, identifier: int = 0x101, channel: int = 0, index: int = 0) -> CanFrame:
     body = (i & 0xFFFF).to_bytes(2, "little") + bytes([0, index << 4]) + b"\1\0" + bytes([i % 16])
-    crc = int(crc8_sae_j1850(np.frombuffer(body, np.uint8).reshape(1, -1))[0])
-    return Frame(t_ns, channel, identifier, body + bytes([crc]))
+    crc = int(checksums("crc8_sae_j1850", np.frombuffer(body, np.uint8).reshape(1, -1))[0])
+    return CanFrame(t_ns, channel, identifier, body + bytes([crc]))
 
 
 def mapped(tmp_path: Path, text: str, unit: str | None = None) -> CanPlan:
@@ -30,7 +31,7 @@ def mapped(tmp_path: Path, text: str, unit: str | None = None) -> CanPlan:
     return load_mapping(path, [DBC], unit)
 
 
-def decoded(plan: CanPlan, frames: list[Frame], size: int = 10_000) -> tuple[list[SampleBatch], CanDecoder]:
+def decoded(plan: CanPlan, frames: list[CanFrame], size: int = 10_000) -> tuple[list[SampleBatch], CanDecoder]:
     decoder = CanDecoder(plan, run="r1", epoch_of=lambda unit: UUID(int=len(unit)))
     batches = [b for i in range(0, len(frames), size) for b in decoder.take(frame_block(frames[i : i + size]))]
     return batches + decoder.finish(), decoder

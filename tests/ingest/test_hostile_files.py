@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from analytics.curves.limits import parse_limits
 from ingest.can.database import load_messages
 from ingest.can.decode import MessageLayout
 from ingest.can.log import CanLog
 from ingest.procedures.file import parse_procedure
 from ingest.serial.frame_layout import decode_layout
 from ingest.station.station import load_station
+from storage.specifications.specification import parse_specification
 from stream.errors import BadInput
 
 DEEP = ["a = " + "[" * 50_000, "a = " + "{b = " * 5000, "a." * 100_000 + "b = 1", "a = " + "9" * 5000, "a = \udcff"]
@@ -33,7 +33,7 @@ def test_toml_that_no_person_has_written_is_bad_input(text: str, tmp_path: Path)
     path.write_bytes(text.encode(errors="surrogateescape"))
     with pytest.raises(BadInput, match=r"station\.toml: "):
         load_station(path)
-    for parse in (parse_limits, parse_procedure, decode_layout):
+    for parse in (parse_specification, parse_procedure, decode_layout):
         with pytest.raises(BadInput, match=r"x\.toml"):
             parse(path.read_bytes(), "x.toml")
 

@@ -196,7 +196,7 @@ def test_other_parameters_are_refused(tmp_path: Path) -> None:
     with pytest.raises(PowerLoss):
         station.take_up(breaks_after=10)
     other = Station(tmp_path, speed=0.0, hours=2.0)
-    with pytest.raises(BadInput, match=r"run r1 was started otherwise: --hours was 0.01, now 2.0"):
+    with pytest.raises(BadInput, match=r"run r1 was started with other options: --hours was 0.01, now 2.0"):
         other.take_up()
     (tmp_path / "run.json").write_text("{")
     with pytest.raises(StoreError, match=r"run.json cannot be read.*another --run"):

@@ -103,7 +103,7 @@ def test_a_full_disk_is_told_at_once_and_waited_for(tmp_path: Path, monkeypatch:
         pipeline.finish()
     assert "No space left on device" in warnings[0]
     assert any("recording is paused" in text for text in warnings)
-    assert any("goes on after a pause" in text for text in warnings)
+    assert any("resumes after a pause" in text for text in warnings)
     with Catalog(pipeline.store) as catalog:
         ((n, moments),) = catalog.rows("select count(*), count(distinct t_ns) from samples")
     assert n == moments == 3000 * 1000

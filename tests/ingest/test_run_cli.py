@@ -1,13 +1,14 @@
-"""`gyrofleet run` refuses what cannot be meant, and what cannot be reached leaves nothing behind."""
+"""`gyrofleet run` and `run-simulated` refuse what cannot be meant, and what cannot be reached leaves nothing behind."""
 
 import json
 from collections.abc import Callable
 from pathlib import Path
 
+import click
 import pytest
 from click.testing import CliRunner
 
-from ingest.commands.run import run
+from ingest.commands.run import run, run_simulated
 from ingest.simulator.station_files import write_station
 
 Refused = Callable[..., str]
@@ -19,8 +20,8 @@ def refused(tmp_path: Path) -> Refused:
     parent = tmp_path / "stores"
     parent.mkdir()
 
-    def why(*words: object) -> str:
-        done = CliRunner().invoke(run, [*map(str, words), "--store", str(parent / "S"), "--json"])
+    def why(*words: object, command: click.Command = run) -> str:
+        done = CliRunner().invoke(command, [*map(str, words), "--store", str(parent / "S"), "--json"])
         assert done.exit_code == 1, done.output
         assert list(parent.iterdir()) == []
         message: str = json.loads(done.output.splitlines()[-1])["error"]["message"]
@@ -42,34 +43,40 @@ def at_station(tmp_path: Path) -> tuple[object, ...]:
 SIMULATE = ("--run", "r1", "--simulate", 1)
 
 
-@pytest.mark.parametrize(
-    ("more", "named"),
-    [
-        (["--hours", 2], "--hours: only with --simulate"),
-        (["--speed", 0, "--seed", 1], "--speed, --seed: only with --simulate"),  # the default, but given
-        (["--site", "plant"], "--site: only with --simulate"),
-        (["--procedure", "x"], "--procedure: only with --simulate"),
-    ],
-)
-def test_a_procedure_refuses_what_is_for_simulated_units(
-    refused: Refused, at_station: tuple[object, ...], more: list[object], named: str
-) -> None:
-    message = refused("static_bias", *at_station, *more)
-    assert named in message
-    assert "gyrofleet procedure show static_bias" in message
+@pytest.mark.parametrize("more", [(), ("--run", "r1", "--hours", 2), ("static_bias",)])
+def test_what_simulated_units_need_is_pointed_to_their_command(more: tuple[object, ...]) -> None:
+    done = CliRunner().invoke(run, [*map(str, more), "--simulate", "3"])
+    assert done.exit_code == 2
+    assert "gyrofleet run-simulated --run ID --simulate N" in " ".join(done.output.split())
 
 
-@pytest.mark.parametrize(
-    ("more", "named"),
-    [
-        (["--units", "units.csv"], "--units: only for a procedure"),
-        (["--yes", "--set", "a=1"], "--set, --yes: only for a procedure"),
-        (["--settle-timeout-h", 6.0], "--settle-timeout-h: only for a procedure"),
-        (["--every", 60], "--every: only for a procedure"),
-    ],
-)
-def test_simulated_units_refuse_what_is_for_procedures(refused: Refused, more: list[object], named: str) -> None:
-    assert named in refused(*SIMULATE, *more)
+def test_the_two_commands_share_no_option_that_either_refuses() -> None:
+    options = [{name for each in command.params for name in each.opts} for command in (run, run_simulated)]
+    common = {
+        "--run", "--operator", "--lot", "--store", "--connect", "--spool", "--spool-mb", "--end", "--json", "--station",
+    }  # fmt: skip
+    assert options[0] & options[1] == common
+
+
+@pytest.mark.parametrize("command", [run, run_simulated])
+def test_the_help_fits_a_terminal_of_80_columns(command: click.Command) -> None:
+    lines = CliRunner().invoke(command, ["--help"], terminal_width=80).output.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert len(lines) <= 66
+
+
+@pytest.mark.parametrize("option", ["--hours", "--speed", "--seed", "--site", "--procedure"])
+def test_a_procedure_has_no_option_of_simulated_units(at_station: tuple[object, ...], option: str) -> None:
+    done = CliRunner().invoke(run, ["static_bias", *map(str, at_station), option, "1"])
+    assert done.exit_code == 2
+    assert "No such option" in done.output
+
+
+@pytest.mark.parametrize("option", ["--units", "--yes", "--set", "--settle-timeout-h", "--every", "--specification"])
+def test_simulated_units_have_no_option_of_a_procedure(option: str) -> None:
+    done = CliRunner().invoke(run_simulated, [*map(str, SIMULATE), option, "1"])
+    assert done.exit_code == 2
+    assert "No such option" in done.output
 
 
 def test_a_name_that_is_nearly_one_is_guessed(refused: Refused, at_station: tuple[object, ...]) -> None:
@@ -84,11 +91,11 @@ def test_instruments_that_cannot_be_reached_leave_no_store_behind(
 
 
 def test_a_recorder_that_cannot_be_reached_leaves_no_spool_behind(refused: Refused, endpoint: str) -> None:
-    assert f"cannot connect to {endpoint}" in refused(*SIMULATE, "--connect", endpoint)
+    assert f"cannot connect to {endpoint}" in refused(*SIMULATE, "--connect", endpoint, command=run_simulated)
 
 
 def test_a_moment_that_is_none_leaves_no_store_behind(refused: Refused) -> None:
-    assert "'noon' is not a moment" in refused(*SIMULATE, "--start", "noon")
+    assert "'noon' is not a moment" in refused(*SIMULATE, "--start", "noon", command=run_simulated)
 
 
 def test_the_help_says_that_a_run_can_be_paused_with_yes_too() -> None:

@@ -36,7 +36,7 @@ def test_a_recorder_that_pauses_and_a_spool_that_cannot_be_written_are_told_to_t
     bus, said = LocalBus(), StringIO()
     operator = ConsoleOperator(Console(file=said, width=500), Stop(), says_yes=True, quiet=True, listens=False)
     with Spool(tmp_path / "spool") as spool, DurablePublisher(bus, spool=spool) as publisher:
-        operator.watch(TroubleWatch(publisher, operator.told).look)
+        operator.watch(TroubleWatch(publisher, operator.report).look)
 
         def told() -> list[str]:
             assert operator.poll_request() is None

@@ -7,7 +7,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from ingest.run.run_state import RunParameters, begin_run, read_run, write_run
+from ingest.run.run_state import RUN_FILE, RunParameters, begin_run, read_run
+from ingest.state_file import write_state
 from stream.errors import BadInput
 
 PARAMETERS = RunParameters(
@@ -17,7 +18,7 @@ PARAMETERS = RunParameters(
 
 def test_the_spool_of_another_run_is_refused(tmp_path: Path) -> None:
     assert read_run(tmp_path, "r1", PARAMETERS) is None
-    state = write_run(tmp_path, begin_run("r1", PARAMETERS, 0))
+    state = write_state(tmp_path / RUN_FILE, begin_run("r1", PARAMETERS, 0))
     assert read_run(tmp_path, "r1", PARAMETERS) == state
     with pytest.raises(BadInput, match=r"is the spool of run r1, not of r2: give --spool another folder"):
         read_run(tmp_path, "r2", PARAMETERS)
@@ -26,7 +27,9 @@ def test_the_spool_of_another_run_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_run_whose_folder_could_not_be_made_is_refused(gyrofleet: Callable[..., Any]) -> None:
-    refused = gyrofleet("run", "--run", "\u9640" * 67, "--simulate", 1, "--hours", 0.01, "--speed", 0, "--json")
+    refused = gyrofleet(
+        "run-simulated", "--run", "\u9640" * 67, "--simulate", 1, "--hours", 0.01, "--speed", 0, "--json"
+    )
     assert refused.code == 1
     assert "has 201 bytes in UTF-8" in refused.json["error"]["message"]
     assert "--spool FOLDER" in refused.json["error"]["message"]

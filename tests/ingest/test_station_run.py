@@ -8,14 +8,15 @@ from typing import Any, ClassVar
 
 import pytest
 
+from ingest import run_record
 from ingest.instruments.base import Instrument, Options, Reading
 from ingest.procedures.procedure import PlannedStep, load_procedure
 from ingest.procedures.run_steps import resume_index
-from ingest.station import log as station_log
+from ingest.state_file import write_state
 from ingest.station import run as station_run
-from ingest.station.log import RunLog
 from ingest.station.run import RunStopped, StationRun
-from ingest.station.run_state import StationRunState, write_station_run
+from ingest.station.run_log import RunLog
+from ingest.station.run_state import StationRunState
 from ingest.station.station import ClockTable, SlotTable, Station, StationTable
 from ingest.station_clock import StationClock
 from stream.batch import SampleBatch
@@ -110,7 +111,7 @@ class Operator:
         self.said: list[str] = []
         self.request: str | None = None
 
-    def told(self, text: str) -> None:
+    def report(self, text: str) -> None:
         self.said.append(text)
 
     def ready(self, prompt: str) -> bool:
@@ -168,7 +169,7 @@ def test_killed_at_any_word_or_any_state_it_says_everything_once(
     saves = 0
     dies_at_save: int | None = None
 
-    def save(folder: Path, state: StationRunState) -> StationRunState:
+    def save(file: Path, state: StationRunState) -> StationRunState:
         nonlocal saves
         if wire.is_dead:
             raise Killed
@@ -176,9 +177,9 @@ def test_killed_at_any_word_or_any_state_it_says_everything_once(
             wire.is_dead = True
             raise Killed
         saves += 1
-        return write_station_run(folder, state)
+        return write_state(file, state)
 
-    monkeypatch.setattr(station_log, "write_station_run", save)
+    monkeypatch.setattr(run_record, "write_state", save)
     wire = whole
     carried_out(tmp_path / "whole", whole, steps, Supply())
     words, states = whole.sent, saves
@@ -230,7 +231,7 @@ def test_what_held_before_an_interruption_is_set_and_settled_again(tmp_path: Pat
     )
     wire, supply = Wire(), Supply()
     with Spool(tmp_path) as spool:
-        begun(tmp_path, wire, steps, spool).save(step=1, steps_done=1)
+        begun(tmp_path, wire, steps, spool).pass_step()
     carried_out(tmp_path, wire, steps, supply)
     assert ("temperature", 40.0) in supply.commands
     assert "temperature" in supply.asked

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ingest.tables.batches import Batcher, BatchHead
+from ingest.tables.batches import Batcher, SignalHead
 from ingest.tables.grid import MEDIAN_INTERVALS, Sampling, SamplingGrid
 from stream.batch import IntArray, SampleBatch
 
@@ -23,7 +23,7 @@ def sampling(times_ns: IntArray, cuts: list[int] | None = None) -> Sampling:
 
 
 def batched(times_ns: IntArray, cuts: list[int], batch_samples: int, *, splits_at_gaps: bool) -> list[SampleBatch]:
-    head = BatchHead("G1", "rate", "r", UUID(int=1), 10, "deg/s", irregular=False)
+    head = SignalHead("G1", "rate", "r", UUID(int=1), 10, "deg/s", irregular=False)
     batcher = Batcher(head, batch_samples, splits_at_gaps=splits_at_gaps)
     values = np.arange(len(times_ns), dtype=np.float64) / 2
     batches: list[SampleBatch] = []
@@ -85,7 +85,7 @@ def test_batches_lose_nothing_and_do_not_depend_on_pieces(
 
 def test_a_batch_does_not_keep_the_block_alive_nor_share_it() -> None:
     times_ns, values = np.arange(10) * 10, np.zeros(10)
-    head = BatchHead("G1", "rate", "r", UUID(int=1), 10, "deg/s", irregular=False)
+    head = SignalHead("G1", "rate", "r", UUID(int=1), 10, "deg/s", irregular=False)
     (batch,) = Batcher(head, 10, splits_at_gaps=True).push(times_ns, values)
     values[:] = 9.0
     assert batch.value_array.sum() == 0.0

@@ -1,5 +1,6 @@
 """Times to nanoseconds, exactly rounded."""
 
+from datetime import datetime
 from decimal import Decimal
 from fractions import Fraction
 
@@ -18,7 +19,10 @@ from ingest.tables.times import (
     ns_from_floats,
     ns_from_index,
     ns_from_integers,
+    ns_from_stamp,
+    ns_from_stamps,
     ns_from_text,
+    ns_from_timestamps,
     ns_per_unit,
 )
 from stream.errors import BadInput
@@ -88,3 +92,36 @@ def test_the_first_time_decides_for_the_file() -> None:
     assert clock.misplaced(np.array([10**17 - 1, 10**17])).tolist() == [True, False]
     with pytest.raises(BadInput, match="leave out --start"):
         RunClock(0).settle(10**17)
+
+
+STAMPS = st.datetimes(datetime(1971, 1, 1), datetime(2100, 1, 1))
+FRACTIONS = st.text("0123456789", min_size=1, max_size=12).map(".{}".format) | st.just("")
+
+
+@given(
+    st.lists(st.tuples(STAMPS, FRACTIONS), min_size=1, max_size=5),
+    st.sampled_from(["", "Z", "+08:00", "-0330", " +05"]),
+    st.sampled_from(["T", " "]),
+    st.sampled_from(["UTC", "Asia/Shanghai", "Europe/Berlin"]),
+)
+def test_time_stamps_read_at_once_are_those_read_one_by_one(
+    moments: list[tuple[datetime, str]], zone: str, blank: str, where: str
+) -> None:
+    texts = [f"{moment:%Y-%m-%d}{blank}{moment:%H:%M:%S}{fraction}{zone}" for moment, fraction in moments]
+    one_by_one = [ns_from_stamp(text, where) for text in texts]
+    found = ns_from_stamps(pa.array(texts), where)
+    if found is not None:
+        assert found.tolist() == one_by_one
+    else:
+        assert None in one_by_one or any(len(fraction) > 10 for _, fraction in moments)
+
+
+def test_clock_changes_of_a_time_zone() -> None:
+    """In Berlin 2026-03-29 02:30 does not exist, and 2026-10-25 02:30 comes twice: the first one is meant."""
+    assert ns_from_stamp("2026-03-29 02:30:00", "Europe/Berlin") is None
+    assert ns_from_stamps(pa.array(["2026-03-29 02:30:00"]), "Europe/Berlin") is None
+    first = ns_from_stamp("2026-10-25T00:30:00Z", "UTC")
+    assert ns_from_stamp("2026-10-25 02:30:00", "Europe/Berlin") == first
+    moments = pa.array([datetime(2026, 3, 29, 2, 30), datetime(2026, 10, 25, 2, 30)], pa.timestamp("us"))
+    times_ns, wrong = ns_from_timestamps(moments, "Europe/Berlin")
+    assert (wrong.tolist(), times_ns[1]) == ([True, False], first)

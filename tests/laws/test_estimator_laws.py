@@ -1,136 +1,39 @@
-"""Laws that all keep that follow a signal; a new one in the package is found by itself and compared with them."""
+"""Laws of estimators; a new estimator in the package is found automatically and checked against them."""
 
 import itertools
 import math
-import pickle
 import threading
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from typing import NamedTuple
-from uuid import UUID
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stream.batch import FloatArray, IntArray, SampleBatch
+from stream.batch import FloatArray
 from stream.errors import EstimatorError
-from stream.estimators import snapshot as snapshot_module
-from stream.estimators.allan_variance import AllanDeviation
-from stream.estimators.base import Follower, NoEstimate, default_followers, follower_classes
-from stream.estimators.snapshot import SNAPSHOT_VERSION, restore, take_snapshot
-from stream.estimators.spectral_density import SpectralDensity
-from stream.estimators.spectrum.spectral_lines import Spectrum
-from stream.estimators.warm_up import warm_up
-from stream.events import EstimatePoint
-
-DT_NS = 100_000_000
-DEFAULTS = default_followers()
-# as they are made by default they would say nothing of records as short as those here
-SHORT: dict[str, Callable[[], Follower]] = {"spectral_density": partial(SpectralDensity, segment_samples=256)}
-FACTORIES = DEFAULTS | SHORT
-EVERY = pytest.mark.parametrize("key", sorted(FACTORIES))
-RELATIVE = 1e-11
-# pickled, of the defaults; what successor() begins may keep more
-MOST_BYTES = {"spectral_density": 12 * 4096 + 1024}
-MOST_BYTES_BEHIND = {"spectral_density": 20 * 4096 + 1024}
-
-
-def make(
-    values: FloatArray,
-    first_slot: int = 0,
-    unit: str = "deg/s",
-    times_ns: IntArray | None = None,
-    irregular: bool = False,
-) -> SampleBatch:
-    t0_ns = first_slot * DT_NS if times_ns is None else int(times_ns[0])
-    return SampleBatch(
-        "FOG-1",
-        "rate",
-        "r1",
-        UUID(int=1),
-        max(first_slot, 0),
-        t0_ns,
-        DT_NS,
-        unit,
-        values=values,
-        times_ns=times_ns,
-        irregular=irregular,
-    )
-
-
-def signal(n: int = 6000, seed: int = 1) -> FloatArray:
-    rng = np.random.default_rng(seed)
-    values: FloatArray = rng.standard_normal(n) + 0.01 * np.cumsum(rng.standard_normal(n)) + 15.0
-    return values
-
-
-def fed(key: str, batches: list[SampleBatch]) -> Follower:
-    estimator = FACTORIES[key]()
-    for batch in batches:
-        estimator.update(batch)
-    return estimator
-
-
-class Row(NamedTuple):
-    """One of the values that an estimate consists of."""
-
-    at: float
-    value: float
-    lo: float
-    hi: float
-    edf: float
-    n: int
-    more: object = None
-    power: int = 1
-
-
-def rows_of(follower: Follower) -> list[Row] | NoEstimate:
-    estimate = follower.estimate()
-    if isinstance(estimate, NoEstimate):
-        return estimate
-    if isinstance(estimate, Spectrum):
-        columns = (estimate.frequency_hz, estimate.density, estimate.lo, estimate.hi)
-        lines = zip(*(column.tolist() for column in columns), strict=True)
-        return [
-            Row(at, value, lo, hi, estimate.edf, estimate.segments, estimate.confidence, power=2)
-            for at, value, lo, hi in lines
-        ]
-    assert isinstance(estimate, tuple)
-    assert all(isinstance(point, EstimatePoint) for point in estimate)
-    return [Row(p.tau_s, p.value, p.lo, p.hi, p.edf, p.n, p.plausible) for p in estimate]
-
-
-def assert_legal(rows: list[Row] | NoEstimate) -> None:
-    if isinstance(rows, NoEstimate):
-        assert len(rows.reason) > 10
-        return
-    assert len(rows) > 0
-    for row in rows:
-        assert all(math.isfinite(x) for x in row[:5]), row
-        assert row.lo <= row.value <= row.hi
-        assert row.edf > 0
-        assert row.n > 0
-
-
-def assert_same(a: Follower, b: Follower) -> None:
-    first, second = rows_of(a), rows_of(b)
-    assert (a.samples, a.missing, a.late) == (b.samples, b.missing, b.late)
-    if isinstance(first, NoEstimate) or isinstance(second, NoEstimate):
-        assert first == second
-        return
-    assert [(p.at, p.n) for p in first] == [(p.at, p.n) for p in second]
-    np.testing.assert_allclose([p[1:5] for p in first], [p[1:5] for p in second], rtol=RELATIVE, atol=1e-12)
-
-
-def size_of(estimator: Follower) -> int:
-    return len(pickle.dumps(estimator))
+from stream.estimators.base import Estimator, NoEstimate, estimator_classes
+from stream.worker.compile_kernels import warm_up
+from tests.laws.estimator_cases import (
+    DEFAULTS,
+    DT_NS,
+    EVERY,
+    FACTORIES,
+    MOST_BYTES,
+    MOST_BYTES_BEHIND,
+    assert_legal,
+    assert_same,
+    fed,
+    make,
+    rows_of,
+    signal,
+    size_of,
+)
 
 
 def test_every_class_is_among_the_defaults() -> None:
-    assert {type(factory()) for factory in DEFAULTS.values()} == set(follower_classes())
+    assert {type(factory()) for factory in DEFAULTS.values()} == set(estimator_classes())
     assert FACTORIES.keys() == DEFAULTS.keys()
     warm_up()
 
@@ -229,7 +132,7 @@ def test_memory_is_bounded(key: str) -> None:
     assert sizes[-1] <= sizes[0] + 64
     assert sizes[-1] <= MOST_BYTES.get(key, 32_768)
     assert_legal(rows_of(estimator))
-    behind = estimator.successor()
+    behind = estimator.continuation()
     behind.update(make(values, 40 * len(values)))
     assert size_of(behind) <= MOST_BYTES_BEHIND.get(key, 32_768)
     estimator.merge(behind)
@@ -331,7 +234,7 @@ def test_a_batch_of_another_signal_is_refused(key: str) -> None:
 @EVERY
 def test_instances_may_live_in_different_threads(key: str) -> None:
     streams = [signal(30_000, seed) for seed in range(6)]
-    done: dict[int, Follower] = {}
+    done: dict[int, Estimator[Any]] = {}
 
     def run(which: int) -> None:
         values = streams[which]
@@ -345,156 +248,3 @@ def test_instances_may_live_in_different_threads(key: str) -> None:
     for which, values in enumerate(streams):
         alone = fed(key, [make(values[i : i + 250], i) for i in range(0, len(values), 250)])
         assert rows_of(done[which]) == rows_of(alone)
-
-
-def parts(key: str, batches: list[SampleBatch], cuts: list[int]) -> list[Follower]:
-    """Estimators of neighbouring parts of a stream, cut before the batches of those numbers."""
-    edges = [0, *sorted(cuts), len(batches)]
-    found = [FACTORIES[key]()]
-    for first, stop in itertools.pairwise(edges):
-        for batch in batches[first:stop]:
-            found[-1].update(batch)
-        found.append(found[-1].successor())
-    return found
-
-
-@EVERY
-@settings(max_examples=60, deadline=None, derandomize=True)
-@given(data=st.data())
-def test_parts_merge_in_any_order_to_one_pass(key: str, data: st.DataObject) -> None:
-    values = signal(3000, 4)
-    values[1400:1410] = np.nan
-    if data.draw(st.booleans()):
-        values[:200] = np.nan
-    size = data.draw(st.sampled_from([7, 64, 100]))
-    hole = data.draw(st.sampled_from([0, 1, 33, 5000]))
-    batches = [make(values[i : i + size], i + (hole if i >= 2000 else 0)) for i in range(0, len(values), size)]
-    cuts = data.draw(st.lists(st.integers(0, len(batches)), min_size=1, max_size=6))
-    waiting = parts(key, batches, cuts)
-    whole = fed(key, batches)
-    while len(waiting) > 1:
-        at = data.draw(st.integers(0, len(waiting) - 2))
-        if data.draw(st.booleans()):
-            waiting[at] = restore(take_snapshot(waiting[at]))
-        waiting[at].merge(waiting.pop(at + 1))
-    assert_same(waiting[0], whole)
-    more = make(signal(3000, 5), 10_000)
-    waiting[0].update(more)
-    whole.update(more)
-    assert_same(waiting[0], whole)
-
-
-@EVERY
-def test_irregular_parts_merge_to_one_pass(key: str) -> None:
-    rng = np.random.default_rng(6)
-    times_ns = np.cumsum(rng.integers(1, 2 * DT_NS, 4000)).astype(np.int64)
-    values = signal(4000)
-    batches = [make(values[i : i + 50], times_ns=times_ns[i : i + 50], irregular=True) for i in range(0, 4000, 50)]
-    merged, *others = parts(key, batches, [1, 20, 21, 79])
-    for other in others:
-        merged.merge(other)
-    assert_same(merged, fed(key, batches))
-
-
-@EVERY
-def test_merging_leaves_the_later_part_as_it_is(key: str) -> None:
-    earlier, later, _ = parts(key, [make(signal(3000)), make(signal(3000, 2), 3000)], [1])
-    before = take_snapshot(later)
-    earlier.merge(later)
-    later_again = restore(before)
-    assert rows_of(later) == rows_of(later_again)
-    assert take_snapshot(later) == before
-
-
-@EVERY
-def test_what_does_not_go_together_is_not_merged(key: str) -> None:
-    batches = [make(signal(500, i), 500 * i) for i in range(4)]
-    first, second, third, _ = parts(key, batches, [1, 2])
-    before = rows_of(first)
-    with pytest.raises(EstimatorError, match=r"only neighbours can be merged; begin the later part with successor"):
-        first.merge(third)
-    with pytest.raises(EstimatorError, match="only neighbours can be merged"):
-        first.merge(fed(key, batches[1:2]))
-    stranger = FACTORIES[key]()
-    stranger.update(replace(batches[1], unit="FOG-2"))
-    with pytest.raises(EstimatorError, match="of unit FOG-1, signal rate in deg/s cannot be merged with that of unit"):
-        first.merge(stranger)
-    other = next(make() for name, make in FACTORIES.items() if name != key)
-    with pytest.raises(EstimatorError, match="kind and settings must agree"):
-        first.merge(other)
-    assert rows_of(first) == before
-    first.merge(second)
-    with pytest.raises(EstimatorError, match="only neighbours"):
-        first.merge(second)
-
-
-@EVERY
-@given(cut=st.integers(0, 40), seed=st.integers(0, 3))
-@settings(max_examples=25, deadline=None)
-def test_a_snapshot_in_mid_stream_goes_on_as_if_nothing_had_happened(key: str, cut: int, seed: int) -> None:
-    values = signal(4000, seed)
-    values[1000:1010] = np.nan
-    batches = [make(values[i : i + 100], i + (500 if i >= 2000 else 0)) for i in range(0, 4000, 100)]
-    interrupted = fed(key, batches[:cut])
-    restored = restore(take_snapshot(interrupted))
-    assert type(restored) is type(interrupted)
-    assert restored.key == key
-    for batch in batches[cut:]:
-        restored.update(batch)
-    whole = fed(key, batches)
-    assert rows_of(restored) == rows_of(whole)  # to the last bit
-    assert (restored.samples, restored.missing, restored.late) == (whole.samples, whole.missing, whole.late)
-    assert restored.unit_of_measure == whole.unit_of_measure
-
-
-@EVERY
-@given(data=st.data())
-@settings(max_examples=60, deadline=None)
-def test_a_damaged_snapshot_is_a_named_error(key: str, data: st.DataObject) -> None:
-    snapshot = bytearray(take_snapshot(fed(key, [make(signal(500))])))
-    at = data.draw(st.integers(0, len(snapshot) - 1))
-    snapshot[at] ^= data.draw(st.integers(1, 255))
-    cut = data.draw(st.integers(0, len(snapshot) - 1))
-    for damaged in (bytes(snapshot), bytes(snapshot[:cut])):
-        with pytest.raises(EstimatorError, match=r"damaged|no snapshot"):
-            restore(damaged)
-
-
-@EVERY
-def test_a_snapshot_is_compact_and_independent(key: str) -> None:
-    estimator = fed(key, [make(signal(6000))])
-    snapshot = take_snapshot(estimator)
-    assert len(snapshot) < estimator.state_bytes + 400
-    before = rows_of(estimator)
-    restore(snapshot).update(make(signal(100, seed=9), 6000))
-    assert rows_of(estimator) == before
-    assert b"stream." not in snapshot  # no name of a Python module, as pickle would have
-
-
-@EVERY
-def test_a_snapshot_of_a_newer_version_is_refused(key: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(snapshot_module, "SNAPSHOT_VERSION", 99)
-    newer = take_snapshot(fed(key, [make(signal(500))]))
-    monkeypatch.undo()
-    with pytest.raises(EstimatorError, match=f"version 99, this gyrofleet reads up to {SNAPSHOT_VERSION}: upgrade"):
-        restore(newer)
-
-
-@EVERY
-def test_other_settings_are_not_merged(key: str) -> None:
-    one = fed(key, [make(signal(500))])
-    for name, value in one.arguments.items():
-        later = one.successor()
-        try:
-            other = type(one)(**{**one.arguments, name: value * 2 or 1.0})
-        except EstimatorError:
-            continue  # twice as much is not offered
-        with pytest.raises(EstimatorError, match="kind and settings must agree"):
-            one.merge(other)
-        one.merge(later)
-
-
-def test_a_state_of_other_settings_is_refused() -> None:
-    state = AllanDeviation(points_per_octave=1).export_state()
-    with pytest.raises(EstimatorError, match="of another estimator"):
-        AllanDeviation(points_per_octave=4).import_state(state)

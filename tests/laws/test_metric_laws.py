@@ -41,7 +41,7 @@ TERMS = {
 # They read samples, estimates or entered checks besides the records, which the simulated units do not have.
 ELSEWHERE = {
     "accelerometer_separation", "bandwidth", "output_delay", "startup_time", "warmup_time", "power", "visual_check",
-    "electrical_check", "quantization_noise", "bias_instability", "rate_random_walk", "rate_ramp",
+    "electrical_check", "quantization_noise", "bias_instability", "rate_random_walk", "rate_ramp", "allan_deviation",
 }  # fmt: skip
 # what a doubled output doubles: all that is in deg/h, and these
 DOUBLED = {"gyro_separation", "misalignment", "misalignment_repeatability"}

@@ -216,8 +216,9 @@ def test_every_view_answers_with_times_at_the_bounds(tmp_path: Path) -> None:
     log.seal()
     list(recover(store))
     with Catalog(store) as catalog:
-        views = [name for (name,) in catalog.rows("select view_name from duckdb_views() where not internal")]
-        for view in views:
-            catalog.rows(f"select * from {view}")
+        views = catalog.rows("select schema_name, view_name from duckdb_views() where not internal")
+        assert {schema for schema, _ in views} == {"main", "internal"}
+        for schema, view in views:
+            catalog.rows(f"select * from {schema}.{view}")
         assert catalog.rows("select sum(n) from rollup_1s") == [(54,)]
         assert catalog.rows("select count(*) from clocks") == [(2,)]

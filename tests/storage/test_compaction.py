@@ -16,8 +16,7 @@ from storage.lake import compaction
 from storage.lake.compaction import compact, due
 from storage.lake.lake import Lake, builder_lock, parts
 from storage.lake.rebuild import rebuild
-from storage.manifests.lake import Manifest, Part, PartFile, read_manifest
-from storage.manifests.lake_switch import left_aside
+from storage.manifests.lake import Manifest, Part, PartFile, left_aside, read_manifest
 from storage.sql.catalog import Catalog
 from storage.sql.reading import find_signal, read_signal
 from storage.store import Store

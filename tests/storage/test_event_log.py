@@ -1,68 +1,21 @@
 """The log as a file format and as a promise: other tools read it, no byte of it changes unseen."""
 
-import json
 import random
 from pathlib import Path
-from uuid import UUID
 
-import numpy as np
 import pytest
 from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader, make_reader
 
 from storage.log.event_log import EventLog
-from storage.log.recovery import salvage_segment, take_in
+from storage.log.recovery import salvage_segment
 from storage.log.sequence import SequenceCheck, place_of
-from storage.manifests.log import (
-    FIRST,
-    ManifestWriter,
-    SegmentEntry,
-    manifest_path,
-    read_log_manifest,
-    rewrite_manifest,
-)
 from storage.segments.reader import SegmentScan, read_marks, read_segment
-from storage.segments.records import CHUNK, CHUNK_BYTES, EVENTS, FRAME, SAMPLES, LogRecord
+from storage.segments.records import CHUNK, CHUNK_BYTES, EVENTS, FRAME, SAMPLES
 from storage.store import Store
-from stream.batch import SampleBatch
 from stream.errors import StoreError
-from stream.events import NoteAdded, RunEnded, encode_event
-from stream.identity import Place, event_key, sample_key
-from stream.wire.batches import decode_batch, encode_batch
-
-PLACE = Place("plant", "bench")
-
-
-def samples(unit: str, first: int, n: int = 100) -> LogRecord:
-    counts = np.random.default_rng(first).normal(0, 50, n).astype(np.int32)
-    batch = SampleBatch(unit, "rate", "r1", UUID(int=1), first, first * 10**6, 10**6, "deg/s", counts=counts)
-    return LogRecord(sample_key(PLACE, unit, "rate"), SAMPLES, 10**18 + first, batch.t0_ns, encode_batch(batch))
-
-
-def document(text: str, seq: int) -> LogRecord:
-    note = NoteAdded(run="r1", t_ns=5, text=text)
-    return LogRecord(event_key(PLACE), EVENTS, 10**18, 5, encode_event(note, "e", seq))
-
-
-def append(log: EventLog, record: LogRecord) -> None:
-    place = place_of(record)
-    assert place is not None
-    log.append(place, record)
-
-
-def written(tmp_path: Path, *, syncs: int = 20, seal: bool = True) -> tuple[Store, list[LogRecord]]:
-    """A store with one segment of so many chunks, and what was put into it."""
-    store = Store.create(tmp_path / "store")
-    log = EventLog(store)
-    records = []
-    for i in range(syncs):
-        for record in [samples(f"U{unit}", 100 * i) for unit in range(5)] + [document(f"note {i}", i)]:
-            append(log, record)
-            records.append(record)
-        log.sync()
-    if seal:
-        log.seal()
-    return store, records
+from stream.wire.batches import decode_batch
+from tests.storage.log_records import append, samples, written
 
 
 def test_other_tools_read_a_segment_with_all_their_checks(tmp_path: Path) -> None:
@@ -248,70 +201,6 @@ def test_salvaging_a_damaged_segment_says_what_is_lost_and_keeps_the_evidence(tm
     assert {lost.last_ns for lost in recovery.lost} == {None}
     assert recovery.entry is not None
     assert recovery.entry.origin == "salvaged"
-
-
-def test_the_manifest_lists_every_segment_with_its_hash(tmp_path: Path) -> None:
-    store = Store.create(tmp_path)
-    log = EventLog(store, rotate_bytes=1)
-    for i in range(3):
-        append(log, samples("U1", 100 * i))
-        assert log.due
-        log.seal()
-    end = encode_event(RunEnded(run="r1", t_ns=7), "e", 0)
-    append(log, LogRecord(event_key(PLACE), EVENTS, 10**18, 7, end))
-    log.seal()
-    entries = read_log_manifest(store).entries
-    assert [entry.segment for entry in entries.values()] == [f"0000000{i}.mcap" for i in (1, 2, 3, 4)]
-    assert [(entry.samples, entry.messages) for entry in entries.values()] == [(100, 1)] * 3 + [(0, 1)]
-    assert [entry.ended for entry in entries.values()] == [(), (), (), ("r1",)]
-    for entry in entries.values():
-        found, _ = take_in(store, store.log / entry.segment)
-        assert (found.sha256, found.size, found.samples) == (entry.sha256, entry.size, entry.samples)
-
-
-def test_a_segment_without_its_line_is_taken_in(tmp_path: Path) -> None:
-    store, _ = written(tmp_path)
-    before = manifest_path(store).read_text()
-    manifest_path(store).unlink()
-    EventLog(store)
-    (entry,) = read_log_manifest(store).entries.values()
-    assert entry.origin == "found"
-    assert entry.sha256 == json.loads(before.split("\t")[0])["sha256"]
-
-
-def test_no_byte_of_the_manifest_changes_unseen(tmp_path: Path) -> None:
-    store = Store.create(tmp_path)
-    writer = ManifestWriter(store)
-    entries = [SegmentEntry(f"{i:08d}.mcap", i, "0" * 64, 1, 1, 1, 1, ("r1",)) for i in range(20)]
-    for entry in entries:
-        writer.add(entry)
-    content = manifest_path(store).read_bytes()
-    assert list(read_log_manifest(store).entries.values()) == entries
-    for at in range(0, len(content), 7):
-        manifest_path(store).write_bytes(content[:at] + bytes([content[at] ^ 4]) + content[at + 1 :])
-        found = read_log_manifest(store)
-        assert found.damage or len(found.entries) < 20
-        assert len(found.entries) >= 17
-    lines = content.splitlines(keepends=True)
-    manifest_path(store).write_bytes(b"".join(lines[:5] + lines[6:]))
-    assert [each.line for each in read_log_manifest(store).damage] == [6]
-    store.tmp.rmdir()
-    aside = rewrite_manifest(store, entries)
-    assert aside is not None
-    assert aside.read_bytes() == b"".join(lines[:5] + lines[6:])
-    assert read_log_manifest(store).damage == []
-
-
-def test_a_line_that_was_not_finished_is_cut_off(tmp_path: Path) -> None:
-    store = Store.create(tmp_path)
-    entries = [SegmentEntry(f"{i:08d}.mcap", i, "0" * 64, 1, 1, 1, 1) for i in range(3)]
-    ManifestWriter(store).add(entries[0])
-    with manifest_path(store).open("ab") as file:
-        file.write(b'{"segment": "0000')
-    writer = ManifestWriter(store)
-    assert writer.found.last != FIRST
-    writer.add(entries[1])
-    assert list(read_log_manifest(store).entries.values()) == entries[:2]
 
 
 def test_a_gap_in_the_numbers_is_a_lost_stretch() -> None:

@@ -8,8 +8,7 @@ import pytest
 
 from storage.lake.lake import Lake, builder_lock
 from storage.log.event_log import EventLog
-from storage.log.notes import noted
-from storage.log.seal import is_sealed, sealed
+from storage.log.store_documents import is_signed, signed, store_document
 from storage.manifests.lake import read_manifest
 from storage.recording.recorder import Recorder
 from storage.segments.reader import read_segment
@@ -170,14 +169,14 @@ def recorded(tmp_path: Path) -> Store:
 @pytest.mark.parametrize("is_named", [True, False])
 def test_only_the_store_itself_says_that_raw_rows_are_dropped(recorded: Store, seal: object, is_named: bool) -> None:
     details = {"segments": ["00000001", "00000002"]} | ({} if seal is None else {"seal": seal})
-    document = noted(recorded.identity, RAW_ROWS_DROPPED, "dropped", details)
+    document = store_document(recorded.identity, RAW_ROWS_DROPPED, "dropped", details)
     if not is_named:
         document = StoreNoted(run="", t_ns=0, what=RAW_ROWS_DROPPED, text="dropped", details=details)
     bus = LocalBus()
     with Recorder(recorded, bus, EventLog(recorded), sync_interval_s=0.01) as recorder:
         bus.publish(event_key(PLACE), encode_event(document, "e", 0))
     assert recorder.counts.rejected == 1
-    assert "has not its seal" in recorder.counts.rejections[0]
+    assert "lacks its seal" in recorder.counts.rejections[0]
     with builder_lock(recorded):
         Lake(recorded)
     assert read_manifest(recorded).dropped == {}
@@ -185,12 +184,14 @@ def test_only_the_store_itself_says_that_raw_rows_are_dropped(recorded: Store, s
 
 
 def test_a_seal_is_of_one_document_of_one_store(recorded: Store, tmp_path: Path) -> None:
-    document = sealed(recorded, noted(recorded.identity, RAW_ROWS_DROPPED, "dropped", {"segments": ["00000001"]}))
-    assert is_sealed(recorded, document)
+    document = signed(
+        recorded, store_document(recorded.identity, RAW_ROWS_DROPPED, "dropped", {"segments": ["00000001"]})
+    )
+    assert is_signed(recorded, document)
     document.details["segments"].append("00000002")
-    assert not is_sealed(recorded, document)
+    assert not is_signed(recorded, document)
     other = Store.create(tmp_path / "other")
-    assert not is_sealed(other, sealed(recorded, noted(other.identity, "x", "", {})))
+    assert not is_signed(other, signed(recorded, store_document(other.identity, "x", "", {})))
 
 
 def test_retention_beside_a_recorder_is_believed(recorded: Store) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from storage.check.verify_lake import lake_problems, mend
+from storage.check.verify_lake import lake_problems, repair_lake
 from storage.lake.lake import Lake, LakeBusy, build_missing, builder_lock, parts
 from storage.lake.part import build_part
 from storage.manifests.lake import MANIFEST, PART, LakeManifestDamaged, read_manifest, write_manifest
@@ -53,7 +53,7 @@ def test_any_damage_to_the_manifest_is_found_and_mended(days: Filler, seed: int)
         with pytest.raises(LakeManifestDamaged, match="gyrofleet recover"):
             read_manifest(store)
     with builder_lock(store):
-        assert [problem.file for problem in mend(store)] == [MANIFEST]
+        assert [problem.file for problem in repair_lake(store)] == [MANIFEST]
     assert total(store) == TOTAL
     assert len(list((store.folder / "lake-aside").iterdir())) == 1
 
@@ -65,7 +65,7 @@ def test_a_lost_manifest_is_told_and_made_anew_from_the_parts(days: Filler) -> N
     with pytest.raises(LakeManifestDamaged, match="missing"):
         Catalog(days.store)
     with builder_lock(days.store):
-        assert len(list(mend(days.store))) == 1
+        assert len(list(repair_lake(days.store))) == 1
     assert parts(days.store) == before
 
 
@@ -113,7 +113,7 @@ def test_every_damaged_file_is_found_kept_aside_and_made_anew(days: Filler) -> N
     (store.lake / "00000004" / "samples.parquet").write_bytes(b"PAR1")
     (store.lake / "00000007" / "rollup_1s.parquet").unlink()
     with builder_lock(store):
-        assert {problem.part for problem in mend(store)} == {"00000004", "00000007"}
+        assert {problem.part for problem in repair_lake(store)} == {"00000004", "00000007"}
     assert list(lake_problems(store)) == []
     assert total(store) == TOTAL
     assert len(list((store.folder / "lake-aside").iterdir())) == 2
@@ -126,7 +126,7 @@ def test_a_part_whose_segment_is_damaged_too_stays_as_it_is(days: Filler) -> Non
     segment = store.log / "00000004.mcap"
     segment.write_bytes(segment.read_bytes()[:-1000])
     with builder_lock(store), pytest.raises(StoreError, match=r"segment .*00000004.mcap is damaged"):
-        list(mend(store))
+        list(repair_lake(store))
     assert (store.lake / "00000004" / "samples.parquet").exists()
     assert total(store) == TOTAL
 

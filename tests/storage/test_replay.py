@@ -18,7 +18,7 @@ from storage.store import Store, WriterLock
 from stream.batch import SampleBatch
 from stream.delivery.publisher import DurablePublisher, Sender
 from stream.errors import BadInput, NotFound
-from stream.estimators.base import Estimator, default_estimators
+from stream.estimators.base import PointEstimator, default_estimators
 from stream.estimators.bias_stability import BiasStability
 from stream.events import Limit, LimitsApplied, RunEnded, RunStarted
 from stream.identity import Place, event_key, sample_key
@@ -108,7 +108,7 @@ def test_a_run_begun_in_the_middle_of_an_epoch_is_replayed_into_another_store(st
 
 def test_estimators_beyond_the_usual_ones_are_found_in_what_is_stored(tmp_path: Path) -> None:
     averages = {BiasStability(each).key: functools.partial(BiasStability, each) for each in (5.0, 1.23456789)}
-    factories: dict[str, Callable[[], Estimator]] = {**default_estimators(), **averages}
+    factories: dict[str, Callable[[], PointEstimator]] = {**default_estimators(), **averages}
     store = Store.create(tmp_path / "store")
     with (
         WriterLock(store, "test"),

@@ -18,8 +18,7 @@ from storage.lake.compaction import compact
 from storage.lake.lake import Lake, builder_lock, parts
 from storage.lake.rebuild import rebuild
 from storage.log.event_log import EventLog
-from storage.log.notes import is_own
-from storage.log.notes import noted as noted_now
+from storage.log.store_documents import is_own, store_document
 from storage.manifests.lake import read_manifest
 from storage.recording.recorder import Recorder
 from storage.segments.reader import read_segment
@@ -150,7 +149,7 @@ def test_two_recorders_on_one_bus_and_one_store_lets_go(days: Filler, tmp_path: 
     days.build()
     days.release()
     store, other = days.store, Store.create(tmp_path / "other")
-    document = noted_now(store.identity, RAW_ROWS_DROPPED, "dropped", {"segments": ["00000001"]})
+    document = store_document(store.identity, RAW_ROWS_DROPPED, "dropped", {"segments": ["00000001"]})
     with (
         LocalBus() as bus,
         Recorder(other, bus, EventLog(other), builds_lake=False),

@@ -114,7 +114,7 @@ def test_a_marker_that_is_lost_or_damaged_is_made_anew(filled: Store, content: b
     marker = folder / "store.json"
     marker.unlink() if content is None else marker.write_bytes(content)
     for opened in (Store.open, Store.create):
-        with pytest.raises(StoreError, match=rf"log is there: `gyrofleet recover --store {folder}` makes it anew"):
+        with pytest.raises(StoreError, match=rf"log is there: `gyrofleet recover --store {folder}` rebuilds it"):
             opened(folder)
     store, told = Store.open_or_repair(folder)
     assert (store.identity, told is None) == (filled.identity, False)

@@ -76,7 +76,7 @@ class Bench:
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     monkeypatch.setattr(stream.worker.worker, "_PATIENCE_S", 0.1)
-    monkeypatch.setattr(stream.worker.worker, "_LOOK_AGAIN_S", 0.2)
+    monkeypatch.setattr(stream.worker.worker, "_READ_AGAIN_S", 0.2)
     bench = Bench(tmp_path / "store")
     yield bench
     bench.close()
@@ -111,7 +111,7 @@ def test_an_end_that_was_not_heard_is_found_in_the_log(bench: Bench) -> None:
 def test_the_end_of_a_run_whose_samples_are_lost_does_not_wait_for_ever(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stream.worker.held_ends._LOST_AFTER_S", 0.5)
+    monkeypatch.setattr("stream.worker.pending_ends._LOST_AFTER_S", 0.5)
     for bus in (bench.heard, bench.recorded):
         bus.publish(KEY, batch(0))
         bus.publish(event_key(PLACE), end(2 * N))

@@ -8,8 +8,9 @@ import pytest
 
 from stream.batch import FloatArray, SampleBatch
 from stream.errors import EstimatorError
-from stream.estimators.allan_variance import LEAST_SHARE, AllanDeviation, overlapping_allan_variance
-from stream.estimators.base import NoEstimate
+from stream.estimators.allan_variance import AllanDeviation
+from stream.estimators.base import LEAST_SHARE, NoEstimate
+from tests.allan_definition import overlapping_allan_variance
 
 DT_NS = 10_000_000
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from stream.estimators.allan_variance import overlapping_allan_variance
-from stream.estimators.confidence import NOISE_EXPONENTS, deviation_limits, edf, least_edf, sw, sx
+from stream.estimators.confidence import NOISE_EXPONENTS, deviation_bounds, edf, least_edf, sw, sx
+from tests.allan_definition import overlapping_allan_variance
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -75,14 +75,14 @@ def test_never_more_than_white_samples_truly_have(m: int, windows: int) -> None:
 @pytest.mark.parametrize("degrees", [1.0, 1.3, 7.5, 1e3, 1e9])
 @pytest.mark.parametrize("confidence", [0.683, 0.95, 0.999])
 def test_limits_are_chi_square(degrees: float, confidence: float) -> None:
-    lo, hi = deviation_limits(2.0, degrees, confidence)
+    lo, hi = deviation_bounds(2.0, degrees, confidence)
     assert scipy.stats.chi2.sf(degrees * 4 / lo**2, degrees) == pytest.approx((1 - confidence) / 2, rel=1e-6)
     assert scipy.stats.chi2.cdf(degrees * 4 / hi**2, degrees) == pytest.approx((1 - confidence) / 2, rel=1e-6)
     assert 0 < lo < 2 < hi < math.inf
 
 
 def test_limits_of_nothing_are_nothing() -> None:
-    assert deviation_limits(0.0, 1.0, 0.95) == (0.0, 0.0)
+    assert deviation_bounds(0.0, 1.0, 0.95) == (0.0, 0.0)
 
 
 def test_limits_cover_white_noise_and_random_walk() -> None:
@@ -95,7 +95,7 @@ def test_limits_cover_white_noise_and_random_walk() -> None:
             for i, m in enumerate(factors):
                 true = 1 / m if name == "white" else (2 * m**2 + 1) / (6 * m)
                 value = math.sqrt(overlapping_allan_variance(values, m))
-                lo, hi = deviation_limits(value, least_edf(m, n + 1 - 2 * m, m), 0.95)
+                lo, hi = deviation_bounds(value, least_edf(m, n + 1 - 2 * m, m), 0.95)
                 covered[name][i] += lo <= math.sqrt(true) <= hi
     # the least degrees of freedom make the limits too wide, never too narrow: only the lower bound binds
     bound = scipy.stats.binom.ppf(0.001 / (2 * len(factors)), trials, 0.95)

@@ -21,8 +21,8 @@ from stream.estimators.decision.decision import (
     BiasStabilityDecision,
     Decision,
     DecisionPlan,
+    DecisionRule,
     Outcome,
-    Rule,
 )
 from stream.estimators.decision.decision_bounds import AVERAGES, LOOKS, PROMISES, bounds
 from stream.events import EstimatePoint
@@ -150,9 +150,9 @@ def test_curtailment_never_disagrees_with_the_finished_test(
     assert early is not None
     assert early.outcome in {Outcome.UNDECIDED, Outcome.FAIL}
     if early.outcome is Outcome.FAIL:
-        assert early.rule is Rule.CURTAILED
+        assert early.rule is DecisionRule.CURTAILED
         assert early.error_probability == 0.0
-    if final.rule is not Rule.BOUNDS:
+    if final.rule is not DecisionRule.BOUNDS:
         assert (final.outcome is Outcome.FAIL) == (math.sqrt(variance) > limit)
 
 
@@ -193,7 +193,7 @@ def test_a_larger_limit_never_turns_pass_to_fail(seed: int, limit: float, larger
 def test_a_decision_once_given_stands() -> None:
     test = AllanDecision(DecisionPlan(tau_s=1.0, limit=1.0, duration_s=1000.0))
     first = test.look(500.0, a_point(0.04, test.plan.windows(500.0)))
-    assert (first.outcome, first.rule, first.looked_at_fraction) == (Outcome.PASS, Rule.BOUNDS, 0.5)
+    assert (first.outcome, first.rule, first.looked_at_fraction) == (Outcome.PASS, DecisionRule.BOUNDS, 0.5)
     assert test.look(1000.0, a_point(100.0, test.plan.windows(1000.0))) is first
     assert test.decision is first
 
@@ -217,7 +217,7 @@ def test_the_end_decides_by_the_point(variance: float, outcome: Outcome) -> None
     plan = DecisionPlan(tau_s=1.0, limit=1.0, duration_s=1000.0)
     point = a_point(variance, plan.windows(1000.0))
     final = AllanDecision(plan).look(1000.0, point)
-    assert (final.outcome, final.rule) == (outcome, Rule.FINISHED)
+    assert (final.outcome, final.rule) == (outcome, DecisionRule.FINISHED)
     open_end = AllanDecision(replace(plan, point_decides=False))
     assert open_end.look(1000.0, point).outcome is Outcome.UNDECIDED
     assert open_end.decision is not None

@@ -10,18 +10,10 @@ from hypothesis import given
 
 from stream.errors import EstimatorError
 from stream.estimators.decision.decision import AllanDecision, DecisionPlan
-from stream.estimators.decision.decision_bounds import (
-    AVERAGES,
-    NO_BOUNDS,
-    PROMISES,
-    RUNS,
-    bounds,
-    calibrated,
-    column_edf,
-    simulated_ratios,
-)
+from stream.estimators.decision.decision_bounds import AVERAGES, NO_BOUNDS, PROMISES, bounds, column_edf
 from stream.estimators.decision.decision_plan import ROUNDING
 from stream.events import EstimatePoint
+from tests.bench.decision_calibration import RUNS, calibrated, simulated_ratios
 
 
 def a_point(value: float, n: int, tau_s: float = 1.0) -> EstimatePoint:

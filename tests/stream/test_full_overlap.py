@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from stream.batch import FloatArray, SampleBatch
 from stream.errors import EstimatorError
-from stream.estimators.allan_variance import LEAST_SHARE, AllanDeviation
-from stream.estimators.base import NoEstimate
+from stream.estimators.allan_variance import AllanDeviation
+from stream.estimators.base import LEAST_SHARE, NoEstimate
 from stream.estimators.confidence import least_edf
 from stream.estimators.full_overlap import deviation_forms, prefix_record
 from stream.estimators.full_overlap.deviation_forms import Deviation

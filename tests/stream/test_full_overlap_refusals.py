@@ -94,7 +94,7 @@ def test_another_interval_or_unit_is_refused() -> None:
     record = taken(np.arange(10.0))
     with pytest.raises(EstimatorError, match=r"run r1, unit FOG-1.*changes from 0.01 s to 0.02 s"):
         record.update(batch(np.arange(5.0), 10, dt_ns=2 * DT_NS))
-    with pytest.raises(EstimatorError, match="in deg/h were given a batch of unit FOG-1, signal rate in deg/s"):
+    with pytest.raises(EstimatorError, match="in deg/h cannot take a batch of unit FOG-1, signal rate in deg/s"):
         record.update(batch(np.arange(5.0), 10, unit="deg/s"))
 
 

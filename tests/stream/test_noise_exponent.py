@@ -10,8 +10,8 @@ import scipy.stats
 
 from stream.batch import FloatArray, IntArray
 from stream.errors import EstimatorError
-from stream.estimators.confidence import NOISE_EXPONENTS, deviation_limits, edf, least_edf
-from stream.estimators.noise_exponent import Identified, identify
+from stream.estimators.confidence import NOISE_EXPONENTS, deviation_bounds, edf, least_edf
+from stream.estimators.noise.noise_exponent import Identified, identify
 
 OVERLAP = 16
 # alpha by what is drawn
@@ -116,7 +116,7 @@ def test_limits_cover_between_93_and_98_percent(noise: str) -> None:
     factors, windows, strides = times(samples)
     wanted = np.flatnonzero(samples // factors >= 8)
     truth = np.sqrt([true_variance(noise, m) for m in factors[wanted].tolist()])
-    limits = lru_cache(maxsize=None)(lambda degrees: deviation_limits(1.0, degrees, 0.95))
+    limits = lru_cache(maxsize=None)(lambda degrees: deviation_bounds(1.0, degrees, 0.95))
     counts = np.zeros(len(wanted), np.int64)
     for variances in curves(records(noise, runs, samples, 2)):
         found = identify(factors, variances, windows, strides)

@@ -24,8 +24,8 @@ from stream.events import (
 from stream.identity import Place, event_key, sample_key
 from stream.wire.batches import encode_batch, read_wire_batch
 from stream.worker.estimation import Estimation
-from stream.worker.piece_buffer import PIECE_SAMPLES, PieceBuffer, PieceBufferState
-from stream.worker.signal_analysis import SignalAnalysis, SignalState, fresh_followers
+from stream.worker.piece_buffer import PIECE_SAMPLES, PieceBuffer
+from stream.worker.signal_analysis import SignalAnalysis, SignalState, new_estimators
 
 DT_NS = 10**7
 PLACE = Place("plant", "bench")
@@ -116,7 +116,7 @@ def documents(
     signal: list[Stretch], data: st.DataObject, every_ns: int, *, stops: bool
 ) -> tuple[dict[str, bytes], list[AnyDocument]]:
     estimators = {key: make for key, make in default_estimators().items() if key != "bias_stability_100s"}
-    analysis = SignalAnalysis(PLACE, ("U1", "rate", "r1"), every_ns, fresh_followers(estimators))
+    analysis = SignalAnalysis(PLACE, ("U1", "rate", "r1"), every_ns, new_estimators(estimators))
     analysis.apply_limits(LIMITS)
     found: list[AnyDocument] = []
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
@@ -155,8 +155,8 @@ def test_pieces_hold_every_sample_once_in_order_and_end_where_documents_are_due(
         for batch in cut(data, stretch):
             pieces += buffer.take(read_wire_batch(encode_batch(batch)))
             if data.draw(st.booleans()) if len(pieces) < 3 else False:
-                packed = msgspec.msgpack.encode(buffer.export_state())
-                buffer = PieceBuffer.from_state(msgspec.msgpack.decode(packed, type=PieceBufferState))
+                packed = msgspec.msgpack.encode(buffer)
+                buffer = msgspec.msgpack.decode(packed, type=PieceBuffer)
     pieces += buffer.rest()
     assert not buffer.rest()
     times = np.concatenate([stretch.times_ns for stretch in signal])
@@ -174,7 +174,7 @@ def test_pieces_hold_every_sample_once_in_order_and_end_where_documents_are_due(
 
 
 def test_a_slow_signal_is_estimated_when_it_is_due_not_when_a_piece_is_full() -> None:
-    analysis = SignalAnalysis(PLACE, ("U1", "rate", "r1"), 60 * 10**9, fresh_followers(default_estimators()))
+    analysis = SignalAnalysis(PLACE, ("U1", "rate", "r1"), 60 * 10**9, new_estimators(default_estimators()))
     found: list[AnyDocument] = []
     for i in range(200):
         values = NOISE[i : i + 1].astype(np.float64)

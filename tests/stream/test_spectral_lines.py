@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from stream.batch import FloatArray, SampleBatch
 from stream.estimators.base import NoEstimate
 from stream.estimators.spectral_density import SpectralDensity
-from stream.estimators.spectrum.spectral_lines import Line, WelchAverage, find_lines, hann_window
+from stream.estimators.spectrum.spectral_lines import SpectralLine, WelchAverage, find_lines, hann_window
 
 RATE_HZ = 100.0
 
 
-def lines_in(values: FloatArray, segment_samples: int) -> tuple[Line, ...]:
+def lines_in(values: FloatArray, segment_samples: int) -> tuple[SpectralLine, ...]:
     spectral = SpectralDensity(segment_samples)
     spectral.update(SampleBatch("FOG-1", "rate", "r1", UUID(int=1), 0, 0, 10_000_000, "deg/h", values=values))
     lines = spectral.lines()
@@ -74,7 +74,7 @@ def test_a_sine_without_noise_is_exact() -> None:
     assert line.frequency_hz == pytest.approx(12.34, abs=1e-5)
 
 
-def assert_legal(line: Line) -> None:
+def assert_legal(line: SpectralLine) -> None:
     assert 0.0 <= line.amplitude_lo <= line.amplitude <= line.amplitude_hi < math.inf
     assert line.frequency_lo_hz <= line.frequency_hz <= line.frequency_hi_hz
     assert 0.0 <= line.false_alarm_probability <= 0.01

@@ -140,7 +140,8 @@ def _incomplete(store: Store, documents: list[AnyDocument]) -> set[str]:
         return set()
     with Catalog(store) as catalog:
         rows = catalog.rows(
-            "select run, unit, signal, epoch::varchar, max(seq_next) - min(seq_first) from lake_channels group by all"
+            "select run, unit, signal, epoch::varchar, max(seq_next) - min(seq_first) "
+            "from internal.lake_channels group by all"
         )
     kept = {
         (str(run), str(unit), str(signal), str(epoch).replace("-", "")): int(n) for run, unit, signal, epoch, n in rows

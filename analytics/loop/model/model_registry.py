@@ -4,7 +4,6 @@ import hashlib
 import os
 import re
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,6 +13,7 @@ from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
 from storage.sql.catalog import Catalog
 from storage.store import Store, only_one, sync_folder
+from stream.atomic_file import write_durably
 from stream.errors import BadInput, NotFound, StoreError
 from stream.identity import check_name
 
@@ -216,7 +216,7 @@ def run_hashes(catalog: Catalog, runs: Mapping[str, object] | tuple[str, ...]) -
         """
         select run, sha256(string_agg(concat_ws('|', unit, signal, epoch, unit_of_measure, scale, "offset", samples,
             seq_first, seq_next, t_first_ns, t_last_ns), ';' order by unit, signal, epoch, channel)) as print
-        from lake_channels where not ends_with(signal, '_compensated') group by run order by run
+        from internal.lake_channels where not ends_with(signal, '_compensated') group by run order by run
         """
     )
     return {str(run): str(mark)[:_HASH_DIGITS] for run, mark in rows if run in names}
@@ -233,15 +233,5 @@ def _number(path: Path) -> int:
 
 
 def _write_once(path: Path, content: bytes) -> None:
-    """Write a new file atomically."""
-    fresh = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with fresh.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.link(fresh, path)  # unlike a rename, it overwrites nothing
-    finally:
-        with suppress(OSError):
-            fresh.unlink()
-    sync_folder(path.parent)
+    """Write a file that is not there yet: it appears whole, or not at all."""
+    write_durably(path, content, fresh=path.with_name(f".{path.name}.{os.getpid()}.part"), overwrite=False)

@@ -8,7 +8,7 @@ from scipy import stats
 
 from analytics.loop.report.residuals import Residuals
 from stream.batch import FloatArray
-from stream.estimators.confidence import deviation_limits, least_edf
+from stream.estimators.confidence import deviation_bounds, least_edf
 
 CONFIDENCE = 0.95
 BINS_PER_DECADE = 8
@@ -67,7 +67,7 @@ def _deviation(residuals: Residuals, grids: list[FloatArray], factor: int) -> De
     before, after = (math.sqrt(float(each) / 2 / count) for each in squares)
     model = residuals.record.noise_model
     tau_s = factor * model.block_s
-    lo, hi = deviation_limits(after, freedom, CONFIDENCE)
+    lo, hi = deviation_bounds(after, freedom, CONFIDENCE)
     floor = math.sqrt(model.average_variance(residuals.noise, tau_s))
     return DeviationAt(tau_s, before, after, lo, hi, floor, count)
 

@@ -6,7 +6,7 @@ create or replace macro verdict_of_rank(rank) as
   case rank when 1 then 'FAIL' when 2 then 'MARGINAL' when 3 then 'NO_DATA' when 4 then 'PASS' end;
 
 -- The last run of each unit; its product from the last run that knew it.
-create or replace view unit_last_run as
+create or replace view internal.unit_last_run as
 select u.* replace (coalesce(u.product, p.product) as product)
 from unit_runs u
 left join (select unit, arg_max(product, t_start_ns) as product from unit_runs where product is not null group by unit) p
@@ -15,36 +15,36 @@ qualify row_number() over (partition by u.unit order by u.date_known desc, u.t_s
 
 -- Every unit that was tested or checked, with the moment and place that decide what is asked of it: those of its last
 -- run; without a run, those of the last check that was entered.
-create or replace view judged_units as
+create or replace view internal.judged_units as
 with entered as (
   select unit, max(t_ns) as t_ns, min(arrival_ns) as recorded_ns
-  from lake_documents where kind = 'CheckEntered' group by unit
+  from internal.lake_documents where kind = 'CheckEntered' group by unit
 ), mounted as (
   select unit, arg_max(product, t_ns) as product, arg_max(lot, t_ns) as lot from units group by unit
 )
 select unit, run, product, lot, station, fixture, day, date_known, t_start_ns as t_ns, null::bigint as recorded_ns
-from unit_last_run
+from internal.unit_last_run
 union all
 select e.unit, '', m.product, m.lot, null, null, cast(make_timestamp_ns(e.t_ns) as date), true, e.t_ns, e.recorded_ns
-from entered e left join mounted m using (unit) anti join unit_last_run l on l.unit = e.unit;
+from entered e left join mounted m using (unit) anti join internal.unit_last_run l on l.unit = e.unit;
 
 -- At which moment it is looked up what was known of the specifications: when the run was recorded, so that what is
 -- entered later changes no verdict; where no limit applied by what was known then, the first moment after it when one
 -- did. Where none ever did, or nothing tells when a run was recorded, everything is known.
-create or replace table run_known as
+create or replace table internal.run_known as
 with placed as (
   select u.unit, u.run, coalesce(u.product, l.product) as product, u.date_known, u.t_start_ns as t_ns,
     null::bigint as recorded_ns
-  from unit_runs u join unit_last_run l on l.unit = u.unit
+  from unit_runs u join internal.unit_last_run l on l.unit = u.unit
   union all
-  select unit, run, product, date_known, t_ns, recorded_ns from judged_units where run = ''
+  select unit, run, product, date_known, t_ns, recorded_ns from internal.judged_units where run = ''
 ), recorded as (
-  select unit, run, min(arrival_first_ns) as recorded_ns from lake_channels group by unit, run
+  select unit, run, min(arrival_first_ns) as recorded_ns from internal.lake_channels group by unit, run
 ), moment as (
   select p.* replace (coalesce(p.recorded_ns, r.recorded_ns, 9223372036854775806) as recorded_ns)
   from placed p left join recorded r using (unit, run)
 ), edition as (
-  select distinct product, from_ns, until_ns, known_from_ns, known_until_ns, revisions from limit_editions
+  select distinct product, from_ns, until_ns, known_from_ns, known_until_ns, revisions from internal.limit_editions
 ), applied as (
   select m.unit, m.run, min(greatest(e.known_from_ns, m.recorded_ns)) as known_ns
   from moment m join edition e on e.known_until_ns > m.recorded_ns
@@ -57,9 +57,9 @@ from moment m left join applied a using (unit, run);
 
 -- The values of metrics that have limits, with the run that each is of: the last of those that it rests on; the unit's
 -- last run where it rests on none.
-create or replace view metric_runs as
+create or replace view internal.metric_runs as
 with limited as (
-  select rowid as row, * from unit_metrics where metric in (select metric from limit_editions)
+  select rowid as row, * from unit_metrics where metric in (select metric from internal.limit_editions)
 ), over_several as (
   select r.row, arg_max(u.run, (u.date_known, u.t_start_ns, u.run)) as run
   from (select row, unit, unnest(runs) as run from limited where run is null) r
@@ -76,14 +76,14 @@ select m.*,
 from limited m
 left join over_several o on o.row = m.row
 left join unit_runs u on u.unit = m.unit and u.run = coalesce(m.run, o.run)
-left join judged_units l on l.unit = m.unit
-left join run_known k on k.unit = m.unit and k.run = coalesce(u.run, l.run);
+left join internal.judged_units l on l.unit = m.unit
+left join internal.run_known k on k.unit = m.unit and k.run = coalesce(u.run, l.run);
 
 -- Which values have the parameters that a limit names. Numbers are alike to nine digits.
-create or replace view parameters_met as
+create or replace view internal.parameters_met as
 with said as (
   select row, metric, path, parameters->>path as text
-  from metric_runs join (select distinct metric, path from specification_parameters) using (metric)
+  from internal.metric_runs join (select distinct metric, path from internal.specification_parameters) using (metric)
 ), keyed as (
   select row, metric, path, 'text ' || text as key from said where text is not null
   union all
@@ -91,16 +91,16 @@ with said as (
   where try_cast(text as double) is not null
 )
 select k.row, p.limit_id, count(*) as met
-from keyed k join specification_parameters p on p.metric = k.metric and p.path = k.path and p.key = k.key
+from keyed k join internal.specification_parameters p on p.metric = k.metric and p.path = k.path and p.key = k.key
 group by k.row, p.limit_id;
 
 -- Every value with every limit that could be meant, whether or not it was valid then.
-create or replace view limit_candidates as
+create or replace view internal.limit_candidates as
 with meant as (
-  select m.row, s.limit_id from metric_runs m join limit_editions s using (metric)
+  select m.row, s.limit_id from internal.metric_runs m join internal.limit_editions s using (metric)
   where s.parameter_count = 0 and m.known_ns >= s.known_from_ns and m.known_ns < s.known_until_ns
   union all
-  select p.row, p.limit_id from parameters_met p join limit_editions s using (limit_id)
+  select p.row, p.limit_id from internal.parameters_met p join internal.limit_editions s using (limit_id)
   where p.met = s.parameter_count
 )
 select m.*, s.* exclude (limit_id, metric, product, signal, standard, parameters, unit_of_measure),
@@ -108,8 +108,8 @@ select m.*, s.* exclude (limit_id, metric, product, signal, standard, parameters
   -- where the date is not known, a specification that has never changed is the one that held
   case when m.date_known then m.t_ns >= s.from_ns and m.t_ns < s.until_ns else s.revisions = 1 end as is_valid
 from meant
-join metric_runs m using (row)
-join limit_editions s using (limit_id)
+join internal.metric_runs m using (row)
+join internal.limit_editions s using (limit_id)
 where m.known_ns >= s.known_from_ns and m.known_ns < s.known_until_ns
   and (s.product is null or s.product = m.product)
   and (s.signal is null or s.signal = m.signal)
@@ -117,11 +117,11 @@ where m.known_ns >= s.known_from_ns and m.known_ns < s.known_until_ns
 
 create or replace view verdicts as
 with candidate as materialized (
-  select * from limit_candidates
+  select * from internal.limit_candidates
 ), converted as (                       -- in the unit of the limit
   select c.*, c.value * f.factor as v, c.lo * f.factor as v_lo, c.hi * f.factor as v_hi
   from candidate c
-  left join result_factors f on f.source = c.unit_of_measure and f.target = c.limit_unit
+  left join internal.result_factors f on f.source = c.unit_of_measure and f.target = c.limit_unit
   where c.is_valid
 ), judged as (
   select *,
@@ -161,8 +161,8 @@ with candidate as materialized (
 ), in_force as (                        -- the limits that held when a unit was last tested or checked, of any product
   select u.unit, u.product, u.lot, u.station, u.fixture, u.day, u.t_ns,
     s.* exclude (product), s.signal as limit_signal, s.product as limit_product
-  from judged_units u join run_known k on k.unit = u.unit and k.run = u.run
-  join limit_editions s on k.known_ns >= s.known_from_ns and k.known_ns < s.known_until_ns
+  from internal.judged_units u join internal.run_known k on k.unit = u.unit and k.run = u.run
+  join internal.limit_editions s on k.known_ns >= s.known_from_ns and k.known_ns < s.known_until_ns
     and case when u.date_known then u.t_ns >= s.from_ns and u.t_ns < s.until_ns else s.revisions = 1 end
 ), asked as (                           -- limits for every product apply to each unit
   select * exclude (limit_product) from in_force where limit_product is null or limit_product = product
@@ -202,7 +202,7 @@ with candidate as materialized (
     case e.document->>'$.item' when 'visual' then '5.2' when 'electrical' then '5.3' end as clause,
     null::varchar as specification, null::varchar as revision, e.document->>'$.note' as reason,
     u.product, u.lot, u.station, u.fixture, e."time"::date as day, e.t_ns
-  from events e left join judged_units u on u.unit = e.unit
+  from events e left join internal.judged_units u on u.unit = e.unit
   where e.kind = 'CheckEntered'
 )
 select * from of_values

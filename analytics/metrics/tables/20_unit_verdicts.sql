@@ -2,7 +2,7 @@
 -- gave no value counts only where no other did. A unit passes only where limits of a specification were judged: checks
 -- that were entered by hand can fail a unit, and do not pass it by themselves. `latest_verdict` takes the last value of each limit instead: after a
 -- repair and a second test the two differ.
-create or replace view limit_verdicts as
+create or replace view internal.limit_verdicts as
 select unit, signal, metric, subject, of_standard, specification,
   verdict_of_rank(coalesce(min(verdict_rank(verdict)) filter (verdict <> 'NO_DATA'), 3)) as verdict,
   coalesce(arg_max(verdict, (t_ns, -verdict_rank(verdict))) filter (verdict <> 'NO_DATA'), 'NO_DATA') as latest_verdict,
@@ -28,9 +28,9 @@ with judged as (
     coalesce(list(distinct metric order by metric) filter (verdict = 'FAIL'), []) as failures,
     coalesce(list(distinct metric order by metric) filter (verdict = 'MARGINAL'), []) as undecided,
     coalesce(list(distinct metric order by metric) filter (verdict = 'NO_DATA'), []) as lacking
-  from limit_verdicts group by unit
+  from internal.limit_verdicts group by unit
 ), known as (
-  select unit from judged_units union select unit from unit_metrics
+  select unit from internal.judged_units union select unit from unit_metrics
 )
 select k.unit, u.product, u.lot, coalesce(j.verdict, 'NO_DATA') as verdict,
   coalesce(j.latest_verdict, 'NO_DATA') as latest_verdict,
@@ -40,12 +40,12 @@ select k.unit, u.product, u.lot, coalesce(j.verdict, 'NO_DATA') as verdict,
   case
     when j.failed + j.marginal > 0 then null
     when j.limits > 0 then j.of_product
-    when exists (from specification_problems) then
-      (select min(problem) from specification_problems) || '; `gyrofleet verify` has the details'
-    when not exists (from limit_editions) then 'the store has no limits: add a specification with `gyrofleet limits add`'
+    when exists (from internal.specification_problems) then
+      (select min(problem) from internal.specification_problems) || '; `gyrofleet verify` has the details'
+    when not exists (from internal.limit_editions) then 'the store has no limits: add a specification with `gyrofleet limits add`'
     when u.product is null then 'no limit applies to it: its product is not known'
     else 'no limit applies to it: no specification is for product ' || u.product
   end as reason
-from known k left join judged j using (unit) left join judged_units u using (unit)
+from known k left join judged j using (unit) left join internal.judged_units u using (unit)
 order by k.unit;
 comment on view unit_verdicts is 'one row for each unit: the worst of its verdicts, and the verdict of its latest values';

@@ -5,7 +5,7 @@ with counted as (
     count(distinct unit) filter (verdict = 'FAIL') as failed,
     count(distinct unit) filter (verdict = 'MARGINAL') as marginal,
     count(distinct unit) filter (verdict <> 'NO_DATA') as judged
-  from limit_verdicts group by metric, subject
+  from internal.limit_verdicts group by metric, subject
 )
 select row_number() over worst as place, c.metric, c.subject, coalesce(n.en, c.metric) as en, coalesce(n.zh, c.metric) as zh,
   c.failed, c.marginal, c.judged,

@@ -3,7 +3,7 @@ create or replace view unit_warnings as
 with named as (
   select unit, lower(regexp_replace(unit, '[\s._-]', '', 'g')) as serial
   from (select unit from unit_runs union select unit from unit_metrics
-    union select unit from lake_channels union select unit from lake_documents where unit is not null)
+    union select unit from internal.lake_channels union select unit from internal.lake_documents where unit is not null)
 ), alike as (
   select serial, list(unit order by unit) as names from named group by serial having count(*) > 1
 )

@@ -4,7 +4,7 @@ with rested as (
   select distinct unit, run, unnest(steps) as "index" from (select unit, unnest(runs) as run, steps from unit_metrics)
 ), output as (
   select s.*, is_output_name(signal) or r.deg_per_h is not null as is_output
-  from step_means s left join rate_units r using (unit_of_measure)
+  from step_means s left join internal.rate_units r using (unit_of_measure)
   where not is_instrument_name(s.signal)
     and (is_output_name(signal) or r.deg_per_h is not null or (
       -- might be a gyro's output under another name

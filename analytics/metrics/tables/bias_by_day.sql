@@ -6,7 +6,7 @@ select unit, signal, day, position, temperature_command,
   stddev(mean_deg_per_h) as stddev, count(*) as steps,
   sum(temperature * n) / sum(n) filter (temperature is not null) as temperature,
   list(distinct run order by run) as runs
-from still_steps
+from internal.still_steps
 where day is not null and n > 0 and not turns
 group by unit, signal, day, position, temperature_command;
 comment on view bias_by_day is 'one row for each unit, signal, day, position and commanded temperature at which it stood still: its bias in deg/h';

@@ -9,10 +9,10 @@ create or replace macro is_instrument_name(signal) as
 create or replace macro is_output_name(signal) as
   regexp_matches(signal, '^rate(_|$)') and not is_instrument_name(signal);
 
-create or replace view gyro_steps as
+create or replace view internal.gyro_steps as
 select s.*, r.deg_per_h as rate_factor,
   case when r.deg_per_h is null then s.unit_of_measure else 'deg/s' end as output_unit
-from step_means s left join rate_units r using (unit_of_measure)
+from step_means s left join internal.rate_units r using (unit_of_measure)
 where is_output_name(s.signal) or (r.deg_per_h is not null and not is_instrument_name(s.signal));
 
 create or replace view rate_steps as
@@ -23,7 +23,7 @@ select g.* exclude (output_unit),
     when g.rate_factor is not null then 'output is a rate'
     when p.scale_factor is not null then 'nominal of product ' || g.product
   end as scale_source
-from gyro_steps g
-asof left join scale_factors f
+from internal.gyro_steps g
+asof left join internal.scale_factors f
   on f.unit = g.unit and f.signal = g.signal and f.output_unit = g.output_unit and f.t_to_ns <= g.t_to_ns
-left join product_scales p on p.unit = g.unit and p.run = g.run and p.unit_of_measure = g.unit_of_measure;
+left join internal.product_scales p on p.unit = g.unit and p.run = g.run and p.unit_of_measure = g.unit_of_measure;

@@ -2,7 +2,7 @@
 -- the table tells: above 0.01 deg/s it turns, and what the unit gives is no bias. `turns` says whether the unit turns
 -- or vibrates in another step of the same procedure, whose steps at rest then belong to that. A dozen metrics stand on
 -- them, so the evaluation keeps them as the table still_steps once the scale factors are known.
-create or replace view standing_steps as
+create or replace view internal.standing_steps as
 with moving as (
   select *,
     frequency is not null or case when rate_command is null then abs(coalesce(input_rate, 0)) > 0.01
@@ -21,7 +21,7 @@ select * exclude (moves),
 from told
 where not moves;
 
-create or replace table still_steps as from standing_steps limit 0;
+create or replace table internal.still_steps as from internal.standing_steps limit 0;
 
 create or replace view static_steps as
-select * exclude (turns) from still_steps where n > 0;
+select * exclude (turns) from internal.still_steps where n > 0;

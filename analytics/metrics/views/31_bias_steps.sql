@@ -1,12 +1,12 @@
 -- Static steps that are records of a bias: of the procedures for it, and of others (files bring names of their own, or
 -- none) in which the unit neither turns nor is flipped, shaken, heated or cooled. Also those without a sample.
 -- `remark` flags what is shorter than the clauses ask for.
-create or replace view bias_steps as
+create or replace view internal.bias_steps as
 with told as (
   select *,
     count(distinct coalesce(temperature_command, 1e9)) over (partition by run, unit, signal, "procedure")
       as temperatures
-  from still_steps
+  from internal.still_steps
 )
 select *,
   case

@@ -4,7 +4,7 @@
 -- Where the attitude tells how the Earth's rate enters, it is removed (`earth_rate`), so that stations of different
 -- latitudes compare. Where the latitude of a power-on is not known, `lack` says so, and there is a raw bias of each
 -- power-on as well: raw and corrected ones are never in one group.
-create or replace view bias_power_ons as
+create or replace view internal.bias_power_ons as
 with known as (
   select *,
     coalesce(epoch, 'repeat ' || repeat, case when is_repeated then 'step ' || "index" else 'run' end) as power_on,
@@ -12,7 +12,7 @@ with known as (
       else 'run' end as counted_by,
     bool_and(is_attitude_known) over attitude as is_placed,
     bool_and(earth_deg_per_h is not null) over attitude as is_corrected
-  from (select *, regexp_matches(coalesce("procedure", ''), '^bias_repeatability|重复性') as is_repeated from bias_steps)
+  from (select *, regexp_matches(coalesce("procedure", ''), '^bias_repeatability|重复性') as is_repeated from internal.bias_steps)
   where n > 0 and deg_per_h is not null
   window attitude as (partition by unit, signal, position)
 ), listed as (

@@ -3,7 +3,7 @@
 -- again (`again`) is a group of its own. Room temperature is the step that says so, else the one set nearest to 20
 -- degC (of two that are as near, the one measured first), at most 10 degC from it; points nearer to it than 1 degC are
 -- no points, their quotient would be noise.
-create or replace view bias_temperature_points as
+create or replace view internal.bias_temperature_points as
 with told as (
   select *,
     -- what was set tells the room: a unit warms itself above it
@@ -11,7 +11,7 @@ with told as (
     abs(coalesce(temperature_command, temperature) - 20) as from_20,
     count(distinct coalesce(temperature_command, 1e9)) over test as temperatures,
     case when bool_and(repeat is not null) over test then repeat end as again
-  from still_steps where phase is null and not turns
+  from internal.still_steps where phase is null and not turns
   window test as (partition by run, unit, signal, "procedure")
 ), test as (
   select *,

@@ -1,13 +1,13 @@
 -- How the bias differs between +1 g and -1 g along an axis, half of it, deg/h/g: a row for each axis of a test, as it
 -- was measured and, where the flipped axis is the input axis, without the Earth's rate, which flips with it. Across
 -- the input axis the flip leaves it level, and what the Earth's rate adds depends on a heading that no word tells.
-create or replace view bias_flips as
+create or replace view internal.bias_flips as
 with flip as (
   select *,
     coalesce(upper(axis), axis_in(position),
       case when regexp_matches(position, '^(IRA|vertical)_(up|down)$') then 'IRA' end, 'unnamed') as flipped,
     side_in(position) as g
-  from still_steps
+  from internal.still_steps
   where phase is null and not turns
     and (regexp_matches("procedure", '^bias_acceleration|零偏加速度')
       or "procedure" is null and regexp_matches(position, '^[XYZ]_(up|down)$'))

@@ -1,11 +1,11 @@
 -- How the bias has changed from before a shock or vibration to after it: a row for each axis of a test, deg/h. Which
 -- of the two it was (`cause`) is told by the name of the procedure, else of the step.
-create or replace view bias_changes as
+create or replace view internal.bias_changes as
 with phased as (
   select *,
     case when regexp_matches(concat_ws(' ', "procedure", step), 'shock|冲击') then 'shock' else 'vibration' end as cause,
     coalesce(upper(axis), nullif(regexp_extract(position, '^([XYZ])(_|$)', 1), ''), 'unnamed') as along
-  from still_steps
+  from internal.still_steps
   where lower(phase) in ('before', 'after') and not turns
     and not regexp_matches(coalesce("procedure", ''), '^scale_factor')
     and regexp_matches(concat_ws(' ', "procedure", step), 'shock|冲击|vibration|振动')

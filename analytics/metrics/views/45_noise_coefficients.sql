@@ -1,9 +1,9 @@
 -- Noise coefficients of IEEE 952 that were fitted to the Allan curve of a finished run: a row for each of a unit that
 -- did nothing in that run but stand still in one step. One that the record does not show has no value; `reason` says
 -- by how much it is bounded. A step of the procedure for it without a fit has rows too.
-create or replace view noise_coefficients as
+create or replace view internal.noise_coefficients as
 with still as (
-  select *, count(*) over (partition by run, unit, signal) as still_steps from bias_steps where n > 0
+  select *, count(*) over (partition by run, unit, signal) as still_steps from internal.bias_steps where n > 0
 ), counted as (
   select run, unit, signal, count(*) as all_steps from step_means group by all
 ), fitted as (

@@ -1,7 +1,7 @@
 -- Steps of which a scale factor is made: the table turning about the input axis, or at rest before and after. `output`
 -- is in deg/s where the source gives a rate, else in its own unit. Threshold and resolution tests hold a scale factor
 -- too, whose steps are told by their names.
-create or replace view rate_points as
+create or replace view internal.rate_points as
 select
   run, unit, signal, "procedure", repeat, temperature_command, room, position, axis, phase, product, "index", n,
   rate_command, input_rate, rate_command = 0 as at_rest,
@@ -10,7 +10,7 @@ select
   freedom,
   output_unit,
   temperature, station, time_zone, date_known, t_from_ns, t_to_ns
-from gyro_steps
+from internal.gyro_steps
 where n > 0 and rate_command is not null and frequency is null
   and (
     is_scale_factor_procedure("procedure") or not is_other_procedure("procedure")

@@ -3,7 +3,7 @@
 -- Planning the lines takes longer than computing them: the metric scale_factor, which comes first, keeps them as the
 -- table scale_fits. (They are macros of a table that is named later, since a view would be planned when it is defined.)
 
-create or replace view scale_sets as
+create or replace view internal.scale_sets as
 with measured as (
   select
     run, unit, signal, "procedure", repeat, temperature_command, room, position, axis, phase, output_unit,
@@ -16,7 +16,7 @@ with measured as (
     list({"index": "index", output: output, u: u, freedom: coalesce(freedom, 1)} order by "index")
       filter (at_rest) as rests,
     sum(n)::bigint as n
-  from rate_points
+  from internal.rate_points
   group by all
 ), counted as (
   select *,
@@ -33,15 +33,15 @@ select c.*,
     [{"index": p."index"} for p in points], [{"index": r."index"} for r in [rest_before, rest_after] if r is not null]
   )]) as steps,
   p.max_rate_deg_per_s, p.nonlinearity_ppm
-from counted c left join run_products p on p.unit = c.unit and p.run = c.run
+from counted c left join internal.run_products p on p.unit = c.unit and p.run = c.run
 -- with fewer rates, in a procedure of another name, it is some other test
 where is_scale_factor_procedure("procedure") or len(forwards) + len(backwards) > 2;
 
-create or replace view scale_sides as
+create or replace view internal.scale_sides as
 select * exclude (points),
   case side when 'both' then points when 'forwards' then [p for p in points if p.command > 0]
     else [p for p in points if p.command < 0] end as points
-from (select *, unnest(['both', 'forwards', 'backwards']) as side from scale_sets);
+from (select *, unnest(['both', 'forwards', 'backwards']) as side from internal.scale_sets);
 
 create or replace macro listed(rates) as
   array_to_string([format('{:g}', r) for r in rates], ', ');

@@ -2,7 +2,7 @@
 -- the table, with both directions. delta = (F+ - F-)/(2 K Omega): erratum, GJB 2426A (47)(48) multiply by K. The
 -- table's rates are the measured ones where they were. `turned` tells the positions in which the unit was turned 180
 -- deg about the IRA.
-create or replace view misalignment_angles as
+create or replace view internal.misalignment_angles as
 with placed as (
   select *, lower(regexp_extract(position, '^[Oo]([XxYy])_', 1)) as mounting_axis,
     regexp_matches(position, '_down$|turned_180$') as turned
@@ -35,7 +35,7 @@ from directed;
 -- The misalignment in two positions (GJB) and in four (JJF 2014), arcmin, as the hypotenuse of two angles. An angle is
 -- alpha_m = (delta_1 - delta_2)/2 of a position and its turn: what is the fixture's has the same sign in both. Erratum:
 -- GJB (50), the root of the sum of all four squares, cancels nothing; not offered.
-create or replace view misalignments as
+create or replace view internal.misalignments as
 with paired as (
   select run, unit, signal, "procedure", repeat, min(scale_source) as scale_source, max(rate) as rate,
     max(delta) filter (mounting_axis = 'x' and not turned) as x,
@@ -53,7 +53,7 @@ with paired as (
     not coalesce(regexp_matches("procedure", '^misalignment_(four|repeat)'), false) as is_two,
     min(t_from_ns) as t_from_ns, min(time_zone) as time_zone, bool_and(date_known) as date_known,
     sum(n)::bigint as n, list_sort(flatten(list(steps order by mounting_axis, turned))) as steps
-  from misalignment_angles group by run, unit, signal, "procedure", repeat
+  from internal.misalignment_angles group by run, unit, signal, "procedure", repeat
 ), counted as (
   select *, unnest(list_filter([2, 4], lambda p: (p = 2 and is_two) or (p = 4 and is_four))) as positions from paired
 ), angled as (

@@ -1,26 +1,22 @@
-"""A CAN bus as a live source: one thread drains the interface, another decodes what it has in blocks."""
+"""A CAN bus as a live source: one thread drains the interface, another decodes the frames in blocks."""
 
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Collection
-from typing import Any, Protocol, Self
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
-from ingest.can.bus.backlog import Backlog, Taken
-from ingest.can.bus.clock import ReceiveClock
-from ingest.can.bus.columns import Columns
-from ingest.can.bus.counts import CanBusCounts
-from ingest.can.bus.intake import Intake, open_intake
-from ingest.can.bus.losses import Losses
-from ingest.can.bus.open import CanBusOptions, filter_in_interface
-from ingest.can.bus.outage import Outage
+from ingest.can.bus.columns import FrameColumns, ReceiveClock
+from ingest.can.bus.faults import Losses, Outage
+from ingest.can.bus.interface import CanBusOptions, CanIntake, filter_in_interface, open_intake
 from ingest.can.frames import FrameBlock
 from ingest.station_clock import StationClock
 from stream.batch import SampleBatch
 from stream.errors import InstrumentError
-from stream.transport.bus import hand_on
+from stream.transport.bus import call_handlers
 
 __all__ = ["CanBus", "CanBusCounts", "CanBusOptions", "Decoder"]
 
@@ -37,24 +33,115 @@ class Decoder(Protocol):
         """Decode a block; the batches that are complete by then."""
 
     def finish(self) -> list[SampleBatch]:
-        """What still waits for more of its kind."""
+        """The batches of all buffered samples."""
+
+
+@dataclass(frozen=True)
+class CanBusCounts:
+    """Account of a bus so far, in frames unless said otherwise.
+
+    Attributes
+    ----------
+    received: Everything that was read from the interface: data, remote and error frames, and malformed ones.
+    decoded: Data frames that the decoder has taken.
+    unknown: Of these, frames of identifiers that are not mapped, if the interface does not filter them.
+    malformed: Too long, with an impossible identifier, or a datagram of somebody else.
+    undecoded: Data frames on which the decoder failed.
+    overrun: Frames that were read and not kept, because decoding or delivery was too slow.
+    interface_overrun: Frames that the operating system dropped, and reports of a controller that it dropped some.
+    undelivered: Samples whose delivery failed.
+    bus_off, error_passive, outages: Number of times that the controller went there, or the interface was lost.
+    """
+
+    received: int = 0
+    decoded: int = 0
+    unknown: int = 0
+    remote_frames: int = 0
+    error_frames: int = 0
+    malformed: int = 0
+    undecoded: int = 0
+    overrun: int = 0
+    interface_overrun: int = 0
+    undelivered: int = 0
+    bus_off: int = 0
+    error_passive: int = 0
+    outages: int = 0
+
+
+class _Taken(NamedTuple):
+    """Frames of one intake as it gave them; `read_s` is when the last of them was read."""
+
+    intake: CanIntake
+    frames: list[Any]
+    read_s: float
+
+
+class _Backlog:
+    """Hands frames from the thread that reads to the one that decodes; bounded, so that a slow log costs no memory.
+
+    Parameters
+    ----------
+    capacity: Frames that may wait; those beyond are dropped.
+    block: Frames that are worth decoding without waiting for more.
+    """
+
+    def __init__(self, capacity: int, block: int) -> None:
+        self._capacity = capacity
+        self._block = block
+        self._taken: deque[_Taken] = deque()
+        self._waiting = 0
+        self._is_closed = False
+        self._state = threading.Condition()
+
+    def put(self, intake: CanIntake, frames: list[Any], read_s: float) -> int:
+        """Append frames; returns how many of them, the last ones, were dropped."""
+        with self._state:
+            kept = frames[: max(0, self._capacity - self._waiting)]
+            if kept:
+                was_empty = not self._waiting
+                self._waiting += len(kept)
+                self._taken.append(_Taken(intake, kept, read_s))
+                if was_empty or self._waiting >= self._block:
+                    self._state.notify()
+            return len(frames) - len(kept)
+
+    def take(self, collect_s: float) -> list[_Taken] | None:
+        """Everything that waits, joined by intake, at most `collect_s` after the first frame; None once closed."""
+        with self._state:
+            self._state.wait_for(lambda: self._taken or self._is_closed)
+            self._state.wait_for(lambda: self._waiting >= self._block or self._is_closed, collect_s)
+            taken, self._taken = self._taken, deque()
+            self._waiting = 0
+        if not taken:
+            return None
+        joined = [taken.popleft()]
+        for each in taken:
+            if each.intake is joined[-1].intake:
+                joined[-1].frames.extend(each.frames)
+                joined[-1] = joined[-1]._replace(read_s=each.read_s)
+            else:
+                joined.append(each)
+        return joined
+
+    def close(self) -> None:
+        with self._state:
+            self._is_closed = True
+            self._state.notify_all()
 
 
 class CanBus:
     """One bus, from `start` to `stop`, once.
 
-    An interface that is lost, or a controller that is off the bus, is reported and opened again, with pauses that
-    grow, until it is there; what was received before is kept, and the gap shows in times and in counters of frames.
+    An interface that is lost, or a controller that is off the bus, is reported and opened again with growing pauses
+    until it is there; frames received before are kept, and the gap shows in times and frame counters.
 
     Parameters
     ----------
-    options: Which bus.
-    clock: The station's clock.
     decoder: Makes samples of the frames. Used by this bus alone.
     deliver: Called with every batch, in the decoding thread. While it waits, frames wait, as many as fit.
     report: Called with a sentence for people, in either thread.
-    wanted: Identifiers that are mapped, bit 31 set where of 29 bits; by default all.
-    block_s: How long frames are gathered before they are decoded, seconds.
+    wanted: Identifiers that are mapped, bit 31 set if of 29 bits; by default all.
+    block_s: How long frames are collected before they are decoded, seconds.
     most_waiting: Frames that may wait to be decoded; those beyond are lost, counted and reported.
     reopen_s: First and longest pause before a lost interface is opened again, seconds.
 
@@ -89,20 +176,20 @@ class CanBus:
         self._clock = clock
         self._decoder = decoder
         self._deliver = deliver
-        self._report = report
+        self._report_to = report
         self._wanted = None if wanted is None else np.array(sorted(wanted), np.uint32)
         self._block_s = block_s
         self._counted: Counter[str] = Counter()
         self._counting = threading.Lock()
-        self._backlog = Backlog(most_waiting, min(_BLOCK_FRAMES, most_waiting))
-        self._outage = Outage(self._tell, *reopen_s)
+        self._backlog = _Backlog(most_waiting, min(_BLOCK_FRAMES, most_waiting))
+        self._outage = Outage(self._report, *reopen_s)
         self._failures: set[str] = set()
-        self._overruns = Losses(self._tell, "had no room and were lost: decoding or delivery is too slow")
+        self._overruns = Losses(self._report, "had no room and were lost: decoding or delivery is too slow")
         self._interface_overruns = Losses(
-            self._tell, "were lost before they could be read: the computer is too busy or net.core.rmem_max too small"
+            self._report, "were lost before they could be read: the computer is too busy or net.core.rmem_max too small"
         )
-        self._malformed = Losses(self._tell, "are no frames of this bus and were left out: is fd set right")
-        self._intake: Intake | None = None
+        self._malformed = Losses(self._report, "are no frames of this bus and were left out: is fd set right")
+        self._intake: CanIntake | None = None
         self._stopping = threading.Event()
         self._threads = [
             threading.Thread(target=work, name=f"gyrofleet-can-{options.channel}-{what}", daemon=True)
@@ -111,7 +198,7 @@ class CanBus:
 
     @property
     def counts(self) -> CanBusCounts:
-        """What has come so far."""
+        """Account of the bus so far."""
         with self._counting:
             return CanBusCounts(**self._counted)
 
@@ -126,12 +213,7 @@ class CanBus:
         return self._intake is not None and self._outage.is_over and not self._stopping.is_set()
 
     def start(self) -> None:
-        """Open the interface and begin to receive.
-
-        Raises
-        ------
-        InstrumentError: If it cannot be opened, or was started before.
-        """
+        """Open the interface and begin to receive; raises InstrumentError if it cannot be opened or was started."""
         if self._intake is not None or self._stopping.is_set():
             raise InstrumentError(f"{self.options.name} was started before; make a new one for another run")
         self._intake = self._opened()
@@ -139,7 +221,7 @@ class CanBus:
             thread.start()
 
     def stop(self) -> None:
-        """Decode and deliver what has been received, and let go of the interface; from any thread, more than once."""
+        """Decode and deliver what has been received, and close the interface; from any thread, more than once."""
         self._stopping.set()
         for thread in self._threads:
             if thread.ident is not None and thread is not threading.current_thread():
@@ -152,8 +234,8 @@ class CanBus:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def _opened(self) -> Intake:
-        intake, bus = open_intake(self.options, ReceiveClock(self._clock, self._tell))
+    def _opened(self) -> CanIntake:
+        intake, bus = open_intake(self.options, ReceiveClock(self._clock, self._report))
         if bus is not None and self._wanted is not None and self.options.filter:
             filter_in_interface(bus, self._wanted.tolist())
         return intake
@@ -174,7 +256,10 @@ class CanBus:
                     intake.check()
             except Exception as error:  # noqa: BLE001  a driver raises whatever it likes when its device is gone
                 failure = f"{type(error).__name__}: {error}"
-            self._hand_on(intake, frames)
+            if frames:
+                lost = self._backlog.put(intake, frames, intake.clock.now_s())
+                self._count(received=len(frames), overrun=lost)
+                self._overruns.add(lost)
             if is_last and (failure or not frames or time.monotonic() > stop_s):
                 break
             if failure is not None:
@@ -187,8 +272,8 @@ class CanBus:
             intake.close()
         self._backlog.close()
 
-    def _off(self, intake: Intake) -> Intake | None:
-        """What to go on with where the controller is off the bus."""
+    def _off(self, intake: CanIntake) -> CanIntake | None:
+        """The intake to continue with while the controller is off the bus."""
         self._count(bus_off=self._outage.is_over)
         why = "the controller is off the bus; look at wiring, termination and bit rate"
         if intake.reopens:
@@ -198,7 +283,7 @@ class CanBus:
         self._outage.failed(f"{why}, and unless restart-ms is set, `{again}`", is_off=True)
         return intake
 
-    def _reopened(self, intake: Intake, failure: str, *, is_off: bool = False) -> Intake | None:
+    def _reopened(self, intake: CanIntake, failure: str, *, is_off: bool = False) -> CanIntake | None:
         """Another intake in place of one that has failed; None if the bus is stopped before there is one."""
         intake.close()
         while True:
@@ -212,13 +297,6 @@ class CanBus:
             else:
                 return self._intake
 
-    def _hand_on(self, intake: Intake, frames: list[Any]) -> None:
-        if not frames:
-            return
-        lost = self._backlog.put(intake, frames, intake.clock.now_s())
-        self._count(received=len(frames), overrun=lost)
-        self._overruns.note(lost)
-
     def _decode(self) -> None:
         """Decode and deliver until the backlog is closed; the second of the two threads."""
         while (taken := self._backlog.take(self._block_s)) is not None:
@@ -228,52 +306,52 @@ class CanBus:
         for losses in (self._overruns, self._interface_overruns, self._malformed):
             losses.flush()
 
-    def _decode_block(self, taken: Taken) -> None:
+    def _decode_block(self, taken: _Taken) -> None:
+        """Raw frames -> columns -> times -> samples -> delivery."""
         intake = taken.intake
         columns = self._guarded("what the interface gave cannot be read", lambda: intake.columns(taken.frames))
         if columns is None:
             self._count(malformed=len(taken.frames))
-            self._malformed.note(len(taken.frames))
+            self._malformed.add(len(taken.frames))
             return
-        self._note(intake, columns)
-        if not len(columns):
+        self._account(intake, columns)
+        frames = len(columns.stamps_s)
+        if not frames:
             return
         block = FrameBlock(
             intake.clock.times_ns(columns.stamps_s, taken.read_s),
-            np.full(len(columns), self.options.number, np.int16),
+            np.full(frames, self.options.number, np.int16),
             columns.arbitration_id,
             columns.length,
             columns.data,
         )
         batches = self._guarded("frames cannot be decoded", lambda: self._decoder.take(block))
-        self._count(**{"undecoded" if batches is None else "decoded": len(block)})
+        self._count(**{"undecoded" if batches is None else "decoded": frames})
         self._deliver_all(batches or [])
 
-    def _note(self, intake: Intake, columns: Columns) -> None:
-        """Count what came beside data frames, and what the controller said of itself."""
-        unknown = 0
-        if self._wanted is not None:
-            unknown = len(columns) - int(np.isin(columns.arbitration_id, self._wanted).sum())
-        overruns = columns.overflows + intake.new_overruns()
+    def _account(self, intake: CanIntake, columns: FrameColumns) -> None:
+        """Count everything beside data frames, and follow the state of the controller."""
+        frames = len(columns.stamps_s)
+        overruns = columns.overflows + columns.overruns
         self._count(
-            unknown=unknown,
+            unknown=0 if self._wanted is None else frames - int(np.isin(columns.arbitration_id, self._wanted).sum()),
             error_frames=columns.error_frames,
             remote_frames=columns.remote_frames,
             malformed=columns.malformed,
             interface_overrun=overruns,
         )
-        self._interface_overruns.note(overruns)
-        self._malformed.note(columns.malformed)
-        intake.gives_data = not columns.is_off and (intake.gives_data or len(columns) > 0)
+        if overruns:
+            self._interface_overruns.add(overruns)
+        if columns.malformed:
+            self._malformed.add(columns.malformed)
+        intake.gives_data = not columns.is_off and (intake.gives_data or frames > 0)
         intake.is_off = intake.is_off or bool(columns.is_off)
         if columns.is_passive is not None:
             intake.is_passive = columns.is_passive
-        if intake.is_passive != intake.is_told_passive:
-            intake.is_told_passive = intake.is_passive
+        if intake.is_passive != intake.is_reported_passive:
+            intake.is_reported_passive = intake.is_passive
             self._count(error_passive=intake.is_passive)
-            self._tell(
-                "the controller is error passive" if intake.is_passive else "the controller is error active again"
-            )
+            self._report(f"the controller is error {'passive' if intake.is_passive else 'active again'}")
 
     def _deliver_all(self, batches: list[SampleBatch]) -> None:
         def deliver(batch: SampleBatch) -> bool:
@@ -285,13 +363,13 @@ class CanBus:
                 self._count(undelivered=len(batch))
 
     def _guarded(self, what: str, work: Callable[[], Any]) -> Any:
-        """What `work` gives; None if it raises, which is told once until it works again."""
+        """Result of `work`; None if it raises, which is reported once until it works again."""
         try:
             done = work()
-        except Exception as error:  # noqa: BLE001  whatever it is, receiving goes on
+        except Exception as error:  # noqa: BLE001  whatever it is, receiving continues
             if what not in self._failures:
                 self._failures.add(what)
-                self._tell(f"{what}: {type(error).__name__}: {error}")
+                self._report(f"{what}: {type(error).__name__}: {error}")
             return None
         self._failures.discard(what)
         return done
@@ -300,5 +378,5 @@ class CanBus:
         with self._counting:
             self._counted.update(more)
 
-    def _tell(self, text: str) -> None:
-        hand_on([lambda name, _: self._report(f"{name}: {text}")], self.options.name, b"")
+    def _report(self, text: str) -> None:
+        call_handlers([lambda name, _: self._report_to(f"{name}: {text}")], self.options.name, b"")

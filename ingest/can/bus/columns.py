@@ -1,7 +1,7 @@
-"""What a CAN interface gives, in columns: data frames, and counts of all that is none."""
+"""Frames of a CAN interface as columns with times at the station, and counts of everything that is no data frame."""
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
 from operator import attrgetter, index
@@ -11,8 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ingest.can.frames import EXTENDED, MOST_BYTES
-from stream.batch import BoolArray, FloatArray
+from ingest.station_clock import StationClock
+from stream.batch import BoolArray, FloatArray, IntArray
 
+_SAME_CLOCK_S = 60.0  # an older stamp is of another clock than the computer's
+_AHEAD_S = 1.0  # no frame is received before it was sent
 _CLASSIC_BYTES = 8
 _FIELDS = ("arbitration_id", "is_extended_id", "is_error_frame", "is_remote_frame")
 
@@ -27,16 +30,16 @@ _RX_OVERFLOW, _PASSIVE, _ACTIVE = 0x01, 0x30, 0x40
 
 
 @dataclass(frozen=True)
-class Columns:
-    """Data frames as an interface gave them, and how many others it gave beside them.
+class FrameColumns:
+    """Data frames as an interface gave them, and counts of the others.
 
     Attributes
     ----------
-    stamps_s: shape (n,); as the interface stamps, seconds.
+    stamps_s: shape (n,); time stamps of the interface, seconds.
     arbitration_id, length, data: As in `FrameBlock`.
-    error_frames, remote_frames, malformed: What came beside data frames.
-    overflows: Error frames that tell of a controller which lost frames.
-    is_off, is_passive: What error frames told last about the controller; None if they told nothing.
+    overflows: Error frames that report lost frames of the controller.
+    overruns: Frames that the operating system dropped before they were read.
+    is_off, is_passive: Last state of the controller in error frames; None if they report none.
     """
 
     stamps_s: FloatArray
@@ -47,6 +50,7 @@ class Columns:
     remote_frames: int = 0
     malformed: int = 0
     overflows: int = 0
+    overruns: int = 0
     is_off: bool | None = None
     is_passive: bool | None = None
 
@@ -54,14 +58,13 @@ class Columns:
         return len(self.stamps_s)
 
 
-def message_columns(messages: Sequence[Any], most_bytes: int, stamps_s: FloatArray | None = None) -> Columns:
-    """Put messages of python-can, or what has their attributes, into columns.
+def message_columns(messages: Sequence[Any], most_bytes: int, stamps_s: FloatArray | None = None) -> FrameColumns:
+    """Put messages of python-can, or objects with their attributes, into columns.
 
     Parameters
     ----------
-    messages: As received.
     most_bytes: Most data of a frame on this bus, bytes: 8, or 64 with CAN FD. Frames with more are malformed.
-    stamps_s: shape (n,); where given, instead of the messages' own stamps.
+    stamps_s: shape (n,); instead of the messages' own stamps.
 
     Examples
     --------
@@ -80,8 +83,8 @@ def message_columns(messages: Sequence[Any], most_bytes: int, stamps_s: FloatArr
         return replace(columns, malformed=columns.malformed + len(messages) - len(sound))
 
 
-def kernel_columns(frames: Sequence[bytes], stamps_s: FloatArray, most_bytes: int) -> Columns:
-    """Put frames as Linux gives them (`struct can_frame` or `canfd_frame`) into columns, error frames read as well."""
+def kernel_columns(frames: Sequence[bytes], stamps_s: FloatArray, most_bytes: int) -> FrameColumns:
+    """Put frames of Linux (`struct can_frame` or `canfd_frame`) into columns, error frames read as well."""
     is_whole = np.fromiter((len(frame) in {_CAN_MTU, _CANFD_MTU} for frame in frames), np.bool_, len(frames))
     padded = b"".join(frame.ljust(_CANFD_MTU, b"\0") for frame in frames if len(frame) in {_CAN_MTU, _CANFD_MTU})
     table = np.frombuffer(padded, _KERNEL_FRAME)
@@ -93,8 +96,8 @@ def kernel_columns(frames: Sequence[bytes], stamps_s: FloatArray, most_bytes: in
     is_sound = lengths[kept] <= most_bytes
     kept[kept] = is_sound
     found = data[kept]
-    found[np.arange(MOST_BYTES) >= lengths[kept][:, None]] = 0  # the kernel leaves there what it had
-    columns = Columns(
+    found[np.arange(MOST_BYTES) >= lengths[kept][:, None]] = 0  # the kernel leaves old bytes there
+    columns = FrameColumns(
         stamps_s[is_whole][kept],
         ids[kept],
         lengths[kept],
@@ -103,11 +106,11 @@ def kernel_columns(frames: Sequence[bytes], stamps_s: FloatArray, most_bytes: in
         remote_frames=int((is_remote & ~is_error).sum()),
         malformed=len(frames) - len(table) + int((~is_sound).sum()),
     )
-    return _told_by_errors(columns, [(int(ids[i]), bytes(data[i, :8])) for i in np.flatnonzero(is_error)])
+    return _with_errors(columns, [(int(ids[i]), bytes(data[i, :8])) for i in np.flatnonzero(is_error)])
 
 
 def socket_stamps(ancillary: Sequence[Sequence[tuple[int, int, bytes]]], timestamp: int) -> FloatArray:
-    """Stamps that Linux sends along with datagrams (SO_TIMESTAMPNS), seconds; 0 where it sent none."""
+    """Time stamps that Linux sends with datagrams (SO_TIMESTAMPNS), seconds; 0 for none."""
     stamps_s = np.zeros(len(ancillary))
     for i, parts in enumerate(ancillary):
         for _, kind, payload in parts:
@@ -121,7 +124,7 @@ def _stamps(messages: Sequence[Any]) -> FloatArray:
     return np.fromiter(map(attrgetter("timestamp"), messages), np.float64, len(messages))
 
 
-def _columns(messages: Sequence[Any], most_bytes: int, stamps_s: FloatArray) -> Columns:
+def _columns(messages: Sequence[Any], most_bytes: int, stamps_s: FloatArray) -> FrameColumns:
     n = len(messages)
     ids = np.fromiter(map(attrgetter("arbitration_id"), messages), np.int64, n)
     is_extended, is_error, is_remote = (
@@ -134,7 +137,7 @@ def _columns(messages: Sequence[Any], most_bytes: int, stamps_s: FloatArray) -> 
     kept = is_data & is_sound
     if not kept.all():
         payloads = [payloads[i] for i in np.flatnonzero(kept)]
-    return Columns(
+    return FrameColumns(
         stamps_s[kept],
         (ids[kept] | np.where(is_extended[kept], EXTENDED, 0)).astype(np.uint32),
         lengths[kept].astype(np.uint8),
@@ -169,8 +172,8 @@ def _can_be_read(message: Any) -> bool:
         return False
 
 
-def _told_by_errors(columns: Columns, errors: Sequence[tuple[int, bytes]]) -> Columns:
-    """Add what error frames of Linux say about the controller."""
+def _with_errors(columns: FrameColumns, errors: Sequence[tuple[int, bytes]]) -> FrameColumns:
+    """Add what error frames of Linux report about the controller."""
     is_off: bool | None = None
     is_passive: bool | None = None
     overflows = 0
@@ -182,3 +185,66 @@ def _told_by_errors(columns: Columns, errors: Sequence[tuple[int, bytes]]) -> Co
             if data[1] & (_PASSIVE | _ACTIVE):
                 is_passive = bool(data[1] & _PASSIVE)
     return replace(columns, overflows=overflows, is_off=is_off, is_passive=is_passive)
+
+
+class ReceiveClock:
+    """Receive times of one opened interface.
+
+    Interfaces stamp in seconds since 1970, in seconds since they were switched on, or not at all; the first frames
+    show which. A counter of the interface's own is set to the station's clock once, so that intervals between frames
+    stay those of the hardware; without a stamp a frame has the time at which it was read. If the stamps leave the
+    station's clock later, because either was set, this is reported and they are set to it again.
+
+    Attributes
+    ----------
+    source: Where the receive times come from.
+
+    Examples
+    --------
+    >>> clock = ReceiveClock(StationClock(start_ns=0, origin_s=1000.0), print)
+    >>> clock.times_ns(np.array([7.0, 7.25]), read_s=1000.5).tolist(), clock.source
+    ([250000000, 500000000], 'the interface, counted from its own start')
+    """
+
+    def __init__(self, clock: StationClock, report: Callable[[str], None]) -> None:
+        self._clock = clock
+        self._report = report
+        self._offset_s: float | None = None
+        self.source = "no frame yet"
+
+    def now_s(self) -> float:
+        """The station's time on the computer's clock, seconds since 1970, without steps of that clock."""
+        return self._clock.origin_s + (self._clock.now_ns() - self._clock.start_ns) / (1e9 * self._clock.speed)
+
+    def times_ns(self, stamps_s: FloatArray, read_s: float) -> IntArray:
+        """Times of reception, nanoseconds at the station.
+
+        Parameters
+        ----------
+        stamps_s: shape (n,); stamps of the interface, seconds; 0 or not a number for none.
+        read_s: When the last of them was read, see `now_s`.
+        """
+        is_stamped = np.isfinite(stamps_s) & (stamps_s > 0.0)
+        moments_s = np.full(len(stamps_s), read_s)
+        if is_stamped.any():
+            stamped = stamps_s[is_stamped]
+            moments_s[is_stamped] = stamped + self._offset_to(float(stamped[-1]), read_s)
+        elif self._offset_s is None:
+            self.source = "the computer, when a frame was read"
+        elapsed_ns = (moments_s - self._clock.origin_s) * self._clock.speed * 1e9
+        return self._clock.start_ns + np.rint(elapsed_ns).astype(np.int64)
+
+    def _offset_to(self, stamp_s: float, read_s: float) -> float:
+        """From stamps to the computer's clock, seconds."""
+        if self._offset_s is None:
+            is_of_day = -_AHEAD_S <= read_s - stamp_s <= _SAME_CLOCK_S
+            self._offset_s = 0.0 if is_of_day else read_s - stamp_s
+            self.source = "the interface, " + ("time of day" if is_of_day else "counted from its own start")
+        behind_s = read_s - stamp_s - self._offset_s
+        if not -_AHEAD_S <= behind_s <= _SAME_CLOCK_S:
+            self._offset_s = read_s - stamp_s
+            self._report(
+                f"its time stamps are {abs(behind_s):.3f} s {'behind' if behind_s > 0 else 'ahead of'} the station's "
+                f"clock all at once; they are set to it again, and times jump here"
+            )
+        return self._offset_s

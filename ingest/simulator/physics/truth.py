@@ -10,6 +10,7 @@ import msgspec
 from ingest.simulator.physics.draws import SampleRange
 from ingest.simulator.physics.gyro import SimulatedGyro
 from ingest.simulator.physics.plan import Plan
+from stream.atomic_file import replacement
 from stream.errors import BadInput
 
 
@@ -65,11 +66,9 @@ def write_truth(path: Path, plan: Plan, *, power_ons: int, duration_s: float) ->
     if not 0.0 <= duration_s < float("inf"):
         raise BadInput(f"truth {path}: a duration of {duration_s} s, a finite number from 0 on is needed")
     gyros = (plan.gyro(unit, power_on) for unit in plan.units for power_on in range(1, power_ons + 1))
-    part = path.with_name(f"{path.name}.part")
     try:
-        with part.open("wb") as file:
+        with replacement(path) as fresh, fresh.open("wb") as file:
             file.writelines(msgspec.json.encode(truth(gyro, duration_s)) + b"\n" for gyro in gyros)
-        part.replace(path)
     except OSError as error:
         raise BadInput(f"truth {path}: cannot be written ({error.strerror or error})") from error
 

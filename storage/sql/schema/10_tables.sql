@@ -1,18 +1,18 @@
--- What the views stand on. A channel is one signal of one epoch with one meaning (unit of measure, scale, offset);
--- it may reach over many segments of the log, so its row is put together here. One channel, one row.
-create view lake_channel_parts as
-select *, true as is_kept from lake_channels_kept
+-- Base of the views. A channel is one signal of one epoch with one meaning (unit of measure, scale, offset). It may
+-- extend over many segments of the log; here it becomes one row.
+create view internal.lake_channel_parts as
+select *, true as is_kept from internal.lake_channels_kept
 union all
-select *, false as is_kept from lake_channels_dropped;
+select *, false as is_kept from internal.lake_channels_dropped;
 
--- Tidy is a signal whose stretches follow each other in time: then only the edges of stretches share a bucket.
-create table lake_channels as
+-- A signal is tidy if its stretches follow each other in time: then only edges of stretches share a bucket.
+create table internal.lake_channels as
 with stretch as (
   select *,
     overlapping or coalesce(t_first_ns < max(t_last_ns) over (
       partition by unit, signal, run order by t_first_ns, t_last_ns, channel
       rows between unbounded preceding and 1 preceding), false) as is_overlapping
-  from lake_channel_parts
+  from internal.lake_channel_parts
 ), channel as (
   select
     channel,
@@ -43,7 +43,7 @@ with stretch as (
 select * exclude (is_overlapping), not bool_or(is_overlapping) over (partition by unit, signal, run) as is_tidy
 from channel;
 
--- A document sent twice is one document.
-create view lake_documents as
-select * from lake_events
+-- A document that was sent twice counts once.
+create view internal.lake_documents as
+select * from internal.lake_events
 qualify row_number() over (partition by uid order by arrival_ns) = 1;

@@ -1,4 +1,4 @@
--- Times are UTC. Where a run's date is unknown (runs.date_known), they count from the run's start as 1970-01-01.
+-- Times are UTC. If a run's date is unknown (runs.date_known), they count from the run's start as 1970-01-01.
 
 create view signals as
 select
@@ -19,7 +19,7 @@ select
   min(t_first_ns) as t_first_ns,
   max(t_last_ns) as t_last_ns,
   min(arrival_first_ns) as arrival_first_ns
-from lake_channels
+from internal.lake_channels
 group by unit, signal, run;
 
 create view samples as
@@ -31,25 +31,25 @@ select
   s.base + s.above as counts,
   s.t_ns, s.seq, s.flags,
   c.epoch
-from lake_samples s join lake_channels c using (channel);
+from internal.lake_samples s join internal.lake_channels c using (channel);
 
 create view runs as
 with started as (
   select run, t_ns, site, station, document
-  from lake_documents where kind = 'RunStarted'
+  from internal.lake_documents where kind = 'RunStarted'
   qualify row_number() over (partition by run order by arrival_ns) = 1
 ), ended as (
   select run, max(t_ns) as t_ns, arg_max(document->>'$.outcome', arrival_ns) as outcome
-  from lake_documents where kind = 'RunEnded' group by run
+  from internal.lake_documents where kind = 'RunEnded' group by run
 ), resumed as (
   select run, count(*) as resumptions, sum(try_cast(document->>'$.gap_ns' as bigint)) / 1e9 as gap_s
-  from lake_documents where kind = 'RunResumed' group by run
+  from internal.lake_documents where kind = 'RunResumed' group by run
 ), recorded as (
   select run, list(distinct unit order by unit) as units, sum(samples)::bigint as samples,
     any_value(site) as site, any_value(station) as station,
     min(t_first_ns) as t_first_ns, max(t_last_ns) as t_last_ns,
     count(distinct (unit, signal)) as signals, min(arrival_first_ns) as arrival_first_ns
-  from lake_channels group by run
+  from internal.lake_channels group by run
 )
 select
   run,
@@ -81,7 +81,7 @@ left join resumed g using (run);
 create view steps as
 select
   b.run, b.unit,
-  row_number() over (partition by b.run, b.unit order by b.t_ns, b.uid) as "index",  -- two may begin at one time
+  row_number() over (partition by b.run, b.unit order by b.t_ns, b.uid) as "index",  -- two may start at one time
   b.document->>'$.words.procedure' as "procedure",
   b.document->>'$.words.step' as step,
   try_cast(b.document->>'$.words.repeat' as bigint) as repeat,
@@ -99,8 +99,8 @@ select
   case when e.uid is null then 'open' else coalesce(e.document->>'$.outcome', 'completed') end as outcome,
   b.t_ns as t_start_ns,
   e.t_ns as t_end_ns
-from (select * from lake_documents where kind = 'StepStarted') b
-left join (select * from lake_documents where kind = 'StepEnded') e
+from (select * from internal.lake_documents where kind = 'StepStarted') b
+left join (select * from internal.lake_documents where kind = 'StepEnded') e
   on e.run = b.run and e.unit = b.unit and e.document->>'$.step_uid' = b.uid;
 
 create view estimates as
@@ -109,12 +109,12 @@ select
   make_timestamp_ns(t_ns) as "time",
   tau_s, value, lo, hi, unit_of_measure, confidence, edf, n, final, reason,
   samples, missing, sample_interval_s, t_ns, uid
-from lake_estimates
--- sent twice it is one; the parts of a name are there so that a filter on them comes before
+from internal.lake_estimates
+-- duplicates count once; with the parts of the name, filters on them are applied before
 qualify row_number() over (partition by unit, signal, run, estimator, uid, tau_s order by arrival_ns) = 1;
 
 create view events as
 select
   make_timestamp_ns(t_ns) as "time", kind, run, unit, document->>'$.signal' as signal, document, site, station, t_ns,
   uid
-from lake_documents;
+from internal.lake_documents;

@@ -1,12 +1,11 @@
--- The source's clock against the recorder's, from the lower envelope of arrival minus source time: delays only add.
--- drift_ppm is positive where the source's clock is fast. Its pieces begin where the source's time leaps, and where a
--- signal is powered on; they share one slope, each with a level of its own. Stretches far above their line were held up
--- on the way as a whole and are left out.
-create view lake_clock_pieces as
+-- The source's clock relative to the recorder's, from the lower envelope of arrival minus source time, since delays are
+-- positive. drift_ppm is positive if the source's clock is fast. Pieces begin at leaps of the source's time and at
+-- power-ons; they share one slope, each with its own level. Stretches far above the line were delayed and are left out.
+create view internal.lake_clock_pieces as
 with leap as (
   select k.*, c.unit, c.signal, c.run, c.dt_ns, c.irregular,
     k.t_first_ns - lag(k.t_last_ns) over own - c.dt_ns as step_ns
-  from lake_clocks k join lake_channels c using (channel)
+  from internal.lake_clocks k join internal.lake_channels c using (channel)
   window own as (partition by k.channel order by k.seq_first)
 )
 select *,
@@ -15,15 +14,15 @@ select *,
     over (partition by channel order by seq_first) as piece
 from leap;
 
-create view lake_clock_levels as
+create view internal.lake_clock_levels as
 with level as (
   select unit, signal, run, channel, piece,
     case when piece > 0 then arg_min(step_ns, seq_first) end as step_ns,
     min(delay_least_ns) as level_ns
-  from lake_clock_pieces
+  from internal.lake_clock_pieces
   group by unit, signal, run, channel, piece
 )
--- a gap in the samples leaves the level of the delays as it was; a clock that was set moves it by as much
+-- a gap in the samples leaves the level of the delays; setting the clock moves it by as much
 select *,
   level_ns - lag(level_ns) over (partition by channel order by piece) as rise_ns
 from level;
@@ -33,7 +32,7 @@ with point as (
   select unit, signal, run, channel, piece,
     (t_least_ns - min(t_least_ns) over own) / 1e9 as x,
     (delay_least_ns - min(delay_least_ns) over own) / 1e3 as y
-  from lake_clock_pieces
+  from internal.lake_clock_pieces
   window own as (partition by channel, piece)
 ), first_line as (
   select *,
@@ -61,8 +60,8 @@ with point as (
     count(*) filter (step_ns < 0) as backward,
     count(*) filter (is_jump) as jumps,
     arg_max(step_ns, abs(step_ns)) filter (is_jump) as largest_jump_ns
-  -- as doubles: the sum of two leaps of centuries does not fit 64 bits
-  from (select *, abs(rise_ns::double + step_ns) < abs(step_ns) / 2 as is_jump from lake_clock_levels)
+  -- as doubles: the sum of two leaps of centuries exceeds 64 bits
+  from (select *, abs(rise_ns::double + step_ns) < abs(step_ns) / 2 as is_jump from internal.lake_clock_levels)
   group by unit, signal, run
 ), stretch as (
   select unit, signal, run,
@@ -74,7 +73,7 @@ with point as (
     sum(messages)::bigint as messages,
     sum(arrival_last_ns - arrival_first_ns) as arrival_ns,
     sum(t_last_ns - t_first_ns) as source_ns
-  from lake_clock_pieces group by unit, signal, run
+  from internal.lake_clock_pieces group by unit, signal, run
 ), judged as (
   select *,
     case

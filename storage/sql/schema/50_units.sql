@@ -1,29 +1,29 @@
--- Which units a run has tested: a row for each unit of a run that was mounted, so that `using (run, unit)` joins it to
--- samples, steps and estimates. A unit that was mounted anew counts with its last mounting; all are in `events`.
+-- The units tested in each run: one row for each mounted unit of a run, joined by `using (run, unit)` to samples, steps
+-- and estimates. Of several mountings the last one counts; all are in `events`.
 create view units as
 with mounted as (
   select run, unit, site, station, t_ns, uid, document,
     count(*) over (partition by run, unit) as mountings
-  from lake_documents where kind = 'UnitMounted'
+  from internal.lake_documents where kind = 'UnitMounted'
   qualify row_number() over (partition by run, unit order by t_ns desc, arrival_ns desc, uid desc) = 1
 ), started as (
   select run,
     document->>'$.lot' as lot,
     document->>'$.operator' as operator,
     coalesce((document->>'$.date_known')::boolean, true) as date_known
-  from lake_documents where kind = 'RunStarted'
+  from internal.lake_documents where kind = 'RunStarted'
   qualify row_number() over (partition by run order by arrival_ns) = 1
 )
 select
   m.unit, m.run,
   m.document->>'$.product' as product,
-  -- what is said of a unit goes before what is said of the run
+  -- statements about the unit take precedence over those about the run
   coalesce(m.document->>'$.lot', s.lot) as lot,
   m.document->>'$.slot' as slot,
   m.document->>'$.fixture' as fixture,
   coalesce(m.document->>'$.operator', s.operator) as operator,
   m.document->>'$.firmware' as firmware,
-  -- free words: details->>'$.colour'
+  -- free text: details->>'$.colour'
   (m.document->'$.details')::varchar as details,
   case when coalesce(s.date_known, true) then make_timestamp_ns(m.t_ns) end as mounted,
   m.mountings,

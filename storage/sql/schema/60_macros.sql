@@ -1,4 +1,4 @@
--- The Allan deviation of a signal as it was last estimated in each run: from adev('FOG-0231', 'rate').
+-- The last estimated Allan deviation of a signal in each run: from adev('FOG-0231', 'rate').
 create macro adev(wanted_unit, wanted_signal) as table
 select run, tau_s, value, lo, hi, unit_of_measure, edf, n, "time"
 from estimates

@@ -5,10 +5,10 @@ An ordinary interval looked at again and again decides wrongly in 10 to 26 % of 
 Curtailment (Alling 1963). A sum of squares can only grow. Once it exceeds what the finished test allows, the finished
 test must fail, whatever comes, whatever the noise.
 
-Group-sequential bounds (Pocock 1977; alpha spending, Lan and DeMets 1983). At a few planned looks the estimate is held
-against bounds so wide that all looks together err with the promised probability (`decision_bounds`).
+Group-sequential bounds (Pocock 1977; alpha spending, Lan and DeMets 1983). At a few planned looks the estimate is
+compared with bounds so wide that all looks together err with the promised probability (`decision_bounds`).
 
-All that is needed of an estimator is its `EstimatePoint` at one tau. Of an Allan deviation with n windows the sum of
+The only input is the `EstimatePoint` of an estimator at one tau. Of an Allan deviation with n windows the sum of
 squares is S = 2 n value**2; of a standard deviation of n averages it is M2 = (n - 1) value**2.
 """
 
@@ -20,16 +20,16 @@ from typing import Any
 from stream.errors import EstimatorError
 from stream.estimators.confidence import least_edf
 from stream.estimators.decision.decision_bounds import LOOKS, Bounds, bounds
-from stream.estimators.decision.decision_plan import ROUNDING, Decision, DecisionPlan, Outcome, Rule
+from stream.estimators.decision.decision_plan import ROUNDING, Decision, DecisionPlan, DecisionRule, Outcome
 from stream.events import EstimatePoint
 
-__all__ = ["AllanDecision", "BiasStabilityDecision", "Decision", "DecisionPlan", "Outcome", "Rule"]
+__all__ = ["AllanDecision", "BiasStabilityDecision", "Decision", "DecisionPlan", "DecisionRule", "Outcome"]
 
 _SAME_TAU = 1e-6
 
 
 class _Looks:
-    """What both kinds of decision share. State: the time and count of the last look, and a decision once given."""
+    """Base of both kinds of decision. State: time and count of the last look, and the decision once given."""
 
     def __init__(self, plan: DecisionPlan) -> None:
         self.plan = plan
@@ -38,12 +38,12 @@ class _Looks:
         self._last_n = 0
 
     def export_state(self) -> dict[str, Any]:
-        """Everything that is kept between looks, in plain values."""
+        """The state between looks, in plain values."""
         state = {name: value for name, value in vars(self).items() if name in {"_elapsed_s", "_last_n", "_used"}}
         return {**state, "decision": None if self.decision is None else asdict(self.decision)}
 
     def import_state(self, state: dict[str, Any]) -> None:
-        """Take over what another one of the same plan has exported."""
+        """Take over the state of another one of the same plan."""
         decision = state["decision"]
         self.decision = None if decision is None else _decision(decision)
         for name, value in state.items():
@@ -72,18 +72,18 @@ class _Looks:
             )
         self._last_n = point.n
 
-    def _decide(self, outcome: Outcome, rule: Rule, promise: float, en: str, zh: str) -> Decision:
+    def _decide(self, outcome: Outcome, rule: DecisionRule, promise: float, en: str, zh: str) -> Decision:
         fraction = min(1.0, self._elapsed_s / self.plan.duration_s)
         self.decision = Decision(outcome, en, zh, promise, fraction, rule=rule)
         return self.decision
 
     def _finish(self, point: EstimatePoint) -> Decision:
-        """Hold the point against the limit, as the finished test does."""
+        """Compare the point with the limit, as the finished test does."""
         limit = self.plan.limit
         outcome, sign, word = (Outcome.FAIL, ">", "高于") if point.value > limit else (Outcome.PASS, "<=", "不高于")
         return self._decide(
             outcome,
-            Rule.FINISHED,
+            DecisionRule.FINISHED,
             0.0,
             f"the test is finished: {point.value:.4g} {sign} limit {limit:.4g}",
             f"测试已完成:{point.value:.4g} {word}限值 {limit:.4g}",
@@ -95,7 +95,7 @@ class _Looks:
         must_zh = "完整测试必不合格" if exact else "若无缺失,末次查看必越过 FAIL 界限"
         return self._decide(
             Outcome.FAIL,
-            Rule.CURTAILED,
+            DecisionRule.CURTAILED,
             0.0 if exact else promise,
             f"the sum of squares is {sum_share:.4g} times what the finished test allows and can only grow: {must_en}",
             f"平方和已达完整测试允许值的 {sum_share:.4g} 倍,且只增不减:{must_zh}",
@@ -112,7 +112,6 @@ class _Looks:
         latest = math.inf if is_open else max(likely, expect(point.lo), expect(point.hi))
         first = likely if math.isfinite(likely) else None
         last = latest if math.isfinite(latest) else None
-        en = zh = ""
         if first is None:
             en, zh = "not before the end by the present estimate", "按当前估计,结束前不会有结论"
         else:
@@ -124,15 +123,11 @@ class _Looks:
 
 
 def _decision(state: dict[str, Any]) -> Decision:
-    return Decision(**{**state, "outcome": Outcome(state["outcome"]), "rule": Rule(state["rule"])})
+    return Decision(**{**state, "outcome": Outcome(state["outcome"]), "rule": DecisionRule(state["rule"])})
 
 
 class AllanDecision(_Looks):
     """Early decision on the Allan deviation at one tau.
-
-    Parameters
-    ----------
-    plan: The plan.
 
     Notes
     -----
@@ -141,8 +136,8 @@ class AllanDecision(_Looks):
     `point_decides` L**2 is multiplied by the last FAIL bound: the last look must then cross it.
 
     Bounds: (value/L)**2 at the first look after each planned time. A look counts as look k only if n has reached the
-    number of windows that k/24 of the test has without gaps; each is used once. A later look than planned
-    meets the bound of the planned time, which is the wider; so does one after losses. Looks in between only curtail.
+    number of windows that k/24 of the test has without gaps; each is used once. A look later than planned, or after
+    losses, is compared with the bound of the planned time, which is wider. Looks in between can only curtail.
 
     Examples
     --------
@@ -167,12 +162,8 @@ class AllanDecision(_Looks):
 
         Parameters
         ----------
-        elapsed_s: Time since the first sample, gaps included, seconds.
+        elapsed_s: Time since the first sample, gaps included, seconds; an EstimatorError if it, or n, runs backwards.
         point: The estimate at the plan's tau; None if there is none.
-
-        Raises
-        ------
-        EstimatorError: If time or n run backwards, or do not fit the plan.
         """
         if self.decision is not None:
             return self.decision
@@ -207,13 +198,13 @@ class AllanDecision(_Looks):
                 at, limit = f"{math.sqrt(bound) * plan.limit:.4g}", f"{plan.limit:.4g}"
                 en = f"{where_en} is at or {side_en} the {outcome} bound {at} (limit {limit})"
                 zh = f"{where_zh} 等于或{side_zh} {outcome} 界限 {at}(限值 {limit})"
-                return self._decide(outcome, Rule.BOUNDS, plan.error_probability, en, zh)
+                return self._decide(outcome, DecisionRule.BOUNDS, plan.error_probability, en, zh)
         return None
 
     def _end_undecided(self, point: EstimatePoint) -> Decision:
         en = f"the test is finished and does not tell {point.value:.4g} from limit {self.plan.limit:.4g}"
         zh = f"测试已完成,无法区分 {point.value:.4g} 与限值 {self.plan.limit:.4g}"
-        return self._decide(Outcome.UNDECIDED, Rule.FINISHED, self.plan.error_probability, en, zh)
+        return self._decide(Outcome.UNDECIDED, DecisionRule.FINISHED, self.plan.error_probability, en, zh)
 
     def _expected_s(self, ratio: float, n: int, value: float) -> float:
         """When the test is decided if all further squares average 2 value**2; infinite if not before the end."""
@@ -235,19 +226,16 @@ class AllanDecision(_Looks):
 class BiasStabilityDecision(_Looks):
     """Early FAIL of bias stability, the standard deviation of averages; it never passes before the end.
 
-    Parameters
-    ----------
-    plan: The plan; its error probability, looks and windows per tau are not used.
-
     Notes
     -----
+    Of the plan, error probability, looks and windows per tau are not used.
     By Welford's recurrence M2_(n+1) = M2_n + (n/(n+1)) (F_(n+1) - mean_n)**2: M2 only grows. With N the largest
     possible number of averages in the test, and n_final <= N of them not lost to gaps,
 
         B_final**2 = M2_final/(n_final - 1) >= M2_n/(N - 1),
 
-    hence the finished test must fail once M2_n > L**2 (N - 1). A PASS has no such rule: a drift to come can raise the
-    deviation without bound, and a sequential test that supposes white averages passed 61 % of drifting units wrongly.
+    hence the finished test must fail once M2_n > L**2 (N - 1). A PASS has no such rule: a later drift can raise the
+    deviation without bound, and a sequential test that assumes white averages passed 61 % of drifting units wrongly.
 
     Examples
     --------
@@ -258,7 +246,7 @@ class BiasStabilityDecision(_Looks):
     """
 
     def look(self, elapsed_s: float, point: EstimatePoint | None) -> Decision:
-        """Look at the test, as often as one likes; see `AllanDecision.look`."""
+        """Look at the test, any number of times; see `AllanDecision.look`."""
         if self.decision is not None:
             return self.decision
         plan = self.plan
@@ -274,7 +262,7 @@ class BiasStabilityDecision(_Looks):
         return self._undecided(0.0, point, lambda value: self._expected_s(squares, point.n, most, value))
 
     def _expected_s(self, squares: float, n: int, most: int, value: float) -> float:
-        """When the averages to come, should they spread by `value`, have used up what is allowed."""
+        """When further averages with a standard deviation of `value` exceed what is allowed."""
         future = (value / self.plan.limit) ** 2
         at_n = n + (most - 1 - squares) / future if future > 0.0 else math.inf
         return at_n * self.plan.tau_s if at_n < most else math.inf

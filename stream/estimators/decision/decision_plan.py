@@ -1,4 +1,4 @@
-"""What is planned of an early decision, and what it says (`decision`)."""
+"""Plan and result of an early decision (`decision`)."""
 
 import math
 from dataclasses import dataclass
@@ -11,18 +11,18 @@ ROUNDING = 1e-9
 
 
 class Outcome(StrEnum):
-    """What is decided."""
+    """The decision."""
 
     PASS = "PASS"  # noqa: S105  not a password
     FAIL = "FAIL"
     UNDECIDED = "UNDECIDED"
 
 
-class Rule(StrEnum):
-    """What a decision rests on, and so what its error probability is a probability of.
+class DecisionRule(StrEnum):
+    """Rule of a decision, which defines its error probability.
 
-    CURTAILED: that the finished test would decide otherwise (0). BOUNDS: of this outcome where the true deviation
-    is at the limit, per side. FINISHED: the point against the limit at the end (0: it is the finished test).
+    CURTAILED: the finished test would decide otherwise (0). BOUNDS: this outcome where the true deviation is at the
+    limit, per side. FINISHED: the point compared with the limit at the end (0: it is the finished test).
     """
 
     CURTAILED = "curtailed"
@@ -33,7 +33,7 @@ class Rule(StrEnum):
 
 @dataclass(frozen=True)
 class DecisionPlan:
-    """What was planned before the test began; it must not be changed for what the data show.
+    """The plan, made before the test begins; it must not be changed because of the data.
 
     Parameters
     ----------
@@ -45,12 +45,8 @@ class DecisionPlan:
         same bounds, which can only lower the error.
     windows_per_tau: tau over the distance of neighbouring windows: 16 in `AllanDeviation` at one point per octave from
         tau = 16 sample intervals on, tau over the interval below that.
-    point_decides: Whether the finished test holds the point against the limit. Without, it judges the true deviation: a
-        FAIL is then always within the promise, and a test may end UNDECIDED.
-
-    Raises
-    ------
-    EstimatorError: If the plan cannot be carried out; the message says why.
+    point_decides: Whether the finished test compares the point with the limit. If not, it judges the true deviation: a
+        FAIL then always keeps the promised probability, and a test may end UNDECIDED.
     """
 
     tau_s: float
@@ -92,19 +88,18 @@ class DecisionPlan:
 
 @dataclass(frozen=True)
 class Decision:
-    """What is known at a look.
+    """Result of a look.
 
     Attributes
     ----------
-    outcome: PASS, FAIL or UNDECIDED.
+    outcome: PASS, FAIL or UNDECIDED, by `rule`.
     reason_en, reason_zh: Why, for people.
     error_probability: Promised probability of a wrong decision per side, in the sense of `rule`; while undecided, that
-        which an early PASS or FAIL to come will promise.
+        of an early PASS or FAIL.
     looked_at_fraction: Part of the planned duration that had passed, at most 1.
-    forecast_s: Expected time of the decision, seconds from the start, should the rest of the test show the present
+    forecast_s: Expected time of the decision, seconds from the start, if the rest of the test shows the present
         deviation; None if that is not before the end, or decided.
     forecast_latest_s: The same for the less favourable end of the estimate's interval.
-    rule: What the decision rests on.
     """
 
     outcome: Outcome
@@ -114,4 +109,4 @@ class Decision:
     looked_at_fraction: float
     forecast_s: float | None = None
     forecast_latest_s: float | None = None
-    rule: Rule = Rule.NONE
+    rule: DecisionRule = DecisionRule.NONE

@@ -1,19 +1,19 @@
-"""The deviations that windows with full overlap give, and the sums that they are taken from."""
+"""The deviations computed from windows with full overlap, and their sums of squared differences."""
 
 from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 
-from stream.estimators.allan_variance import LEAST_SHARE
+from stream.estimators.base import LEAST_SHARE
 from stream.estimators.full_overlap.full_overlap_kernel import differences, modified
-from stream.estimators.full_overlap.prefix_kernel import Record
+from stream.estimators.full_overlap.prefix_record import PrefixSums
 
 _RESTART = 1 << 16
 
 
 class Deviation(StrEnum):
-    """What can be evaluated, by its usual abbreviation."""
+    """The deviations by their usual abbreviations."""
 
     ALLAN = "adev"
     OVERLAPPING_ALLAN = "oadev"
@@ -23,15 +23,9 @@ class Deviation(StrEnum):
 
 
 class Form(NamedTuple):
-    """What is summed.
+    """What is summed: `weights` of adjacent means in a difference and the sum `norm` of their squares.
 
-    Attributes
-    ----------
-    weights: Weights of adjacent means in a difference.
-    norm: Sum of their squares: the mean square of a difference of uncorrelated means of variance 1.
-    reach: Averaging times that one term of the sum spans.
-    is_overlapped: Whether a term begins at every sample or once an averaging time.
-    name, chinese: Names for people.
+    One term spans `reach` averaging times; terms begin at every sample if `is_overlapped`, else once an averaging time.
     """
 
     weights: tuple[float, ...]
@@ -51,7 +45,7 @@ FORMS = {
 }
 
 
-def squared_differences(record: Record, kind: Deviation, factor: int) -> tuple[float, int]:
+def squared_differences(record: PrefixSums, kind: Deviation, factor: int) -> tuple[float, int]:
     """Sum of the squared differences of a record, each times the factor, and how many there are.
 
     The variance is this sum over ``norm * n * factor**2``.

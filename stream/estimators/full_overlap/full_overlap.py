@@ -9,16 +9,14 @@ from typing import Self
 import numpy as np
 
 from stream.batch import SampleBatch
-from stream.clock import GridTracker
+from stream.clock import contiguous_runs
 from stream.errors import EstimatorError
-from stream.estimators.allan_variance import LEAST_SHARE, allan_point
-from stream.estimators.base import NoEstimate, contiguous_runs
+from stream.estimators.allan_variance import allan_point, check_points_per_octave
+from stream.estimators.base import LEAST_SHARE, NoEstimate, Points, SignalInput
 from stream.estimators.confidence import NOISE_EXPONENTS, least_edf
 from stream.estimators.full_overlap.deviation_forms import FORMS, Deviation, squared_differences
 from stream.estimators.full_overlap.prefix_record import PrefixRecord
-from stream.estimators.noise_exponent import Identified, identify
-from stream.events import EstimatePoint
-from stream.quantities import report_unit
+from stream.estimators.noise.noise_exponent import Identified, identify
 
 _MOST_SLOTS_PER_SAMPLE = 20
 _SLOTS_FREE = 10**8
@@ -26,18 +24,14 @@ _EDF_STRIDE = 32
 _QUANTITY = "deviations with full overlap"
 
 
-class FullOverlap:
-    """Deviations of a finished record at any averaging time with every window there is, in bounded memory.
+class FullOverlap(SignalInput):
+    """Deviations of a finished record at any averaging time with every possible window, in bounded memory.
 
     Parameters
     ----------
     folder: Where the sums of a record of more than 4 million samples lie while it is evaluated, 8 bytes a sample, and 2
         more where one is missing nearby; the system's folder for temporary files if none is named. The file has no
         name; `close` or leaving the ``with`` frees it.
-
-    Attributes
-    ----------
-    confidence: Confidence level of the limits of a point.
 
     Notes
     -----
@@ -47,13 +41,13 @@ class FullOverlap:
     - hdev, ohdev: sum (x_(i+3m) - 3 x_(i+2m) + 3 x_(i+m) - x_i)**2 / (6 m**2 n), 5.2.8 and 5.2.9,
     - mdev: sum_i (sum_(j=i)^(i+m-1) (x_(j+2m) - 2 x_(j+m) + x_j))**2 / (2 m**4 n), 5.2.5,
 
-    are the variances; i advances by m in adev and hdev, by 1 in the others. Hadamard does not see a linear drift of the
-    samples; the modified one tells quantisation from flicker of angle.
+    are the variances; i advances by m in adev and hdev, by 1 in the others. The Hadamard deviation is insensitive to
+    a linear drift of the samples; the modified Allan deviation separates quantisation from flicker of angle.
 
     Where samples are missing, a window counts if it holds at least 90 % of its samples and the mean of those it holds
     stands for all; in mdev the same holds for the inner sum. Values that are not finite are missing.
 
-    Limits are by chi-square with the least equivalent degrees of freedom of the noises that the curve leaves plausible
+    Bounds are by chi-square with the least equivalent degrees of freedom of the noises that the curve leaves plausible
     for oadev (`noise_exponent`), of all noises for the others (`confidence`).
 
     Examples
@@ -75,11 +69,7 @@ class FullOverlap:
     confidence: float = 0.95
 
     def __init__(self, folder: Path | None = None) -> None:
-        self._tracker = GridTracker()
-        self._signal = ("", "", "")
-        self._run = ""
-        self._factor = 1.0
-        self._report_unit = ""
+        super().__init__()
         self._is_open = True
         self._prefix = PrefixRecord(folder)
 
@@ -97,33 +87,8 @@ class FullOverlap:
         self._prefix.close()
 
     @property
-    def unit_of_measure(self) -> str:
-        """Unit of the deviations, deg/h for angular rates; empty before the first batch."""
-        return self._report_unit
-
-    @property
-    def samples(self) -> int:
-        """Samples with a finite value that were taken in."""
-        return self._tracker.samples
-
-    @property
-    def missing(self) -> int:
-        """Slots of the grid up to the last sample that hold no finite value."""
-        return self._tracker.missing
-
-    @property
-    def late(self) -> int:
-        """Samples left out because their time was not after that of one already taken in."""
-        return self._tracker.late
-
-    @property
-    def sample_interval_s(self) -> float:
-        """Nominal sample interval in seconds, 0 before the first batch."""
-        return self._tracker.sample_interval_s
-
-    @property
     def file_bytes(self) -> int:
-        """What lies on disk, bytes."""
+        """Size of the temporary files, bytes."""
         return self._prefix.file_bytes
 
     def update(self, batch: SampleBatch) -> None:
@@ -131,16 +96,14 @@ class FullOverlap:
 
         Raises
         ------
-        EstimatorError: If the batch is of another signal, unit of measure or sample interval than those before it, if
-            far more slots than samples would have to be kept, if there is no room for them, or after `close`. The
-            record is closed by the latter three.
+        EstimatorError: If the batch is of another signal, unit of measure or sample interval than those before it, or
+            after `close`; and, closing the record, if far more slots than samples would be kept, or the disk is full.
         """
-        who = f"run {batch.run}, unit {batch.unit}, signal {batch.signal}"
+        who = batch.label
         if not self._is_open:
             raise EstimatorError(f"{who}: the record of its {_QUANTITY} is closed; begin a new one")
-        signal = (batch.unit, batch.signal, batch.unit_of_measure)
-        if signal != self._signal:
-            self._begin(batch, signal)
+        if (batch.unit, batch.signal, batch.unit_of_measure) != self._signal:
+            self._begin(batch, "record")
         pieces = self._tracker.place(batch)
         if self._tracker.irregular:
             return
@@ -161,19 +124,18 @@ class FullOverlap:
 
     def evaluate(
         self, kind: Deviation, points_per_octave: int = 1, factors: Sequence[int] | None = None
-    ) -> tuple[EstimatePoint, ...] | NoEstimate:
+    ) -> Points | NoEstimate:
         """Deviation at every averaging time that has at least one difference, shortest first; more may follow.
 
         Parameters
         ----------
-        kind: Which.
+        kind: Which deviation.
         points_per_octave: 1, 2, 4 or 8 averaging times in an octave, those of `AllanDeviation`.
-        factors: Averaging times in sample intervals, instead.
+        factors: Averaging times in sample intervals, at least 1 each, instead.
 
         Raises
         ------
-        EstimatorError: If `points_per_octave` is another number, a factor is less than 1, there is no room on disk, or
-            after `close`.
+        EstimatorError: If an argument is outside its range, there is no room on disk, or after `close`.
         """
         unit, signal, _ = self._signal
         who = f"unit {unit}, signal {signal}"
@@ -181,21 +143,18 @@ class FullOverlap:
             raise EstimatorError(f"{who}: the record of its {_QUANTITY} is closed; evaluate before it is")
         wanted = self._wanted(kind, points_per_octave, factors)
         if self._tracker.irregular:
-            return NoEstimate(
-                f"{who}: the samples lie on no grid of {self.sample_interval_s:g} s, and the {FORMS[kind].name} needs "
-                "one; resample by block means, --resample SECONDS"
-            )
+            return self._no_grid(FORMS[kind].name)
         try:
             record = self._prefix.record()
         except OSError as error:
             raise EstimatorError(_no_room(who, error)) from error
         if math.isnan(record.mean):
-            return NoEstimate(_too_large(who))
+            return self._too_large()
         found = [(factor, *squared_differences(record, kind, factor)) for factor in wanted]
         found = [(factor, squares, windows) for factor, squares, windows in found if windows]
         variances = [squares / (FORMS[kind].norm * n) / float(factor) ** 2 for factor, squares, n in found]
         if not all(math.isfinite(variance * self._factor) for variance in variances):
-            return NoEstimate(_too_large(who))
+            return self._too_large()
         factors, windows = [factor for factor, _, _ in found], [n for _, _, n in found]
         return self._points(kind, factors, variances, windows) or NoEstimate(self._too_little(kind, wanted))
 
@@ -208,9 +167,7 @@ class FullOverlap:
             raise EstimatorError(f"an averaging time of {min(factors)} sample intervals: it takes 1 or more")
         return sorted({factor for factor in map(int, factors) if factor <= largest})
 
-    def _points(
-        self, kind: Deviation, factors: list[int], variances: list[float], windows: list[int]
-    ) -> tuple[EstimatePoint, ...]:
+    def _points(self, kind: Deviation, factors: list[int], variances: list[float], windows: list[int]) -> Points:
         form = FORMS[kind]
         strides = [_stride(factor) if form.is_overlapped else 1 for factor in factors]
         freedom = [
@@ -240,19 +197,9 @@ class FullOverlap:
             f"{self.samples} samples, {self.missing} missing"
         )
 
-    def _begin(self, batch: SampleBatch, signal: tuple[str, str, str]) -> None:
-        if self._report_unit:
-            raise EstimatorError(
-                f"run {batch.run}: the {_QUANTITY} of unit {self._signal[0]}, signal {self._signal[1]} in "
-                f"{self._signal[2]} were given a batch of unit {batch.unit}, signal {batch.signal} in "
-                f"{batch.unit_of_measure}; each signal needs a record of its own"
-            )
-        self._report_unit, self._factor = report_unit(batch.unit_of_measure)
-        self._signal = signal
-
 
 def _stride(factor: int) -> int:
-    """Windows in a tau that hold the same freedom as all there are, to 0.5 %, and whose sums are short."""
+    """Windows in a tau that give the same degrees of freedom as all windows to 0.5 %, and whose sums are short."""
     while factor >= _EDF_STRIDE:
         factor //= 2
     return factor
@@ -264,19 +211,14 @@ def _least(kind: Deviation, factor: int, windows: int, stride: int) -> float:
 
 
 def averaging_factors(points_per_octave: int, largest: int) -> list[int]:
-    """Averaging times in sample intervals, those of `AllanDeviation`, up to the largest wanted.
-
-    Raises
-    ------
-    EstimatorError: If `points_per_octave` is not 1, 2, 4 or 8.
+    """Averaging times in sample intervals, those of `AllanDeviation`, up to the largest.
 
     Examples
     --------
     >>> averaging_factors(2, 50)
     [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48]
     """
-    if points_per_octave not in {1, 2, 4, 8}:
-        raise EstimatorError(f"{points_per_octave} points per octave: 1, 2, 4 or 8 are offered")
+    check_points_per_octave(points_per_octave)
     octaves = [1 << k for k in range(largest.bit_length())]
     steps = [(octave, max(1, octave // points_per_octave)) for octave in octaves]
     return [factor for octave, step in steps for factor in range(octave, 2 * octave, step) if factor <= largest]
@@ -284,10 +226,6 @@ def averaging_factors(points_per_octave: int, largest: int) -> list[int]:
 
 def _no_room(who: str, error: OSError) -> str:
     return (
-        f"{who}: the {_QUANTITY} of a record this long need room for its sums, and there is none: {error}; "
+        f"{who}: the {_QUANTITY} of a record this long need room on disk for its sums: {error}; "
         "free some, or name another folder"
     )
-
-
-def _too_large(who: str) -> str:
-    return f"{who}: values too large to be squared; check the source"

@@ -9,18 +9,25 @@ import numpy.typing as npt
 from numba import njit
 
 from stream.batch import FloatArray, IntArray
-from stream.estimators.full_overlap.prefix_kernel import Record
-from stream.estimators.kernels.kernel_part import kernel_part
+from stream.estimators.full_overlap.prefix_record import PrefixSums
+from stream.estimators.kernels import kernel_part
 
 SUM_ROW, COUNT_ROW, WITHIN, BLOCK = 0, 1, 2, 3
 _VIEWS = 4
 
 
 @kernel_part()
-def _lay(
-    record: Record, first: int, stop: int, factor: int, windows: int, place: IntArray, base: FloatArray, held: IntArray
+def _place(
+    record: PrefixSums,
+    first: int,
+    stop: int,
+    factor: int,
+    windows: int,
+    place: IntArray,
+    base: FloatArray,
+    held: IntArray,
 ) -> int:
-    """Lay adjacent windows at slot `first`, and say how many further slots they can move on in the same blocks.
+    """Place adjacent windows at slot `first`; returns how many slots they can move within the same blocks.
 
     Writes where their ends lie, and for each window what the blocks between its ends add to its sum and its count.
     """
@@ -42,7 +49,7 @@ def _lay(
 
 
 @kernel_part()
-def _is_full(record: Record, place: IntArray, windows: int, length: int, factor: int) -> bool:
+def _is_full(record: PrefixSums, place: IntArray, windows: int, length: int, factor: int) -> bool:
     """Whether no slot is missing in any of the windows while they move on by `length`."""
     last = place[windows, WITHIN] + length - 1
     held = record.before[place[windows, BLOCK]] - record.before[place[0, BLOCK]]
@@ -52,8 +59,8 @@ def _is_full(record: Record, place: IntArray, windows: int, length: int, factor:
 
 
 @kernel_part()
-def _full_base(record: Record, place: IntArray, base: FloatArray, weights: FloatArray) -> float:
-    """What the blocks add to a difference of full windows, and the mean's part within the blocks, always the same."""
+def _full_base(record: PrefixSums, place: IntArray, base: FloatArray, weights: FloatArray) -> float:
+    """What the blocks, and the mean within them, add to a difference of full windows: constant while they move."""
     total = 0.0
     for j in range(weights.shape[0]):
         found = np.int64(record.counts[place[j + 1, COUNT_ROW], place[j + 1, WITHIN]])
@@ -74,7 +81,7 @@ def _means(
     needed: float,
     out: FloatArray,
 ) -> None:
-    """Means of a window as it moves on, over `Record.mean`; NaN where it holds too few samples."""
+    """Means of a window as it moves on, over `PrefixSums.mean`; NaN where it holds too few samples."""
     for i in range(early.shape[0]):
         found = np.float64(np.int32(late_counts[i]) - np.int32(early_counts[i]))
         count = held + found
@@ -84,7 +91,7 @@ def _means(
 
 @kernel_part()
 def _all_means(
-    record: Record, place: IntArray, base: FloatArray, held: IntArray, length: int, needed: float, out: FloatArray
+    record: PrefixSums, place: IntArray, base: FloatArray, held: IntArray, length: int, needed: float, out: FloatArray
 ) -> None:
     """Means of all windows, a row each."""
     for j in range(out.shape[0]):
@@ -103,7 +110,7 @@ def _all_means(
 
 
 @kernel_part()
-def _view(record: Record, place: IntArray, j: int, length: int) -> FloatArray:
+def _view(record: PrefixSums, place: IntArray, j: int, length: int) -> FloatArray:
     start = place[j, WITHIN]
     return record.sums[place[j, SUM_ROW], start : start + length]
 
@@ -132,7 +139,7 @@ def _squares_of_third(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray
 def _sums_with_gaps(
     means: FloatArray, weights: FloatArray, length: int, step: int, factor: float
 ) -> tuple[float, float, int]:
-    """Sum of the differences of means times `factor`, of their squares, and how many there are: NaN are not."""
+    """Sum of the differences of means times `factor`, sum of their squares, and their number; NaN are left out."""
     first, second, third = weights[0], weights[1], weights[-1] if weights.shape[0] == 3 else 0.0
     a, b, c = means[0], means[1], means[-1]
     total = squares = 0.0
@@ -151,25 +158,12 @@ def _sums_with_gaps(
 
 @njit(cache=True, nogil=True)
 def differences(
-    record: Record, factor: int, weights: FloatArray, share: float, first: int, stop: int, step: int
+    record: PrefixSums, factor: int, weights: FloatArray, share: float, first: int, stop: int, step: int
 ) -> tuple[float, float, int]:
-    """Differences of adjacent windows that begin at slots from `first` to `stop`, each times the slots of a window.
+    """Differences of adjacent windows of `factor` slots that begin at slots from `first` to `stop`, times `factor`.
 
-    Parameters
-    ----------
-    record: The record.
-    factor: Slots of a window.
-    weights: shape (2,) or (3,); what the means of the windows are multiplied by: -1, 1 for Allan, 1, -2, 1 for
-        Hadamard.
-    share: A window counts if it holds this share of its samples.
-    first, stop, step: Slots at which the first window begins.
-
-    Returns
-    -------
-    total, squares : float
-        Sum of the differences (of two windows only), and of their squares.
-    found : int
-        How many there are.
+    The means are weighted by -1, 1 for Allan and by 1, -2, 1 for Hadamard; a window counts if it holds the `share` of
+    its samples. Returns the sum of the differences (of two windows only), that of their squares, and their number.
     """
     windows = weights.shape[0]
     place, base, held = np.empty((_VIEWS, 4), np.int64), np.empty(_VIEWS - 1), np.empty(_VIEWS - 1, np.int64)
@@ -178,7 +172,7 @@ def differences(
     found = 0
     at = first
     while at < stop:
-        length = _lay(record, at, stop, factor, windows, place, base, held)
+        length = _place(record, at, stop, factor, windows, place, base, held)
         steps = (length + step - 1) // step
         if _is_full(record, place, windows, length, factor):
             shift = _full_base(record, place, base, weights)
@@ -210,7 +204,7 @@ def differences(
 def _run_full(
     a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, base: float, total: float, scale: float
 ) -> tuple[float, float]:
-    """Move the sum of differences on over full windows; the sum, and the sum of its squares on the way."""
+    """Move the sum of differences over full windows; the sum, and the sum of its squares on the way."""
     squares = 0.0
     for i in range(a.shape[0]):
         total += (d[i] - c[i]) - 2.0 * (c[i] - b[i]) + (b[i] - a[i]) + base
@@ -220,12 +214,12 @@ def _run_full(
 
 
 @njit(cache=True, nogil=True)
-def modified(record: Record, factor: int, share: float, restart: int) -> tuple[float, int]:
+def modified(record: PrefixSums, factor: int, share: float, restart: int) -> tuple[float, int]:
     """Sum of squares of the sums of `factor` neighbouring differences of two windows, and how many there are.
 
-    The sum runs: the difference that comes in is added, the one that goes out subtracted. It begins anew every
-    `restart` slots, or every `factor` where that is more, so that rounding does not add up. Where differences are
-    missing, the mean of the others stands for all, if they are the `share` of all.
+    The sum runs: the incoming difference is added, the outgoing one subtracted. It restarts every `restart` slots, or
+    every `factor` where that is more, so that rounding does not accumulate. Where differences are missing, the mean of
+    the others stands for all, if they are the `share` of all.
     """
     weights, allan = np.array([1.0, -2.0, 1.0]), np.array([-1.0, 1.0])
     place, base, held = np.empty((_VIEWS, 4), np.int64), np.empty(_VIEWS - 1), np.empty(_VIEWS - 1, np.int64)
@@ -243,7 +237,7 @@ def modified(record: Record, factor: int, share: float, restart: int) -> tuple[f
             found += 1
         at = first
         while at < stop - 1:
-            length = _lay(record, at, stop - 1, factor, 3, place, base, held)
+            length = _place(record, at, stop - 1, factor, 3, place, base, held)
             if _is_full(record, place, 3, length, factor):
                 is_counted = valid > 0 and valid >= needed
                 views = (_view(record, place, 0, length), _view(record, place, 1, length))

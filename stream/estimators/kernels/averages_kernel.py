@@ -1,7 +1,7 @@
 """Machine code for consecutive averages and their spread (``bias_stability``).
 
 Means and sums of squares are updated by Welford's recurrence and merged by Chan's (DOI 10.1080/00031305.1983.10483115),
-so that a large mean costs no digits.
+so that a large mean costs no digits. Averages of one sample each are computed many at a time (`take_samples`).
 """
 
 from typing import NamedTuple
@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from stream.batch import FloatArray, IntArray
-from stream.estimators.kernels.kernel_part import kernel_part
+from stream.estimators.kernels import kernel_part
 
 BLOCK, COUNT, LAST, AVERAGES, PAIRS, BEGAN, HEAD_COUNT, FIRST_AVERAGE = range(8)
 (
@@ -34,12 +34,12 @@ class AveragesState(NamedTuple):
 
     Attributes
     ----------
-    places: shape (8,); block being filled and the samples in it; the last block that became an average; averages; pairs
-        of neighbouring averages; the block that a part began within, and the samples it has of it; the first block that
-        became an average.
+    places: shape (8,); block being filled and the samples in it; last block that became an average; averages; pairs of
+        neighbouring averages; block within which a part began, and the samples it has of it; first block that became an
+        average.
     numbers: shape (11,); sum of the block being filled; mean and sum of squares of the averages, and the last of them;
         over the pairs mean and sum of squares of the earlier and of the later average, and the sum of their products;
-        sum of the block that a part began within; the first average.
+        sum of the block within which a part began; the first average.
     ring, ring_blocks: shape (W,); the averages of the last W blocks and their blocks, block b at place b modulo W; for
         a rolling window.
     """
@@ -58,14 +58,14 @@ def empty_averages(window: int) -> AveragesState:
 
 
 def begin_at(places: IntArray, block: int, *, is_within: bool) -> None:
-    """Let an empty state begin at `block`, or within it: then an earlier part may have the beginning of the block."""
+    """Set the first block of an empty state; if `is_within`, an earlier part may hold the beginning of the block."""
     places[BLOCK] = block
     places[BEGAN] = block if is_within else block - 1
 
 
 @kernel_part()
 def _pair(numbers: FloatArray, pairs: int, first: float, second: float) -> None:
-    """Add the last of `pairs` pairs of neighbours to their means and products."""
+    """Add the last of `pairs` pairs of neighbouring averages to their means and products."""
     early = first - numbers[EARLY_MEAN]
     late = second - numbers[LATE_MEAN]
     numbers[EARLY_MEAN] += early / pairs
@@ -79,7 +79,7 @@ def _pair(numbers: FloatArray, pairs: int, first: float, second: float) -> None:
 def _close(
     places: IntArray, numbers: FloatArray, ring: FloatArray, ring_blocks: IntArray, expected: float, share: float
 ) -> None:
-    """End the block being filled; it becomes an average if it holds the `share` of its samples."""
+    """Close the block being filled; it becomes an average if it holds the `share` of its samples."""
     count = places[COUNT]
     if places[BLOCK] == places[BEGAN]:
         places[HEAD_COUNT] = count
@@ -166,7 +166,7 @@ def average_times(
     times_ns: IntArray,
     values: FloatArray,
 ) -> None:
-    """Take in values at increasing times that lie on no grid; blocks are counted from `origin_ns`."""
+    """Take in values at increasing times on no grid; blocks are counted from `origin_ns`."""
     expected = average_ns / dt_ns
     for i in range(values.shape[0]):
         since = times_ns[i] - origin_ns
@@ -192,17 +192,14 @@ def merge_averages(
     expected: float,
     share: float,
 ) -> None:
-    """Put the later averages behind the earlier; `expected` samples make up the block across the seam."""
+    """Append the later averages; `expected` samples make up the block across the seam."""
     if later[BEGAN] == NEVER or later[BLOCK] == later[BEGAN]:
         # all of the later part lies within the block being filled, or there was nothing before it
         if later[BEGAN] == NEVER:
-            for i in range(places.shape[0]):
-                places[i] = later[i]
-            for i in range(numbers.shape[0]):
-                numbers[i] = later_numbers[i]
-            for i in range(ring.shape[0]):
-                ring[i] = later_ring[i]
-                ring_blocks[i] = later_blocks[i]
+            places[:] = later
+            numbers[:] = later_numbers
+            ring[:] = later_ring
+            ring_blocks[:] = later_blocks
         else:
             places[COUNT] += later[COUNT]
             numbers[SUM] += later_numbers[SUM]
@@ -242,3 +239,57 @@ def merge_averages(
     places[BLOCK] = later[BLOCK]
     places[COUNT] = later[COUNT]
     numbers[SUM] = later_numbers[SUM]
+
+
+@kernel_part("reassoc", "contract")
+def _moments(values: FloatArray, reference: float) -> tuple[float, float]:
+    """Mean of values - reference, and the sum of squares about it."""
+    total = 0.0
+    for i in range(values.shape[0]):
+        total += values[i] - reference
+    mean = total / max(values.shape[0], 1)
+    squares = 0.0
+    for i in range(values.shape[0]):
+        difference = (values[i] - reference) - mean
+        squares += difference * difference
+    return mean, squares
+
+
+@kernel_part("reassoc", "contract")
+def _products(early: FloatArray, late: FloatArray, reference: float, early_mean: float, late_mean: float) -> float:
+    total = 0.0
+    for i in range(early.shape[0]):
+        total += ((early[i] - reference) - early_mean) * ((late[i] - reference) - late_mean)
+    return total
+
+
+@njit(cache=True, nogil=True)
+def take_samples(
+    places: IntArray,
+    numbers: FloatArray,
+    ring: FloatArray,
+    ring_blocks: IntArray,
+    reference: float,
+    first_slot: int,
+    values: FloatArray,
+) -> None:
+    """Take in values on the slots from `first_slot` on, each an average of its own; NaN is missing."""
+    # the first by the general way, which closes the open block
+    average_grid(places, numbers, ring, ring_blocks, reference, 1, 1.0, 1, first_slot, values[:1])
+    rest = values[1:]
+    n = rest.shape[0]
+    mean, squares = _moments(rest, reference)
+    if n < 2 or squares - squares != 0.0:
+        average_grid(places, numbers, ring, ring_blocks, reference, 1, 1.0, 1, first_slot + 1, rest)
+        return
+    later, found = np.zeros(places.shape[0], np.int64), np.zeros(numbers.shape[0])
+    later[BLOCK] = first_slot + 1 + n
+    later[BEGAN], later[HEAD_COUNT] = NEVER - 1, 0
+    later[AVERAGES], later[PAIRS] = n, n - 1
+    later[FIRST_AVERAGE], later[LAST] = first_slot + 1, first_slot + n
+    found[MEAN], found[SQUARES] = mean, squares
+    found[FIRST_MEAN], found[LAST_MEAN] = rest[0] - reference, rest[n - 1] - reference
+    found[EARLY_MEAN], found[EARLY_SQUARES] = _moments(rest[:-1], reference)
+    found[LATE_MEAN], found[LATE_SQUARES] = _moments(rest[1:], reference)
+    found[COVARIANCE] = _products(rest[:-1], rest[1:], reference, found[EARLY_MEAN], found[LATE_MEAN])
+    merge_averages(places, numbers, ring, ring_blocks, later, found, ring, ring_blocks, 1.0, 1.0)

@@ -1,8 +1,7 @@
 """Machine code for the pyramid of block sums (``allan_variance``).
 
 Block b of level k covers the slots [b 2**k, (b + 1) 2**k) and holds (sum of x - reference, count) over its valid
-slots.
-Prefix sums begin anew in every call, so that nothing large is ever subtracted from something large.
+slots. Prefix sums restart in every call, so that nothing large is ever subtracted from something large.
 """
 
 from typing import NamedTuple
@@ -11,16 +10,7 @@ import numpy as np
 from numba import njit
 
 from stream.batch import FloatArray, IntArray
-from stream.estimators.kernels.kernel_part import kernel_part
-from stream.estimators.kernels.pyramid_sums import (
-    add_pairs,
-    mask,
-    prefix_sums,
-    subtract,
-    sum_of_squares,
-    sum_of_squares_with_gaps,
-    sums_of_squares,
-)
+from stream.estimators.kernels import kernel_part
 
 FIRST, NEXT, FILLED, HEADED, FULL = 0, 1, 2, 3, 4
 SUM, COUNT = 0, 1
@@ -35,8 +25,8 @@ class PyramidState(NamedTuple):
     Attributes
     ----------
     tails, heads: shape (K, 2, H); sums and counts of the last and of the first blocks, oldest first; counts that were
-        never written say "full". An even block at the end of a tail waits for its odd neighbour; an odd one that heads
-        a level has none.
+        never written are those of full blocks. An even block at the end of a tail waits for its odd neighbour; an odd
+        first block of a level has none.
     squares, windows: shape (K, L); sum of D**2, and how many, for each lag n: D is the difference of two adjacent means
         of n blocks, times their slots.
     places: shape (K, 5); index of the first block and of the next; blocks in the tail and in the head; whether the
@@ -60,13 +50,120 @@ def empty_state(levels: int, history: int, lags: int) -> PyramidState:
 
 
 def begin_at(state: PyramidState, slot: int) -> None:
-    """Let an empty state begin at `slot`."""
+    """Set the first slot of an empty state."""
     levels = np.arange(len(state.places))
     state.places[:, FIRST] = state.places[:, NEXT] = -(-slot >> levels)
 
 
+@kernel_part("reassoc")
+def _subtract(values: FloatArray, reference: float, out: FloatArray) -> bool:
+    """Write values - reference; whether all are finite (0 * NaN and 0 * inf are NaN)."""
+    zero = 0.0
+    for i in range(values.shape[0]):
+        difference = values[i] - reference
+        out[i] = difference
+        zero += difference * 0.0
+    return zero == 0.0
+
+
 @kernel_part()
-def accumulate(
+def _mask(sums: FloatArray, counts: FloatArray) -> None:
+    """Replace values that are not finite by empty blocks."""
+    for i in range(sums.shape[0]):
+        if sums[i] - sums[i] == 0.0:
+            counts[i] = 1.0
+        else:
+            sums[i] = 0.0
+            counts[i] = 0.0
+
+
+@kernel_part()
+def _prefix_sums(line: FloatArray, out: FloatArray) -> None:
+    """Prefix sums, out[0] = 0; groups of four, so that one addition in four waits for the one before."""
+    total = 0.0
+    out[0] = 0.0
+    whole = line.shape[0] - line.shape[0] % 4
+    for i in range(0, whole, 4):
+        two = line[i] + line[i + 1]
+        out[i + 1] = total + line[i]
+        out[i + 2] = total + two
+        out[i + 3] = total + (two + line[i + 2])
+        total += two + (line[i + 2] + line[i + 3])
+        out[i + 4] = total
+    for i in range(whole, line.shape[0]):
+        total += line[i]
+        out[i + 1] = total
+
+
+@kernel_part("reassoc", "contract")
+def _sum_of_squares(late: FloatArray, middle: FloatArray, early: FloatArray) -> float:
+    """Sum of the squared differences of adjacent windows, from three stretches of the prefix sums."""
+    total = 0.0
+    for i in range(late.shape[0]):
+        difference = (late[i] + early[i]) - 2.0 * middle[i]
+        total += difference * difference
+    return total
+
+
+@kernel_part("reassoc", "contract")
+def _sums_of_squares(
+    p0: FloatArray,
+    p1: FloatArray,
+    p2: FloatArray,
+    p4: FloatArray,
+    p8: FloatArray,
+    p16: FloatArray,
+    p32: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Add those of the lags 1, 2, 4, 8 and 16 at once; p_n is the prefix n blocks before p0."""
+    by_1 = by_2 = by_4 = by_8 = by_16 = 0.0
+    for i in range(p0.shape[0]):
+        last = p0[i]
+        difference = (last + p2[i]) - 2.0 * p1[i]
+        by_1 += difference * difference
+        difference = (last + p4[i]) - 2.0 * p2[i]
+        by_2 += difference * difference
+        difference = (last + p8[i]) - 2.0 * p4[i]
+        by_4 += difference * difference
+        difference = (last + p16[i]) - 2.0 * p8[i]
+        by_8 += difference * difference
+        difference = (last + p32[i]) - 2.0 * p16[i]
+        by_16 += difference * difference
+    out[0] += by_1
+    out[1] += by_2
+    out[2] += by_4
+    out[3] += by_8
+    out[4] += by_16
+
+
+@kernel_part()
+def _add_pairs(line: FloatArray, out: FloatArray, pairs: int) -> None:
+    """Write the sums of neighbours."""
+    for i in range(pairs):
+        out[i] = line[2 * i] + line[2 * i + 1]
+
+
+@kernel_part()
+def _sum_of_squares_with_gaps(
+    sums: FloatArray, counts: FloatArray, lag: int, first: int, stop: int, needed: float, slots: float
+) -> tuple[float, int]:
+    """Differences of window means, times the slots of a window, where both windows hold enough samples."""
+    total = 0.0
+    windows = 0
+    for i in range(first, stop):
+        late = counts[i] - counts[i - lag]
+        early = counts[i - lag] - counts[i - 2 * lag]
+        if late >= needed and early >= needed:
+            difference = (sums[i] - sums[i - lag]) / late - (sums[i - lag] - sums[i - 2 * lag]) / early
+            difference *= slots
+            total += difference * difference
+            windows += 1
+    return total, windows
+
+
+@kernel_part()
+def _accumulate(
     squares: FloatArray,
     windows: IntArray,
     lags: IntArray,
@@ -87,19 +184,19 @@ def accumulate(
         if lag == 0 or first >= stop:
             continue
         if full:
-            squares[j] += sum_of_squares(
+            squares[j] += _sum_of_squares(
                 sums[first:stop], sums[first - lag : stop - lag], sums[first - 2 * lag : stop - 2 * lag]
             )
             windows[j] += stop - first
         else:
             slots = lag * width
-            total, found = sum_of_squares_with_gaps(sums, prefix[COUNT], lag, first, stop, share * slots, slots)
+            total, found = _sum_of_squares_with_gaps(sums, prefix[COUNT], lag, first, stop, share * slots, slots)
             squares[j] += total
             windows[j] += found
 
 
 @kernel_part()
-def are_full(counts: FloatArray, number: int, width: float) -> bool:
+def _are_full(counts: FloatArray, number: int, width: float) -> bool:
     """Whether each of the first `number` counts is `width`."""
     others = 0
     for i in range(number):
@@ -111,7 +208,7 @@ def are_full(counts: FloatArray, number: int, width: float) -> bool:
 def _keep_ends(
     tail: FloatArray, head: FloatArray, place: IntArray, line: FloatArray, length: int, full: bool, width: float
 ) -> None:
-    """Keep the last blocks of a level, and the first until there are enough; the line begins with the tail."""
+    """Store the last blocks of a level, and its first until there are enough; the line begins with the tail."""
     history = tail.shape[1]
     first = place[FILLED]
     kept = min(history, length)
@@ -125,7 +222,7 @@ def _keep_ends(
     place[HEADED] = headed + more
     place[FILLED] = kept
     if not full:
-        place[FULL] = are_full(tail[COUNT], kept, width)
+        place[FULL] = _are_full(tail[COUNT], kept, width)
 
 
 @kernel_part()
@@ -134,12 +231,12 @@ def _pair(
 ) -> tuple[int, int]:
     """Sum pairs of blocks into parents: how many are written, and how many there are.
 
-    The `given` new blocks stand in the line behind those of the tail, of which the last may wait for its neighbour;
-    `total - given` empty ones follow that are not written out, nor more than `enough` of their parents.
+    The `given` new blocks stand in the line behind those of the tail, of which the last may wait for its neighbour.
+    `total - given` empty blocks follow that are not written out; of their parents at most `enough` are.
     """
     start = filled
     if place[NEXT] % 2 == 1:
-        # an odd block that heads the level has no neighbour and gets no parent
+        # an odd first block of the level has no neighbour and gets no parent
         start += -1 if place[NEXT] > place[FIRST] else 1
     pairs = max(0, (filled + given - start) // 2)
     for which in range(1 if full else 2):
@@ -162,32 +259,23 @@ def _pair(
 
 
 @kernel_part()
-def _climb_a_level(
-    tails: FloatArray,
-    squares: FloatArray,
-    windows: IntArray,
-    places: IntArray,
-    lags: IntArray,
-    scratch: FloatArray,
-    level: int,
-    now: int,
-    given: int,
-) -> int:
+def _climb_a_level(state: PyramidState, lags: IntArray, scratch: FloatArray, level: int, now: int, given: int) -> int:
     """Push a few full blocks from scratch[now] into a level that is full, their parents into the other; how many.
 
-    As the general way, but without a view of an array: views cost more than the few numbers in them, and nine levels
-    in ten of a batch of 1000 get but a few blocks.
+    The same as the general case, without views of arrays: views cost more than the few numbers in them, and in a batch
+    of 1000 nine levels in ten get only a few blocks.
     """
+    tails, _, squares, windows, places = state
     history = tails.shape[2]
     for i in range(history):
         scratch[now, SUM, i] = tails[level, SUM, i]
     length = history + given
-    prefix_sums(scratch[now, SUM, :length], scratch[2, SUM])
+    _prefix_sums(scratch[now, SUM, :length], scratch[2, SUM])
     row = min(level, 1)
     begin = 0
     if level == 0 and given >= _FEW and lags.shape[1] == _OCTAVES:
         p = scratch[2, SUM, history - 31 : length + 1]
-        sums_of_squares(p[32:], p[31:-1], p[30:-2], p[28:-4], p[24:-8], p[16:-16], p[:-32], squares[0])
+        _sums_of_squares(p[32:], p[31:-1], p[30:-2], p[28:-4], p[24:-8], p[16:-16], p[:-32], squares[0])
         for j in range(_OCTAVES):
             windows[0, j] += given
         begin = _OCTAVES
@@ -202,7 +290,7 @@ def _climb_a_level(
                 total += difference * difference
         else:
             sums = scratch[2, SUM, history + 1 - 2 * lag : length + 1]
-            total = sum_of_squares(sums[2 * lag :], sums[lag : lag + given], sums[:given])
+            total = _sum_of_squares(sums[2 * lag :], sums[lag : lag + given], sums[:given])
         squares[level, j] += total
         windows[level, j] += given
     for i in range(history):
@@ -210,29 +298,20 @@ def _climb_a_level(
     start = history - places[level, NEXT] % 2
     places[level, NEXT] += given
     parents: int = (length - start) // 2
-    add_pairs(scratch[now, SUM, start:length], scratch[1 - now, SUM, history:], parents)
+    _add_pairs(scratch[now, SUM, start:length], scratch[1 - now, SUM, history:], parents)
     return parents
 
 
 @kernel_part()
 def _climb(
-    tails: FloatArray,
-    heads: FloatArray,
-    squares: FloatArray,
-    windows: IntArray,
-    places: IntArray,
-    lags: IntArray,
-    share: float,
-    scratch: FloatArray,
-    given: int,
-    total: int,
-    full: bool,
+    state: PyramidState, lags: IntArray, share: float, scratch: FloatArray, given: int, total: int, full: bool
 ) -> None:
-    """Push `total` blocks into level 0 and what becomes of them into all levels above.
+    """Push `total` blocks into level 0 and their parents into all levels above.
 
     The first `given` stand in scratch[0] behind room for a tail; the rest are empty. More than a history of empty
-    blocks changes nothing further in a level, so that a gap costs the same however long it is.
+    blocks changes nothing in a level, so that a gap costs the same however long it is.
     """
+    tails, heads, squares, windows, places = state
     history = tails.shape[2]
     prefix = scratch[2]
     now = 0
@@ -241,7 +320,7 @@ def _climb(
             break
         width = 2.0**level
         if full and total == given and places[level, FULL] == 1 and places[level, HEADED] == history:
-            given = _climb_a_level(tails, squares, windows, places, lags, scratch, level, now, given)
+            given = _climb_a_level(state, lags, scratch, level, now, given)
             total = given
             now = 1 - now
             continue
@@ -259,8 +338,8 @@ def _climb(
         for which in range(1 if all_full else 2):
             for i in range(filled):
                 line[which, i] = tails[level, which, i]
-            prefix_sums(line[which, :length], prefix[which])
-        accumulate(
+            _prefix_sums(line[which, :length], prefix[which])
+        _accumulate(
             squares[level], windows[level], lags[min(level, 1)], prefix, filled, length, length, all_full, share, width
         )
         _keep_ends(tails[level], heads[level], place, line, length, all_full, width)
@@ -287,13 +366,14 @@ def push(
     `lags` holds the n of level 0 and those of all other levels, shape (2, L), 0 where unused; a window counts if it
     holds the `share` of its samples.
     """
+    state = PyramidState(tails, heads, squares, windows, places)
     history = tails.shape[2]
     chunk = min(values.shape[0], _CHUNK)
     scratch = np.empty((3, 2, history + max(chunk, history) + 2))
     gap = first_slot - places[0, NEXT]
     start = 0
     while start < values.shape[0]:
-        # one call for gap and values: machine code is made for each place of a call
+        # one call for gap and values: every call site compiles the machine code again
         if gap > 0:
             given, total, full = min(gap, history + 1), gap, False
             for i in range(history, history + given):
@@ -302,8 +382,95 @@ def push(
         else:
             given = total = min(_CHUNK, values.shape[0] - start)
             sums = scratch[0, SUM, history : history + given]
-            full = subtract(values[start : start + given], reference, sums)
+            full = _subtract(values[start : start + given], reference, sums)
             if not full:
-                mask(sums, scratch[0, COUNT, history : history + given])
+                _mask(sums, scratch[0, COUNT, history : history + given])
             start += given
-        _climb(tails, heads, squares, windows, places, lags, share, scratch, given, total, full)
+        _climb(state, lags, share, scratch, given, total, full)
+
+
+@kernel_part()
+def _copy(source: FloatArray, start: int, number: int, line: FloatArray, at: int) -> None:
+    for which in range(2):
+        for i in range(number):
+            line[which, at + i] = source[which, start + i]
+
+
+@njit(cache=True, nogil=True)
+def merge(
+    tails: FloatArray,
+    heads: FloatArray,
+    squares: FloatArray,
+    windows: IntArray,
+    places: IntArray,
+    lags: IntArray,
+    share: float,
+    later_tails: FloatArray,
+    later_heads: FloatArray,
+    later_squares: FloatArray,
+    later_windows: IntArray,
+    later_places: IntArray,
+) -> None:
+    """Append a later pyramid to an earlier one, which becomes that of both.
+
+    At each level at most one block lies across the seam. Its part before the seam consists of the blocks that wait for
+    a neighbour at the levels below in the earlier pyramid, its part after it of those that have no neighbour there in
+    the later one. The windows across the seam are counted from the earlier tail, that block and the later head.
+    """
+    history = tails.shape[2]
+    line = np.empty((2, 3 * history + 1))
+    prefix = np.empty((2, 3 * history + 2))
+    seam, stop = places[0, NEXT], later_places[0, NEXT]
+    # sum and count of the block across the seam, and whether both pyramids reach to its ends
+    across = np.zeros(2)
+    reaches_back = reaches_on = True
+    for level in range(tails.shape[0]):
+        width = 2.0**level
+        place, later = places[level], later_places[level]
+        tail, head = tails[level], heads[level]
+        filled, headed = place[FILLED], place[HEADED]
+        is_across = seam & ((1 << level) - 1) != 0 and reaches_back and reaches_on
+        own = filled
+        _copy(tail, 0, filled, line, 0)
+        if is_across:
+            line[SUM, own], line[COUNT, own] = across[SUM], across[COUNT]
+            own += 1
+        _copy(later_heads[level], 0, later[HEADED], line, own)
+        length = own + later[HEADED]
+        if length > filled and own > 0:
+            for which in range(2):
+                _prefix_sums(line[which, :length], prefix[which])
+            # windows within the earlier or the later part are counted already
+            _accumulate(
+                squares[level], windows[level], lags[min(level, 1)], prefix, filled, length, own, False, share, width
+            )
+        for j in range(lags.shape[1]):
+            squares[level, j] += later_squares[level, j]
+            windows[level, j] += later_windows[level, j]
+        # blocks without a neighbour on either side of the seam make up the block across at the next level
+        if seam >> level & 1 and reaches_back:
+            if filled > 0:
+                across[SUM] += tail[SUM, filled - 1]
+                across[COUNT] += tail[COUNT, filled - 1]
+            else:
+                reaches_back = False
+        behind = -(-seam >> level)
+        if behind & 1 and reaches_on:
+            if later[HEADED] > 0:
+                across[SUM] += later_heads[level, SUM, 0]
+                across[COUNT] += later_heads[level, COUNT, 0]
+            else:
+                reaches_on = False
+        more = min(history - headed, length - filled)
+        _copy(line, filled, more, head, headed)
+        place[HEADED] = headed + more
+        if later[FILLED] < history:
+            # the later head holds all its blocks
+            kept = min(history, length)
+            _copy(line, length - kept, kept, tail, 0)
+        else:
+            kept = history
+            _copy(later_tails[level], 0, kept, tail, 0)
+        place[FILLED] = kept
+        place[NEXT] = max(place[FIRST], stop >> level)
+        place[FULL] = _are_full(tail[COUNT], kept, width)

@@ -23,15 +23,14 @@ _SETTLED = 0.01
 _FILTER = 64.0
 
 
-class Coefficient(msgspec.Struct, frozen=True, kw_only=True):
-    """A noise coefficient with its limits.
+class NoiseCoefficient(msgspec.Struct, frozen=True, kw_only=True):
+    """A noise coefficient with its confidence bounds.
 
     Parameters
     ----------
-    value, lo, hi: Estimate and limits in `unit_of_measure`, never negative; `lo` is 0 where the curve does without the
-        term.
+    value, lo, hi: Estimate and bounds, never negative; `lo` is 0 where the curve can be explained without the term.
     unit_of_measure: arcsec, deg/sqrt(h), deg/h, deg/h/sqrt(h) or deg/h/h.
-    observable: Whether the record shows the term; if not, `hi` is what the record leaves room for.
+    observable: Whether the record shows the term; if not, `hi` is the largest value that the record allows.
     reason: Why it is not observable, empty if it is.
     """
 
@@ -43,16 +42,13 @@ class Coefficient(msgspec.Struct, frozen=True, kw_only=True):
     reason: str = ""
 
 
-class Markov(msgspec.Struct, frozen=True, kw_only=True):
-    """Exponentially correlated noise that the curve asks for beside the five terms.
+class MarkovNoise(msgspec.Struct, frozen=True, kw_only=True):
+    """Exponentially correlated noise that the curve requires beside the five terms.
 
-    Parameters
-    ----------
-    amplitude: q of IEEE 952, deg/h/sqrt(h); the standard deviation of the noise is q sqrt(correlation time/2).
-    correlation_s, correlation_lo_s, correlation_hi_s: Correlation time and its limits, seconds.
+    `amplitude` is q of IEEE 952; the standard deviation of the noise is q sqrt(correlation time/2).
     """
 
-    amplitude: Coefficient
+    amplitude: NoiseCoefficient
     correlation_s: float
     correlation_lo_s: float
     correlation_hi_s: float
@@ -63,66 +59,56 @@ class NoiseFit(msgspec.Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
-    quantization_noise, angle_random_walk, bias_instability, rate_random_walk, rate_ramp: The five terms.
-    markov: The sixth, where the curve asks for it.
-    confidence: Level of all limits.
+    markov: The sixth term, where the curve requires it.
+    confidence: Level of all bounds.
     points: How many averaging times were used.
     misfit: Relative standard deviation, root mean square over these, by which the Allan deviation departs from the
-        model beyond its own scatter; 0 where the model fits. The limits allow for it.
+        model beyond its own scatter; 0 where the model fits. The bounds allow for it.
     """
 
-    quantization_noise: Coefficient
-    angle_random_walk: Coefficient
-    bias_instability: Coefficient
-    rate_random_walk: Coefficient
-    rate_ramp: Coefficient
-    markov: Markov | None
+    quantization_noise: NoiseCoefficient
+    angle_random_walk: NoiseCoefficient
+    bias_instability: NoiseCoefficient
+    rate_random_walk: NoiseCoefficient
+    rate_ramp: NoiseCoefficient
+    markov: MarkovNoise | None
     confidence: float
     points: int
     misfit: float = 0.0
 
 
 def fit_noise(points: Sequence[EstimatePoint], *, confidence: float = 0.95) -> NoiseFit | NoEstimate:
-    """Identify the noise coefficients Q, N, B, K, R, and a Markov term where the curve asks for one.
+    """Identify the noise coefficients Q, N, B, K, R, and a Markov term where the curve requires one.
 
     Parameters
     ----------
     points: Overlapping Allan deviation in deg/h at any averaging times; points of 0, or of less than 1 degree of
-        freedom, are left out.
-    confidence: Level of the limits.
-
-    Returns
-    -------
-    NoiseFit or NoEstimate
-        NoEstimate where there are fewer than 6 points above zero.
-
-    Raises
-    ------
-    EstimatorError: If `confidence` is not between 0 and 1.
+        freedom, are left out; fewer than 6 others are a `NoEstimate`.
+    confidence: Level of the bounds, between 0 and 1.
 
     Notes
     -----
-    Weighted non-negative least squares on the variances, the weights edf/(2 m^2) of the fitted model m repeated until
-    they stand (`CurveLikelihood`). **Erratum**: the standards fit the same polynomial by plain least squares, which
-    the longest taus govern and which returns negative squares.
+    Non-negative least squares on the variances, iteratively reweighted by edf/(2 m^2) of the fitted model m
+    (`CurveLikelihood`). **Erratum**: the standards fit the same polynomial by unweighted least squares, which is
+    dominated by the longest taus and returns negative squares.
 
-    The degrees of freedom are those of the points. A first fit says which noises prevail at each tau, and a second
-    takes the correlation between taus from them (`correlations`, where drift counts as random walk and Markov noise as
-    flicker; below 30 degrees all is taken for random walk, which correlates most).
-    Limits are by profile likelihood, widened for that correlation and for the bound at 0. Where there is Markov noise,
-    they hold over its correlation times too.
+    The degrees of freedom are those of the points. A first fit identifies the noises that prevail at each tau; a second
+    takes the correlation between taus from them (`correlations`, where drift counts as random walk and Markov
+    noise as flicker; below 30 degrees everything counts as random walk, which correlates most). Bounds are by profile
+    likelihood, widened for that correlation and for the boundary at 0. With Markov noise they cover its
+    correlation times as well.
 
     No sensor is the sum of five terms to the 1e-3 to which its shortest taus are known: its filter alone correlates
-    neighbouring samples. Where the curve departs from the model by more than its scatter, an error of the model is
-    estimated with it (`admitted`), so that a million degrees of freedom at one tau do not outweigh all others; limits
-    hold over the forms of that error, and over its own uncertainty.
+    neighbouring samples. Where the curve departs from the model by more than its scatter, a model error is estimated
+    with it (`admitted`), so that a million degrees of freedom at one tau do not outweigh all others; the bounds cover
+    the forms of that error and its own uncertainty.
 
-    A misfit of the five terms calls for Markov noise only if the likelihood gains enough with the misfit estimated
-    anew beside it. Such noise of a time within 64 of the shortest taus that leaves a misfit and takes the place of
-    angle random walk is a filter's work, and is not called Markov noise.
+    A misfit of the five terms indicates Markov noise only if the likelihood gains enough with the misfit
+    re-estimated beside it. Noise with a correlation time below 64 times the shortest tau that leaves a misfit and
+    replaces angle random walk is the effect of a filter, and is not reported as Markov noise.
 
-    A term is observable where its lower limit is above 0. It can prevail at some tau and not be: random walk and ramp
-    often explain the same rise at the end of a record, and either may then be absent.
+    A term is observable where its lower bound is above 0. It can prevail at some tau and still not be observable:
+    random walk and ramp often explain the same rise at the end of a record, and either may then be absent.
 
     Examples
     --------
@@ -174,7 +160,7 @@ def _fitted(taus_s: FloatArray, deviations: FloatArray, edf: FloatArray, confide
             for time_s in np.geomspace(offer.lo_s, offer.hi_s, _TRIED_TIMES)
         ]
         found = _coefficients((*TERMS, MARKOV_NOISE), [*likelihoods, *tried], quantile, scale)
-        markov = Markov(
+        markov = MarkovNoise(
             amplitude=found.pop(MARKOV_NOISE.key),
             correlation_s=offer.correlation_s,
             correlation_lo_s=min(offer.lo_s, offer.correlation_s),
@@ -191,13 +177,13 @@ def _and_markov(taus_s: FloatArray, correlation_s: float) -> FloatArray:
 def _markov_noise(
     taus_s: FloatArray, variances: FloatArray, edf: FloatArray, likelihood: CurveLikelihood, quantile: float
 ) -> Offer | None:
-    """Markov noise that the curve asks for beside the five terms of a likelihood, None if for none."""
+    """Markov noise that the curve requires beside the five terms of a likelihood; None if it requires none."""
     if not likelihood.excess.any():
         offer = best_markov(taus_s, variances, likelihood, quantile)
-        return offer if offer is not None and offer.is_wanted(offer.gain) else None
-    # a misfit of the five terms may be the Markov noise itself, so that what is left beside it decides
+        return offer if offer is not None and offer.is_significant(offer.gain) else None
+    # a misfit of the five terms may be the Markov noise itself: the misfit that remains beside it decides
     starts = _of_mixture(likelihood, taus_s, variances, edf), likelihood
-    # a misfit by its moments is not the likeliest: where it is barely one, none at all may be likelier
+    # the misfit estimated by moments is not the most likely one: where it is small, none may be likelier
     without = min(start.height() for start in starts)
     best, least = likelihood, without
     for start in starts:
@@ -219,18 +205,18 @@ def _markov_noise(
         return None
     offer = best_markov(taus_s, variances, best.without(), quantile)
     gain = (without - least) * best.known_share()
-    return offer if offer is not None and offer.is_wanted(gain) else None
+    return offer if offer is not None and offer.is_significant(gain) else None
 
 
 def _is_bandwidth(whole: CurveLikelihood, correlation_s: float, taus_s: FloatArray) -> bool:
-    """Whether Markov noise of a short time, and a misfit, take the place of white noise that a filter has passed."""
+    """Whether Markov noise of a short correlation time, and a misfit, replace white noise that a filter has passed."""
     theta = whole.minimum()[0] / whole.sizes
     is_short = correlation_s < _FILTER * taus_s[0]
     return bool(whole.excess.any() and is_short and theta[-1] * correlation_s**2 > theta[1])
 
 
 def _weighed(taus_s: FloatArray, columns: FloatArray, variances: FloatArray, edf: FloatArray) -> list[CurveLikelihood]:
-    """Likelihoods with the correlations of the noises that a first fit finds; best first."""
+    """Likelihoods with the correlations of the noises found by a first fit; best first."""
     first = CurveLikelihood(columns, variances, edf, np.eye(len(edf)))
     likelihoods = admitted(_of_mixture(first, taus_s, variances, edf), taus_s)
     if likelihoods[0].excess.any():
@@ -244,7 +230,7 @@ def _of_mixture(fitted: CurveLikelihood, taus_s: FloatArray, variances: FloatArr
     mixture = parts[:, :4].copy()
     mixture[:, 3] += parts[:, 4]
     mixture[:, 2] += parts[:, 5:].sum(axis=1)
-    # where few windows are left the fit cannot tell the noises apart: the one that correlates most is assumed
+    # with few windows the fit cannot separate the noises: the one that correlates most is assumed
     is_unsure = edf < KNOWN_DEGREES
     mixture[is_unsure] = np.array([0.0, 0.0, 0.0, 1.0]) * variances[is_unsure, np.newaxis]
     correlation = correlations(taus_s, mixture)
@@ -253,8 +239,8 @@ def _of_mixture(fitted: CurveLikelihood, taus_s: FloatArray, variances: FloatArr
 
 def _coefficients(
     terms: tuple[Term, ...], likelihoods: list[CurveLikelihood], quantile: float, scale: float
-) -> dict[str, Coefficient]:
-    """Coefficients of the first likelihood; their limits hold for any of them."""
+) -> dict[str, NoiseCoefficient]:
+    """Coefficients of the first likelihood; their bounds cover all of them."""
     best = likelihoods[0]
     minima = [likelihood.minimum() for likelihood in likelihoods]
     theta, least = minima[0]
@@ -265,14 +251,14 @@ def _coefficients(
         allowed = least + spread * best.inflation(theta, which)
         squares = [(theta[which] / best.sizes[which],) * 2]
         squares += [
-            tuple(np.array(likelihood.limits(minimum, allowed - height, which)) / likelihood.sizes[which])
+            tuple(np.array(likelihood.bounds(minimum, allowed - height, which)) / likelihood.sizes[which])
             for likelihood, (minimum, lowest), height in zip(likelihoods, minima, heights, strict=True)
             if lowest + height < allowed
         ]
         ends = min(lo for lo, _ in squares), max(hi for _, hi in squares)
         value, lo, hi = (math.sqrt(square) * scale * term.per_si for square in (squares[0][0], *ends))
         is_seen = lo > 0.0
-        found[term.key] = Coefficient(
+        found[term.key] = NoiseCoefficient(
             value=value,
             lo=lo,
             hi=hi,

@@ -74,7 +74,7 @@ def _steepest(matrix: FloatArray, left: FloatArray, barred: Mask) -> int:
 
 @njit(cache=True)
 def _step_inside(found: FloatArray, trial: FloatArray, passive: Mask) -> bool:
-    """Go from found towards trial as far as no coefficient is negative; False where the whole way is allowed."""
+    """Move from found towards trial as far as no coefficient is negative; False where the whole step is allowed."""
     step, first = 1.0, -1
     for k in range(len(found)):
         if passive[k] and trial[k] <= 0.0:
@@ -95,10 +95,7 @@ def _step_inside(found: FloatArray, trial: FloatArray, passive: Mask) -> bool:
 def nonnegative_least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
     """The x >= 0 of least ``|matrix x - target|`` (Lawson, Hanson, Solving Least Squares Problems, 1974, 23.3).
 
-    Parameters
-    ----------
-    matrix: shape (n, p); columns of about unit length.
-    target: shape (n,); right-hand side.
+    The columns of the matrix, shape (n, p), have about unit length.
 
     Examples
     --------
@@ -127,7 +124,7 @@ def nonnegative_least_squares(matrix: FloatArray, target: FloatArray) -> FloatAr
 
 @njit(cache=True)
 def deviance(degrees: FloatArray, model: FloatArray) -> float:
-    """D of a model that is given relative to the curve; see `noise_likelihood.CurveLikelihood`."""
+    """D of a model, given relative to the curve; see `noise_likelihood.CurveLikelihood`."""
     total = 0.0
     for i in range(len(model)):
         inverse = 1.0 / model[i]
@@ -139,7 +136,7 @@ def deviance(degrees: FloatArray, model: FloatArray) -> float:
 def weighted_least_squares(
     columns: FloatArray, degrees: FloatArray, model: FloatArray, fixed: FloatArray, free: Mask
 ) -> FloatArray:
-    """Non-negative coefficients of the free columns, weighted by the scatter that the model expects; others are 0."""
+    """Non-negative coefficients of the free columns, weighted by the scatter expected by the model; others are 0."""
     order = np.flatnonzero(free)
     weights = np.sqrt(degrees) / model
     weighted = np.empty((len(weights), len(order)))
@@ -158,7 +155,7 @@ def weighted_least_squares(
 
 @njit(cache=True)
 def descend(columns: FloatArray, degrees: FloatArray, theta: FloatArray, free: Mask) -> tuple[FloatArray, float]:
-    """Iterate the weighted least squares from theta, the other coefficients kept, until the deviance settles."""
+    """Iterate the weighted least squares from theta, the other coefficients fixed, until the deviance converges."""
     theta = theta.copy()
     fixed = np.zeros(len(degrees))
     for k in range(len(theta)):

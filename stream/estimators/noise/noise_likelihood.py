@@ -19,26 +19,25 @@ class CurveLikelihood:
     Parameters
     ----------
     columns: shape (n, p); terms x, positive.
-    variances, degrees: shape (n,); allan variances, positive, and their equivalent degrees of freedom.
+    variances, degrees: shape (n,); Allan variances, positive, and their equivalent degrees of freedom.
     correlation: shape (n, n); correlation of the variances.
-    excess: shape (n,); relative variance by which the curve departs from any such model beyond its scatter; see
-        `widened`.
+    excess: shape (n,); relative variance of the model error beyond the scatter of the curve; see `widened`.
 
     Notes
     -----
-    edf v/m follows about chi-square (NIST SP 1065 5.3), so that twice the negative log likelihood is, but for a
+    edf v/m approximately follows chi-square (NIST SP 1065 5.3), so that twice the negative log likelihood is, up to a
     constant,
 
         D(theta) = sum_i edf_i (v_i/m_i - 1 + ln(m_i/v_i)),    theta >= 0.
 
     Its minimum is where least squares weighted by edf_i/(2 m_i^2), the model's own variance, no longer moves
-    (iteratively reweighted non-negative least squares; Lawson, Hanson 1974). Weights by 2 v_i^2/edf_i would lean to the
+    (iteratively reweighted non-negative least squares; Lawson, Hanson 1974). Weights by 2 v_i^2/edf_i would favour the
     points that came out low.
 
-    D treats the points as independent. They are not, so D falls short of chi-square by the ratio of the true variance
-    of an estimate to that which D believes, the sandwich over the inverse information (composite likelihood: Varin,
-    Reid, Firth, Statistica Sinica 21 (2011) 5-42); `inflation` gives it, and limits are where D has risen by it times
-    the quantile. Coefficients are kept relative to the curve: theta_k = 1 touches it at its closest point.
+    D treats the points as independent. They are not, so D deviates from chi-square by the ratio of the true variance of
+    an estimate to the one that D implies, the sandwich over the inverse information (composite likelihood: Varin,
+    Reid, Firth, Statistica Sinica 21 (2011) 5-42); `inflation` gives it, and the bounds are where D has risen by it
+    times the quantile. Coefficients are relative to the curve: theta_k = 1 touches it at its closest point.
     """
 
     def __init__(
@@ -89,7 +88,7 @@ class CurveLikelihood:
         return float(deviance(self.degrees, model))
 
     def constant(self) -> float:
-        """What twice the negative log likelihood has beside D: it tells apart degrees of freedom."""
+        """Twice the negative log likelihood less D: it depends on the degrees of freedom."""
         from scipy.special import gammaln
 
         half = self.degrees / 2.0
@@ -107,11 +106,11 @@ class CurveLikelihood:
         return self._descend(start, every)
 
     def minimum_at(self, theta: FloatArray, which: int, at: float) -> float:
-        """Least deviance with one coefficient kept `at`, sought from theta; never more than that of theta there."""
+        """Least deviance with one coefficient fixed `at`, searched from theta; never more than that of theta there."""
         start, free = theta.copy(), np.ones(len(theta), np.bool_)
         start[which], free[which] = at, False
         if np.min(self.columns @ start / (self.columns @ theta)) < _NEGLIGIBLE:
-            # nothing else explains some tau: the others need a share to grow from
+            # no other term explains some tau: the others need a positive start value
             start[free] = np.maximum(start[free], _NEGLIGIBLE)
         return self._descend(start, free)[1]
 
@@ -120,7 +119,7 @@ class CurveLikelihood:
         return found, float(least)
 
     def scores(self, theta: FloatArray, columns: FloatArray) -> FloatArray:
-        """Columns in units of the scatter that theta expects of each variance, m sqrt(2/edf)."""
+        """Columns in units of the scatter of each variance expected by theta, m sqrt(2/edf)."""
         return columns * (np.sqrt(self.degrees / 2.0) / (self.columns @ theta))[:, np.newaxis]
 
     def covariance(self, scores: FloatArray) -> FloatArray:
@@ -129,7 +128,7 @@ class CurveLikelihood:
         return product
 
     def residual(self, theta: FloatArray, columns: FloatArray, without: int | None = None) -> FloatArray:
-        """What is left of columns, as scores, when the terms at work in theta have explained all they can."""
+        """Residual of columns, as scores, after regression on the positive terms of theta."""
         at_work = theta > _NEGLIGIBLE
         if without is not None:
             at_work[without] = False
@@ -145,9 +144,9 @@ class CurveLikelihood:
         return max(1.0, float(self.covariance(left)[0, 0] / np.sum(left**2)))
 
     def freedom(self, theta: FloatArray) -> tuple[float, float]:
-        """Mean of D at the minimum theta if the model holds, and the degrees of a chi-square that D then is like.
+        """Mean of D at the minimum theta if the model holds, and the degrees of freedom of an equivalent chi-square.
 
-        With P what the terms at work leave of the standardised variances and C their correlation, D is a quadratic
+        With P the residual projection of the positive terms and C the correlation of the variances, D is a quadratic
         form of mean tr(P C) and variance 2 tr(P C P C) (F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110-114).
         """
         basis, _ = np.linalg.qr(self.scores(theta, self.columns[:, theta > _NEGLIGIBLE]))
@@ -156,17 +155,17 @@ class CurveLikelihood:
         return mean, mean**2 / square if square > 0.0 else 0.0
 
     def known_share(self) -> float:
-        """How much of a gain in `height` counts, from 1 where the variances are known.
+        """Share of a gain in `height` that counts, 1 where the variances are known.
 
-        Where all is model error, the gain is n ln of the ratio of two sums of squares, of which only nu are free: nu/n.
+        If all is model error, the gain is n ln of the ratio of two sums of squares, of which only nu are free: nu/n.
         """
         unknown = float(np.mean(self.excess * self.degrees / 2.0))
         return 1.0 - unknown * (1.0 - self.freedom(self.minimum()[0])[0] / len(self.degrees))
 
     def spread(self, theta: FloatArray, quantile: float) -> float:
-        """Quantile to take instead of that of chi-square where the model error was estimated from the curve itself.
+        """Quantile that replaces that of chi-square where the model error was estimated from the curve itself.
 
-        With nu degrees of freedom behind the variances that it makes up most, nu (exp(quantile/nu) - 1): the profile
+        With nu degrees of freedom of the variances that it dominates, nu (exp(quantile/nu) - 1): the profile
         likelihood of a variance shared by nu points, close to the square of Student's t.
         """
         if not self.excess.any():
@@ -175,7 +174,7 @@ class CurveLikelihood:
         nu = max(1.0, self.freedom(theta)[1] * float(np.mean((share / share.max()) ** 2)))
         return nu * math.expm1(min(quantile / nu, _MOST_EXPONENT))
 
-    def limits(self, theta: FloatArray, allowed: float, which: int) -> tuple[float, float]:
+    def bounds(self, theta: FloatArray, allowed: float, which: int) -> tuple[float, float]:
         """Where the deviance, the other coefficients free, rises to `allowed` on either side of its minimum theta."""
         from scipy.optimize import brentq
 
@@ -192,14 +191,14 @@ class CurveLikelihood:
 
 
 def deviance_quantile(confidence: float) -> float:
-    """How far the deviance may rise above its minimum within the limits of one coefficient.
+    """How far the deviance may rise above its minimum within the bounds of one coefficient.
 
     Notes
     -----
-    Chi-square with one degree of freedom if nothing else were bounded. Where another coefficient is truly 0, as most
-    are, its bound makes the rise a mixture (Self, Liang, J. Am. Stat. Assoc. 82 (1987) 605-610, by the angle between
-    the two), in the worst case, two that cannot be told apart, of chi-square with 0, 1, 1 and 2 degrees in equal parts.
-    The larger of both quantiles is taken: limits 5 % wider at 95 %.
+    Chi-square with one degree of freedom if no other coefficient were at its boundary. Where another one is truly 0, as
+    most are, the rise is a mixture (Self, Liang, J. Am. Stat. Assoc. 82 (1987) 605-610, by the angle between the two),
+    in the worst case, two that cannot be separated, of chi-square with 0, 1, 1 and 2 degrees in equal parts.
+    The larger of both quantiles is taken: bounds 5 % wider at 95 %.
 
     Examples
     --------

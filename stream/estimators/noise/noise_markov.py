@@ -1,4 +1,4 @@
-"""Whether an Allan curve asks for Markov noise beside the five terms, and of which correlation time."""
+"""Whether an Allan curve requires Markov noise beside the five terms, and its correlation time."""
 
 import math
 
@@ -18,14 +18,10 @@ _LEAST_TIMES = 3
 
 
 class Offer(msgspec.Struct, frozen=True, kw_only=True):
-    """The Markov noise that suits a curve best, wanted or not.
+    """The Markov noise that fits a curve best, significant or not: its correlation time with bounds.
 
-    Parameters
-    ----------
-    correlation_s, lo_s, hi_s: Correlation time and its limits, seconds.
-    gain: By how much it lowers the deviance.
-    inflation: Variance of its amplitude over that of independent points, at least 1.
-    bound: Wanted is what gains more than this over its inflation; infinite at the shortest correlation time sought.
+    It lowers the deviance by `gain`, which is significant if it is more than `bound` times `inflation`, the variance of
+    its amplitude over that of independent points. `bound` is infinite at the shortest correlation time searched.
     """
 
     correlation_s: float
@@ -35,7 +31,7 @@ class Offer(msgspec.Struct, frozen=True, kw_only=True):
     inflation: float
     bound: float
 
-    def is_wanted(self, gain: float) -> bool:
+    def is_significant(self, gain: float) -> bool:
         """Whether a gain in deviance is more than chance."""
         return gain / self.inflation > self.bound
 
@@ -43,28 +39,23 @@ class Offer(msgspec.Struct, frozen=True, kw_only=True):
 def best_markov(
     taus_s: FloatArray, variances: FloatArray, likelihood: CurveLikelihood, quantile: float
 ) -> Offer | None:
-    """Markov noise that lowers the deviance of a curve most; None where it is too short to tell.
+    """Markov noise that lowers the deviance of a curve most; None where the curve is too short.
 
-    Parameters
-    ----------
-    taus_s, variances: shape (n,); the curve, at least six points.
-    likelihood: That of the five terms.
-    quantile: Of chi-square with 1 degree of freedom, for the limits.
+    The likelihood is that of the five terms; the quantile of chi-square with 1 degree of freedom is for the bounds.
 
     Notes
     -----
-    Offered are correlation times from the second tau, and at least four times the first, to half the longest, three
-    an octave; Markov noise of a shorter time is white but for the first points, where a sensor's filter does the same,
-    and if the shortest suits best none is wanted. Without Markov noise the time means nothing, and the best of many is
-    no single test: the gain in deviance over its inflation is the square of a Gaussian process along the grid, which
-    exceeds u anywhere with a probability of at most
+    Correlation times are searched from the second tau, and at least four times the first, to half the longest, three
+    an octave; Markov noise of a shorter time is white except at the first points, where a sensor's filter has the same
+    effect, and if the shortest fits best none is significant. Without Markov noise the time is undefined, and the best
+    of many is no single test: the gain in deviance over its inflation is the square of a Gaussian process along the
+    grid, which exceeds u anywhere with a probability of at most
 
         Phi(-sqrt(u)) + L/(2 pi) exp(-u/2)
 
     (Davies, Biometrika 74 (1987) 33-43), L the length of the path of its unit vectors, the sum of the angles between
-    neighbours. The bound leaves that at 0.1 %: Markov noise and flicker explain much the same, and a false claim takes
-    all of B away. The limits are where the deviance has risen by the quantile; an end of the grid is a limit where the
-    curve does not bound the time.
+    neighbours. The bound sets that to 0.1 %: Markov noise and flicker explain much the same, and a false detection
+    removes all of B. The bounds of the time are where the deviance has risen by the quantile, or the end of the grid.
     """
     shortest_s, longest_s = max(taus_s[1], SHORTEST * taus_s[0]), taus_s[-1] / 2.0
     octaves = math.log2(longest_s / shortest_s)

@@ -1,4 +1,4 @@
-"""How far an Allan curve departs from every sum of the terms beyond its own scatter, and what it still tells then."""
+"""Model error: how far an Allan curve departs from every sum of the terms beyond its own scatter."""
 
 import numpy as np
 
@@ -12,27 +12,22 @@ _TOLERANCE = 1e-6
 
 
 def admitted(likelihood: CurveLikelihood, taus_s: FloatArray) -> list[CurveLikelihood]:
-    """Likelihoods that allow for an error of the model, the most likely first; the given one alone if it fits.
-
-    Parameters
-    ----------
-    likelihood: That of terms, the curve's scatter its only error.
-    taus_s: shape (n,); averaging times, ascending.
+    """Likelihoods that allow for a model error, the most likely first; the given one alone if it fits.
 
     Notes
     -----
-    The model fits if its deviance is not above the 95 % quantile of what scatter alone gives. If it is, the relative
+    The model fits if its deviance is not above the 95 % quantile for scatter alone. If it is, the relative
     variance at tau is 2/edf + s^2 w(tau), as in the random-effects analysis of R. DerSimonian, N. Laird, Controlled
-    Clinical Trials 7 (1986) 177-188, and s^2 the one that brings the deviance down to its mean.
+    Clinical Trials 7 (1986) 177-188, and s^2 the value that lowers the deviance to its mean.
 
-    What a sensor's filter, or a line near the sampling rate, takes from white noise or adds to it falls off as 1/tau
-    against it, beyond the time it works over; other errors are anywhere. Hence
+    The effect of a sensor's filter, or of a line near the sampling rate, on white noise falls off as 1/tau beyond its
+    time constant; other errors occur at any tau. Hence
 
         w = 1 + (r tau_1/tau)^2,
 
-    tau_1 the shortest averaging time. How far the first kind reaches past the second, r, is one of 0, 4, 16, 64 and
-    1024, by likelihood; there is one of each in the answer. Errors are smooth in tau: their correlation falls to 0 over
-    an octave, and points in between do not count as more evidence.
+    tau_1 the shortest averaging time. The reach r of the first kind is one of 0, 4, 16, 64 and 1024, by likelihood; the
+    result contains one of each. Errors are smooth in tau: their correlation falls to 0 over an octave, and points in
+    between do not count as more evidence.
 
     Examples
     --------

@@ -24,12 +24,8 @@ _SECOND_DIFFERENCE = (1.0, -2.0, 1.0)
 class Term(msgspec.Struct, frozen=True, kw_only=True):
     """One term of the model.
 
-    Parameters
-    ----------
-    key, symbol: Its name in files and its letter in IEEE 952.
-    names: Its names for people, by language: ``en`` and ``zh``.
-    unit_of_measure: Unit it is reported in.
-    per_si: Factor from deg/h and seconds to `unit_of_measure`.
+    `key` is its name in files, `symbol` its letter in IEEE 952, `names` its names for people by language (``en``,
+    ``zh``), and `per_si` the factor from deg/h and seconds to `unit_of_measure`.
     """
 
     key: str
@@ -39,49 +35,19 @@ class Term(msgspec.Struct, frozen=True, kw_only=True):
     per_si: float
 
 
-def _names(en: str, zh: str) -> Mapping[str, str]:
-    return MappingProxyType({"en": en, "zh": zh})
+def _term(key: str, symbol: str, en: str, zh: str, unit_of_measure: str, per_si: float) -> Term:
+    names = MappingProxyType({"en": en, "zh": zh})
+    return Term(key=key, symbol=symbol, names=names, unit_of_measure=unit_of_measure, per_si=per_si)
 
 
 # 1 deg/h is 1 arcsec/s, so that (deg/h) s = arcsec; 1 h = 3600 s, so that a root of the hour is 60 roots of the second
-QUANTIZATION_NOISE = Term(
-    key="quantization_noise",
-    symbol="Q",
-    names=_names("Quantization noise", "量化噪声"),
-    unit_of_measure="arcsec",
-    per_si=1.0,
-)
-ANGLE_RANDOM_WALK = Term(
-    key="angle_random_walk",
-    symbol="N",
-    names=_names("Angle random walk", "角度随机游走"),
-    unit_of_measure="deg/sqrt(h)",
-    per_si=1.0 / 60.0,
-)
-BIAS_INSTABILITY = Term(
-    key="bias_instability",
-    symbol="B",
-    names=_names("Bias instability", "零偏不稳定性"),
-    unit_of_measure="deg/h",
-    per_si=1.0,
-)
-RATE_RANDOM_WALK = Term(
-    key="rate_random_walk",
-    symbol="K",
-    names=_names("Rate random walk", "角速率随机游走"),
-    unit_of_measure="deg/h/sqrt(h)",
-    per_si=60.0,
-)
-RATE_RAMP = Term(
-    key="rate_ramp", symbol="R", names=_names("Rate ramp", "速率斜坡"), unit_of_measure="deg/h/h", per_si=3600.0
-)
-MARKOV_NOISE = Term(
-    key="markov_noise",
-    symbol="q",
-    names=_names("Exponentially correlated (Markov) noise", "马尔可夫噪声(指数相关)"),
-    unit_of_measure="deg/h/sqrt(h)",
-    per_si=60.0,
-)
+QUANTIZATION_NOISE = _term("quantization_noise", "Q", "Quantization noise", "量化噪声", "arcsec", 1.0)
+ANGLE_RANDOM_WALK = _term("angle_random_walk", "N", "Angle random walk", "角度随机游走", "deg/sqrt(h)", 1.0 / 60.0)
+BIAS_INSTABILITY = _term("bias_instability", "B", "Bias instability", "零偏不稳定性", "deg/h", 1.0)
+RATE_RANDOM_WALK = _term("rate_random_walk", "K", "Rate random walk", "角速率随机游走", "deg/h/sqrt(h)", 60.0)
+RATE_RAMP = _term("rate_ramp", "R", "Rate ramp", "速率斜坡", "deg/h/h", 3600.0)
+_MARKOV_EN, _MARKOV_ZH = "Exponentially correlated (Markov) noise", "马尔可夫噪声(指数相关)"
+MARKOV_NOISE = _term("markov_noise", "q", _MARKOV_EN, _MARKOV_ZH, "deg/h/sqrt(h)", 60.0)
 TERMS = (QUANTIZATION_NOISE, ANGLE_RANDOM_WALK, BIAS_INSTABILITY, RATE_RANDOM_WALK, RATE_RAMP)
 
 
@@ -105,8 +71,8 @@ def markov_column(taus_s: FloatArray, correlation_s: float) -> FloatArray:
 
         sigma^2 = (q c)^2/tau (1 - (3 - 4 exp(-u) + exp(-2 u))/(2 u)).
 
-    It is q^2 tau/3 for tau << c, a random walk, and (q c)^2/tau for tau >> c. For small u its digits cancel, and
-    its series in u stands there.
+    It is q^2 tau/3 for tau << c, a random walk, and (q c)^2/tau for tau >> c. For small u, where digits
+    cancel, its series in u is used.
 
     Examples
     --------
@@ -139,7 +105,7 @@ def _products(short: int, long: int) -> tuple[tuple[float, ...], ...]:
 
 
 def _phase_covariances(lags: FloatArray) -> FloatArray:
-    """Generalised autocovariances of the angle for Q, N, B, K of 1: what second differences leave of them is exact."""
+    """Generalised autocovariances of the angle for Q, N, B, K of 1; exact for second differences."""
     size = np.abs(lags)
     logarithm = np.log(np.where(size == 0.0, 1.0, size))
     return np.stack(
@@ -148,17 +114,10 @@ def _phase_covariances(lags: FloatArray) -> FloatArray:
 
 
 def correlations(taus_s: FloatArray, parts: FloatArray) -> FloatArray:
-    """How the Allan variances of one record scatter together.
+    """Correlation of the Allan variances of one record at every two taus, shape (n, n).
 
-    Parameters
-    ----------
-    taus_s: shape (n,); averaging times, ascending, the first the sample interval.
-    parts: shape (n, 4); allan variance that noises of the slopes of Q, N, B, K contribute at each.
-
-    Returns
-    -------
-    ndarray, shape (n, n)
-        Correlation of the variances at two taus.
+    The averaging times ascend from the sample interval; `parts`, shape (n, 4), are the Allan variances contributed at
+    each by noises of the slopes of Q, N, B, K.
 
     Notes
     -----

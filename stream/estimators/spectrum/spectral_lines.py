@@ -1,4 +1,4 @@
-"""Spectra, and the sinusoidal lines in them: found against the local background, fitted by the window's own shape."""
+"""Spectra and their sinusoidal lines: detected against the local background, fitted with the shape of the window."""
 
 import math
 from dataclasses import dataclass
@@ -23,14 +23,11 @@ _ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """One-sided power spectral density with its limits.
+    """One-sided power spectral density with its confidence bounds; arrays of shape (n,), a number a bin.
 
     Attributes
     ----------
-    frequency_hz, density, lo, hi: shape (n,); frequency of every bin, density there and its limits; in
-        `unit_of_measure`.
-    unit_of_measure: ``(deg/h)^2/Hz`` for angular rates.
-    confidence: Probability that the true density of a bin lies between its limits.
+    density, lo, hi: Density and its bounds in `unit_of_measure`, ``(deg/h)^2/Hz`` for angular rates.
     edf: Equivalent degrees of freedom of a bin.
     segments: Periodograms averaged.
     """
@@ -45,7 +42,7 @@ class Spectrum:
     segments: int
 
 
-class Line(msgspec.Struct, frozen=True, kw_only=True):
+class SpectralLine(msgspec.Struct, frozen=True, kw_only=True):
     """A sinusoid in the signal; the amplitude is that of the peak, in the report unit of the signal.
 
     `background_ratio` is the density at the line's bin over the background there; `false_alarm_probability` bounds
@@ -101,20 +98,20 @@ def welch_edf(segments: int, pairs: int) -> float:
     return 2.0 * segments**2 / (segments + 2.0 * pairs * WINDOW_CORRELATION**2)
 
 
-def find_lines(average: WelchAverage, false_alarm_probability: float, confidence: float) -> tuple[Line, ...]:
-    """Lines whose false-alarm probability over the whole spectrum is at most that asked for, lowest frequency first.
+def find_lines(average: WelchAverage, false_alarm_probability: float, confidence: float) -> tuple[SpectralLine, ...]:
+    """Lines whose false-alarm probability over the whole spectrum is at most the given one, lowest frequency first.
 
     Notes
     -----
     P_k/B_k of bin k is compared with F(edf, `background_edf`); B_k is the mean of the medians of the 24 bins on either
     side, the nearest 4 left out, over the median of chi2_edf/edf. Bonferroni over the tested bins: that needs no
     independence. The mean of both sides is not below a density that is convex in frequency, as every sum of the power
-    laws f**-2, f**-1, 1, f, f**2 is: slopes raise no false alarms. A resonance narrower than some 100 bins does.
+    laws f**-2, f**-1, 1, f, f**2 is: slopes cause no false alarms. A resonance narrower than some 100 bins does.
     Only the highest bin within 4 counts; two lines closer than that are one.
     """
     density = average.density
     tested, background = local_background(average)
-    # what rounding leaves in empty bins of a spectrum is no noise of the signal
+    # rounding errors in empty bins of a spectrum are not noise of the signal
     rounding = _ROUNDING**2 * float(density.sum())
     if len(tested) == 0 or rounding < _LEAST_DENSITY:
         return ()
@@ -130,7 +127,7 @@ def find_lines(average: WelchAverage, false_alarm_probability: float, confidence
 
 
 def local_background(average: WelchAverage) -> tuple[IntArray, FloatArray]:
-    """Bins that have both flanks, and the smooth density at each from the medians of those."""
+    """Bins that have both flanks, and the background density at each from the medians of the flanks."""
     density = average.density
     tested = np.arange(average.first_bin + REACH_BINS, len(density) - 1 - REACH_BINS, dtype=np.int64)
     if len(tested) == 0:
@@ -149,7 +146,7 @@ def background_edf(edf: float) -> float:
     -----
     The logarithm of the median m of M values of density p has the variance 1/(4 M p(m)**2 m**2); M is the number of
     bins in both flanks over 1 + 2 (4/9 + 1/36) = 1.94, as neighbours correlate by 4/9 and 1/36 under the Hann window.
-    A chi-square with the same variance, 2/edf, stands for it.
+    It is approximated by a chi-square with the same variance, 2/edf.
 
     Examples
     --------
@@ -171,7 +168,7 @@ def _median_ratio(edf: float) -> float:
 
 @lru_cache(maxsize=8)
 def hann_window(size: int) -> FloatArray:
-    """The periodic Hann window of `size` samples; shared, not to be written to.
+    """The periodic Hann window of `size` samples; shared and read-only.
 
     Examples
     --------
@@ -195,8 +192,8 @@ def hann_response(offset_bins: FloatArray) -> FloatArray:
     return np.asarray(0.5 * np.sinc(offset_bins) + 0.25 * near, np.float64)
 
 
-def _fit(average: WelchAverage, peak: int, background: float, chance: float, confidence: float) -> Line:
-    """Amplitude and frequency of the line at bin `peak`.
+def _fit(average: WelchAverage, peak: int, background: float, chance: float, confidence: float) -> SpectralLine:
+    """The line at bin `peak`.
 
     Notes
     -----
@@ -207,7 +204,7 @@ def _fit(average: WelchAverage, peak: int, background: float, chance: float, con
         cov(P_i, P_j)/B**2 = 2 C_ij**2/edf + 2 q H_i H_j (C_ij + 2 pairs D_ij/K)/K + 2/background_edf.
 
     The amplitude is sqrt(q B 3 bin_width / 4). The image of the line at its negative frequency adds its own error.
-    Simulated, limits at 95 % hold in 94 to 96 % of lines, of those barely found in 88 to 98 %.
+    In simulation, bounds at 95 % hold for 94 to 96 % of lines, for those barely detected 88 to 98 %.
     """
     bins = np.arange(-_FIT_BINS, _FIT_BINS + 1, dtype=np.float64)
     excess = average.density[peak - _FIT_BINS : peak + _FIT_BINS + 1] / background - 1.0
@@ -234,34 +231,13 @@ def _fit(average: WelchAverage, peak: int, background: float, chance: float, con
         offset = min(1.0, max(-1.0, offset + float(change[1])))
         if abs(change[0]) < 1e-12 * power and abs(change[1]) < 1e-12:
             break
-    return _line(average, peak, background, chance, confidence, power, offset, covariance)
-
-
-def _first_offset(excess: FloatArray) -> float:
-    """Offset of the line from the amplitudes of the two highest bins (Grandke, IEEE Trans. IM-32 (1983) 350-355)."""
-    left, centre, right = excess[_FIT_BINS - 1 : _FIT_BINS + 2].tolist()
-    ratio = math.sqrt(max(0.0, left, right) / centre) if centre > 0.0 else 0.5
-    offset = max(0.0, (2.0 * ratio - 1.0) / (ratio + 1.0))
-    return offset if right >= left else -offset
-
-
-def _line(
-    average: WelchAverage,
-    peak: int,
-    background: float,
-    chance: float,
-    confidence: float,
-    power: float,
-    offset: float,
-    covariance: FloatArray,
-) -> Line:
     distance = 2.0 * (peak + offset)
     image = 2.0 / (math.pi * distance * (distance**2 - 1.0))
     z = float(scipy.special.ndtri(0.5 + confidence / 2.0))
     power_half_width = z * math.hypot(math.sqrt(covariance[0, 0]), 2.0 * image * power)
     offset_half_width = z * math.hypot(math.sqrt(covariance[1, 1]), image)
     scale, width = math.sqrt(0.75 * background * average.bin_width_hz), average.bin_width_hz
-    return Line(
+    return SpectralLine(
         frequency_hz=(peak + offset) * width,
         frequency_lo_hz=(peak + offset - offset_half_width) * width,
         frequency_hi_hz=(peak + offset + offset_half_width) * width,
@@ -271,3 +247,11 @@ def _line(
         background_ratio=float(average.density[peak]) / background,
         false_alarm_probability=chance,
     )
+
+
+def _first_offset(excess: FloatArray) -> float:
+    """Offset of the line from the amplitudes of the two highest bins (Grandke, IEEE Trans. IM-32 (1983) 350-355)."""
+    left, centre, right = excess[_FIT_BINS - 1 : _FIT_BINS + 2].tolist()
+    ratio = math.sqrt(max(0.0, left, right) / centre) if centre > 0.0 else 0.5
+    offset = max(0.0, (2.0 * ratio - 1.0) / (ratio + 1.0))
+    return offset if right >= left else -offset

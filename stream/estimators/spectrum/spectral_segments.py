@@ -1,6 +1,6 @@
-"""The segments of Welch's method: slots fall into them, full ones are transformed, and neighbouring parts join.
+"""The segments of Welch's method: slots are assigned to them, full ones transformed, neighbouring parts joined.
 
-Segment j of N slots holds the slots j N/2 .. j N/2 + N - 1 of the signal, in whatever parts it is worked on.
+Segment j of N slots holds the slots j N/2 .. j N/2 + N - 1 of the signal, whatever the parts.
 """
 
 from typing import NamedTuple
@@ -11,27 +11,26 @@ import scipy.fft
 from numba import njit
 
 from stream.batch import BoolArray, FloatArray, IntArray
-from stream.estimators.kernels.kernel_part import kernel_part
+from stream.estimators.kernels import kernel_part
 from stream.estimators.spectrum.spectral_lines import hann_window
 
 START, ORIGIN, FILLED, SEGMENTS, PAIRS, FIRST, LAST = range(7)
 
-# several transforms in one call take half the time of as many calls; the bits are the same
+# several transforms in one call take half the time of as many calls; the results are identical
 _AT_ONCE = 4
 
 
 class SegmentState(NamedTuple):
-    """What is kept of segments of N slots.
+    """State of segments of N slots.
 
     Attributes
     ----------
-    places: shape (7,); slot where the part starts; first slot of the segment that is being filled, and how much of it
-        is; segments averaged, and how many of them follow their neighbour; first slots of the first and of the last one
-        averaged.
-    buffer: shape (N,); the segment that is being filled; NaN for a slot that is missing or lies before the part.
+    places: shape (7,); slot where the part starts; first slot of the segment being filled, and how much of it is
+        filled; segments averaged, and how many of them follow their neighbour; first slots of the first and of the last
+        one averaged.
+    buffer: shape (N,); the segment being filled; NaN for a slot that is missing or before the part.
     power: shape (N/2 + 1,); sum of the periodograms, not scaled.
-    head: shape (0,) or (n,); of a part that goes on behind another: its first slots up to the end of the last segment
-        across the seam.
+    head: shape (0,) or (n,); first slots of a continuation, up to the end of the last segment across the seam.
     """
 
     places: IntArray
@@ -47,14 +46,14 @@ def empty_state(size: int) -> SegmentState:
     return SegmentState(places, np.full(size, np.nan), np.zeros(size // 2 + 1), np.empty(0))
 
 
-def state_behind(earlier: SegmentState) -> SegmentState:
-    """Empty state that goes on where `earlier` stands.
+def continuation(earlier: SegmentState) -> SegmentState:
+    """Empty state that begins where `earlier` ends.
 
     Examples
     --------
     >>> state = empty_state(8)
     >>> take(state, 0, np.arange(5.0))
-    >>> later = state_behind(state)
+    >>> later = continuation(state)
     >>> take(later, 5, np.arange(5.0))
     >>> later.head.tolist(), later.buffer[:6].tolist()
     ([0.0, 1.0, 2.0, 3.0, 4.0, nan, nan], [nan, 0.0, 1.0, 2.0, 3.0, 4.0])
@@ -71,7 +70,7 @@ def state_behind(earlier: SegmentState) -> SegmentState:
 
 
 def take(state: SegmentState, first_slot: int, values: FloatArray, reference: float = 0.0) -> None:
-    """Take in values, less a reference, on the slots from `first_slot` on; those that are not finite are missing."""
+    """Take in values less a reference on the slots from `first_slot` on; those that are not finite are missing."""
     places, buffer, power, head = state
     size = len(buffer)
     half = size // 2
@@ -100,10 +99,7 @@ def take(state: SegmentState, first_slot: int, values: FloatArray, reference: fl
 
 
 def append(state: SegmentState, later: SegmentState) -> None:
-    """Put what goes on behind `state` to it.
-
-    The later head closes the segments across the seam; they are neither the earlier part's nor the later one's.
-    """
+    """Append the state of the part that follows; its head completes the segments across the seam."""
     start, end = int(later.places[START]), int(later.places[ORIGIN] + later.places[FILLED])
     known = min(len(later.head), end - start)
     if known > 0:
@@ -118,19 +114,19 @@ def append(state: SegmentState, later: SegmentState) -> None:
         with np.errstate(over="ignore", invalid="ignore"):
             state.power[:] += later.power
     if known == len(later.head):
-        # what the later part is filling lies behind the seam altogether
+        # the segment being filled lies entirely after the seam
         places[ORIGIN : FILLED + 1] = later.places[ORIGIN : FILLED + 1]
         state.buffer[:] = later.buffer
 
 
 def _leap(state: SegmentState, slot: int) -> int:
-    """Leave the segments behind that end before `slot`; its place in the one that is then being filled."""
+    """Skip the segments that end before `slot`; returns its place in the segment then being filled."""
     places = state.places
     half = len(state.buffer) // 2
     beyond = slot - int(places[ORIGIN]) - 2 * half
     if beyond >= 0:
         places[ORIGIN] += (beyond // half + 1) * half
-        # no segment that reaches back to what was filled can be full any more
+        # no segment that contains filled slots can become full any more
         places[FILLED] = 0
     return slot - int(places[ORIGIN])
 
@@ -155,7 +151,7 @@ def _fill(
     windowed: FloatArray,
     is_whole: BoolArray,
 ) -> int:
-    """Fill segment after segment and window them; how many values it took. The buffer's first half is then filled."""
+    """Fill segment after segment and window them; returns how many values it took. Half the buffer is then filled."""
     size = buffer.shape[0]
     half = size // 2
     taken = 0
@@ -170,7 +166,7 @@ def _fill(
 
 @njit(cache=True, nogil=True)
 def _put(buffer: FloatArray, filled: int, start: int, values: FloatArray, reference: float) -> None:
-    """Values less the reference, without NumPy's warnings, behind what is filled; NaN between."""
+    """Write values less the reference, without NumPy's warnings; NaN between them and the filled slots."""
     buffer[filled:start] = np.nan
     for i in range(values.shape[0]):
         buffer[start + i] = values[i] - reference
@@ -178,7 +174,7 @@ def _put(buffer: FloatArray, filled: int, start: int, values: FloatArray, refere
 
 @kernel_part("reassoc")
 def _sums(values: FloatArray) -> tuple[float, float]:
-    """The sum, and one that is 0 if all are finite, else NaN."""
+    """The sum, and a number that is 0 if all values are finite, else NaN."""
     total = zero = 0.0
     for i in range(values.shape[0]):
         total += values[i]

@@ -1,0 +1,84 @@
+"""Checks of a specification before it is entered: its metrics, their parameters and standards, its units."""
+
+import math
+import re
+from contextlib import suppress
+
+from analytics.metrics.names import alike, check_metrics
+from analytics.metrics.registry import metrics
+from storage.specifications.specification import Specification, SpecificationLimit, check_names, parse_specification
+from stream.errors import BadInput, UnknownUnit
+from stream.quantities import check_result_unit, result_factor
+
+
+def checked_specification(content: bytes, source: str) -> Specification:
+    """Read a specification and check it against the metrics.
+
+    Parameters
+    ----------
+    content: The TOML.
+    source: The file it comes from: for messages, and for its name where the file gives none.
+
+    Raises
+    ------
+    BadInput: If anything in it is not right: an unknown metric or standard, a unit of measure that does not fit, limits
+        that repeat each other; the message names the file, the line and the key.
+    """
+    found = parse_specification(content, source)
+    where = f"specification {source}"
+    check_names(found, where)
+    _check_limits(found, content, where)
+    return found
+
+
+def _check_limits(found: Specification, content: bytes, where: str) -> None:
+    lines = [at for at, line in enumerate(content.decode().splitlines(), 1) if re.match(r"\s*\[\[\s*limit", line)]
+    for at, limit in enumerate(found.limits):
+        line = f"line {lines[at]}, " if at < len(lines) else ""
+        place = f"{where}: {line}$.limit[{at}] ({limit.metric})"
+        _check_limit(limit, found, place)
+        if (first := next((i for i in range(at) if found.limits[i].meets(limit)), None)) is not None:
+            raise BadInput(
+                f"{place}: $.limit[{first}] limits the same; keep one, or tell them apart by their parameters"
+            )
+
+
+def _check_limit(limit: SpecificationLimit, found: Specification, place: str) -> None:
+    check_metrics([limit.metric], place)
+    header = metrics()[limit.metric].header
+    _check_unit(limit, header.unit, place)
+    for name in limit.parameters:
+        if name not in header.parameters:
+            known = alike(name, header.parameters, "its parameters are")
+            raise BadInput(f"{place}: no value of {limit.metric} has a parameter {name!r}; {known}")
+    numbers = {"lower": limit.lower, "upper": limit.upper}
+    if limit.lower is None and limit.upper is None:
+        raise BadInput(f"{place}: it has neither lower nor upper")
+    for key, number in numbers.items():
+        if number is not None and not math.isfinite(number):
+            raise BadInput(f"{place}: {key} is {number}; leave it out where there is no such limit")
+    if limit.lower is not None and limit.upper is not None and limit.lower > limit.upper:
+        raise BadInput(f"{place}: lower {limit.lower:g} lies above upper {limit.upper:g}")
+    if limit.standard is not None:
+        of_metric = list(dict.fromkeys(source.standard for source in header.sources))
+        if limit.standard not in of_metric:
+            raise BadInput(f"{place}: standard {limit.standard!r} is not one of the metric's: {', '.join(of_metric)}")
+    if limit.product is not None and found.products and limit.product not in found.products:
+        raise BadInput(
+            f"{place}: product {limit.product!r} has no [product.NAME] in this file; "
+            f"{alike(limit.product, found.products, 'those that have are')}"
+        )
+
+
+def _check_unit(limit: SpecificationLimit, unit: str, place: str) -> None:
+    try:
+        check_result_unit(limit.unit_of_measure)
+    except UnknownUnit as error:
+        raise BadInput(f"{place}: unit_of_measure: {error}") from error
+    # what a metric's header names may depend on the output, as "output/(deg/s)": then it is known with the value
+    with suppress(UnknownUnit):
+        check_result_unit(unit)
+        try:
+            result_factor(unit, limit.unit_of_measure)
+        except UnknownUnit as error:
+            raise BadInput(f"{place}: unit_of_measure: {error}; {limit.metric} is in {unit}") from error

@@ -1,0 +1,93 @@
+"""The mapping file: which signal of a CAN database is which signal of which unit.
+
+One table a message::
+
+    [[message]]
+    message = "IMU"
+    ids = { "FOG-0231" = 0x101, "FOG-0232" = 0x102 }   # or: unit = "FOG-0231", with the database's id
+    signals = { YawRate = "rate", Temp = { signal = "temperature", unit_of_measure = "degC" } }
+    counter = { signal = "Counter", modulus = 16 }
+    checksum = { signal = "Crc", algorithm = "crc8_sae_j1850", first_byte = 0, last_byte = 6 }
+    interval_s = 0.001
+"""
+
+from pathlib import Path
+
+import msgspec
+
+from stream.errors import BadInput
+from stream.toml_text import decode_toml
+
+
+class SignalEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Name of a signal, and its unit of measure if the database's is wrong."""
+
+    signal: str
+    unit_of_measure: str | None = None
+
+
+class CounterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The signal that counts frames, from 0 to `modulus` - 1 (by default all its bits hold)."""
+
+    signal: str
+    modulus: int | None = None
+
+
+class ChecksumEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The signal with a checksum over bytes `first_byte` to `last_byte` but its own, with `prefix` before them."""
+
+    signal: str
+    algorithm: str
+    first_byte: int = 0
+    last_byte: int | None = None
+    prefix: tuple[int, ...] = ()
+
+
+class MessageEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One ``[[message]]``.
+
+    Parameters
+    ----------
+    message: Name in the database.
+    id: Arbitration id in the database, if it has several messages of that name.
+    unit: The unit that sends it, under the database's own id.
+    ids: Unit to arbitration id, if several units send it.
+    channels: Unit to channel, if one unit is on each.
+    sources: Unit to source address, if several units send a J1939 message.
+    multiplexer, units: A signal, and unit to its raw value, if it says whose frame it is.
+    channel, source: Channel or J1939 source address that counts; by default the first that comes.
+    signals: Name in the database to name here; by default all, in lower case.
+    counter, checksum: How lost and damaged frames are found.
+    interval_s: Sample interval, seconds. With a counter, sample n is at exactly n intervals after the first.
+    """
+
+    message: str
+    id: int | None = None
+    unit: str | None = None
+    ids: dict[str, int] = {}
+    channels: dict[str, int] = {}
+    sources: dict[str, int] = {}
+    multiplexer: str | None = None
+    units: dict[str, int] = {}
+    channel: int | None = None
+    source: int | None = None
+    signals: dict[str, str | SignalEntry] = {}
+    counter: CounterEntry | None = None
+    checksum: ChecksumEntry | None = None
+    interval_s: float | None = None
+
+
+class MappingFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A mapping file."""
+
+    message: tuple[MessageEntry, ...]
+
+
+def read_mapping(path: Path) -> tuple[MessageEntry, ...]:
+    """Entries of a mapping file; raises BadInput if it cannot be read."""
+    try:
+        return decode_toml(path.read_bytes(), MappingFile).message
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise BadInput(f"{path}: {error}; see `gyrofleet can scan --write` for a mapping to begin with") from error

@@ -1,0 +1,196 @@
+"""The limits that a run applies to its units: found in the store by each unit's product."""
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from ingest.procedures.procedure import PlannedStep
+from ingest.run_record import document_uid
+from ingest.station.units_file import UnitEntry
+from storage.specifications.live_limits import UnitLimits, chosen_periods, format_limit, unit_limits
+from storage.specifications.validity import Period
+from storage.store import Store
+from storage.store_marker import MARKER
+from stream.errors import NotFound
+from stream.events import AnyDocument, EarlyDecision, Limit, LimitsApplied, Verdict, VerdictGiven
+
+_NAMED = 4
+# records at rest of these are no records of a bias (analytics/metrics/views/05_procedures.sql)
+_NO_BIAS = re.compile(
+    r"(power_consumption|rates_(gjb2426a|jjf2014)|threshold(_indexing_head|_slow_turn)?|resolution|polarity"
+    r"|visual_electrical_checks)$"
+    r"|(scale_factor|misalignment|gyro_separation|accelerometer_separation|attitude_unit|bandwidth|output_delay"
+    r"|startup_time|warmup_time|random_walk|system_level|bias_(temperature|acceleration|shock|vibration))"
+)
+
+
+class RunLimits(NamedTuple):
+    """Limits on the units of a run.
+
+    Parameters
+    ----------
+    units: Limits by unit; units without a specification are left out.
+    is_live: Whether the run has the one record at rest that live estimators can judge.
+    remarks: What the operator should know, each as a sentence.
+    """
+
+    units: Mapping[str, UnitLimits]
+    is_live: bool
+    remarks: tuple[str, ...]
+
+    def at_start(self, run: str, t_ns: int) -> Iterator[LimitsApplied]:
+        """Documents at the start of a run: the specifications of the units whose limits are all judged after it."""
+        for unit, found in self.units.items():
+            if not (self.is_live and found.live):
+                uid = document_uid(f"gyrofleet:limits/{run}/{unit}/{t_ns}")
+                yield LimitsApplied(run=run, t_ns=t_ns, uid=uid, unit=unit, revision=found.label, limits=())
+
+    def at_record(self, run: str, t_ns: int, since_ns: int, record_s: float) -> Iterator[LimitsApplied]:
+        """Documents at the start of the record that the live limits are on."""
+        for unit, found in self.units.items() if self.is_live else ():
+            if found.live:
+                yield LimitsApplied(
+                    run=run,
+                    t_ns=t_ns,
+                    uid=document_uid(f"gyrofleet:limits/{run}/{unit}/{t_ns}/record"),
+                    unit=unit,
+                    revision=found.label,
+                    limits=found.live,
+                    planned_s=record_s,
+                    since_ns=since_ns,
+                )
+
+
+class LimitReport:
+    """Reports early decisions and verdicts to the operator.
+
+    Parameters
+    ----------
+    report: Takes the sentence.
+
+    Attributes
+    ----------
+    verdicts: Verdict of each unit, once the run has ended.
+    """
+
+    def __init__(self, report: Callable[[str], None]) -> None:
+        self._report = report
+        self._decided: set[tuple[str, Limit, str]] = set()
+        self.verdicts: dict[str, str] = {}
+
+    def see(self, document: AnyDocument) -> None:
+        """Take a document of the estimators; from their thread."""
+        if isinstance(document, EarlyDecision) and document.outcome != "UNDECIDED":
+            decided = (document.unit, document.limit, document.outcome)
+            if decided not in self._decided and document.looked_at_fraction < 1.0:
+                self._decided.add(decided)
+                limit = format_limit(document.limit)
+                self._report(f"unit {document.unit}: early {document.outcome}, {limit}: {document.reason}")
+        elif isinstance(document, VerdictGiven):
+            self.verdicts[document.unit] = document.verdict.value
+            worst = [format_limit(each.limit) for each in document.checks if each.verdict is document.verdict]
+            why = f" ({'; '.join(worst)})" if document.verdict is not Verdict.PASS and worst else ""
+            self._report(f"unit {document.unit}: {document.verdict} by the live limits{why}")
+
+
+NO_LIMITS = RunLimits({}, False, ())
+
+
+def run_limits(
+    folder: Path,
+    wanted: str | None,
+    entries: Sequence[UnitEntry],
+    signals: Mapping[str, Sequence[str]],
+    steps: Sequence[PlannedStep],
+    procedure: str,
+    t_ns: int,
+) -> RunLimits:
+    """Find the limits on the units of a run.
+
+    Parameters
+    ----------
+    folder: The store that the run is recorded into.
+    wanted: The specification to apply, ``NAME`` or ``NAME@REVISION``; by default those that are valid.
+    entries: The units with their products.
+    signals: Angular rates of each unit.
+    steps, procedure: What is done.
+    t_ns: Start of the run.
+
+    Raises
+    ------
+    NotFound: If the wanted specification is not in the store; the message has those that are.
+    StoreError: If the store is damaged.
+    """
+    periods, valid, remark = _periods(folder, wanted, t_ns)
+    specifications = [each.specification for each in periods]
+    found = {e.serial: unit_limits(specifications, e.product, signals.get(e.serial, ())) for e in entries}
+    units = {unit: limits for unit, limits in found.items() if limits is not None}
+    is_live = has_one_record_at_rest(steps, procedure)
+    remarks = [remark] if remark else list(_without_limits(entries, units, wanted))
+    if wanted and not {each.label for each in specifications} <= valid:
+        others = ", ".join(sorted(valid)) or "none"
+        remarks.append(f"{wanted} is applied; `gyrofleet verdicts` judges by the revisions valid now: {others}")
+    return RunLimits(units, is_live, (*remarks, *_judged_after(units, is_live=is_live)))
+
+
+def has_one_record_at_rest(steps: Sequence[PlannedStep], procedure: str) -> bool:
+    """Whether a procedure records one step in which the units stand still: live estimators know no steps.
+
+    Examples
+    --------
+    >>> from ingest.procedures.procedure import load_procedure
+    >>> [has_one_record_at_rest(load_procedure(name).steps(), name) for name in ("static_bias", "bias_repeatability")]
+    [True, False]
+    """
+    recorded = [step.words for step in steps if step.is_recorded]
+    moving = ("rate_command_deg_per_s", "frequency_hz", "axis", "phase")
+    return (
+        len(recorded) == 1 and not any(getattr(recorded[0], name) for name in moving) and not _NO_BIAS.match(procedure)
+    )
+
+
+def _periods(folder: Path, wanted: str | None, t_ns: int) -> tuple[list[Period], set[str], str]:
+    """Specifications to apply, labels of those that are valid, and why there are none."""
+    if not (folder / MARKER).exists():
+        if wanted is not None:
+            raise NotFound(f"--specification {wanted}: there is no store in {folder}, so there is no specification")
+        return [], set(), f"no limits: there is no store in {folder} yet; `gyrofleet limits add FILE` adds one"
+    store = Store.open(folder)
+    try:
+        valid = chosen_periods(store, t_ns)
+    except NotFound as error:
+        if wanted is not None:
+            raise
+        return [], set(), f"no limits: {error}"
+    labels = {each.specification.label for each in valid}
+    if wanted is not None:
+        return chosen_periods(store, t_ns, wanted), labels, ""
+    return valid, labels, "" if valid else f"no limits: {folder} has no specification that is valid now"
+
+
+def _without_limits(entries: Sequence[UnitEntry], units: Mapping[str, UnitLimits], wanted: str | None) -> Iterator[str]:
+    """A sentence for each product without limits."""
+    without: dict[str | None, list[str]] = {}
+    for entry in entries:
+        if entry.serial not in units:
+            without.setdefault(entry.product, []).append(entry.serial)
+    whose = f"specification {wanted} has no" if wanted else "no specification has"
+    for product, serials in without.items():
+        of = "every product, and the units file names none" if product is None else f"product {product}"
+        yield f"{whose} limits for {of}: units {_listed(serials)} are not judged"
+
+
+def _judged_after(units: Mapping[str, UnitLimits], *, is_live: bool) -> Iterator[str]:
+    """A sentence for all units of which the same limits are judged after the run."""
+    after: dict[str, list[str]] = {}
+    for unit, limits in units.items():
+        live = () if is_live else dict.fromkeys(each.characteristic for each in limits.live)
+        after.setdefault(", ".join((*limits.after, *live)), []).append(unit)
+    for subjects, serials in after.items():
+        if subjects:
+            yield f"judged after the run (units {_listed(serials)}): {subjects}"
+
+
+def _listed(serials: Sequence[str]) -> str:
+    return ", ".join(serials[:_NAMED]) + (f" and {len(serials) - _NAMED} more" if len(serials) > _NAMED else "")

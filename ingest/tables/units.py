@@ -1,0 +1,132 @@
+"""Units of measure as files write them, and the quantity that a signal's name leads to expect."""
+
+import re
+from collections.abc import Callable
+
+from stream.errors import BadInput, UnknownUnit
+from stream.quantities import check_unit, conversion, is_angular_rate, result_factor
+
+# What files and databases write, in lower case and without blanks, "°" written as "deg".
+_SPELLINGS = {
+    "1": "- none null na n/a unitless bool boolean flag enum hex",
+    "deg": "deg degree degrees",
+    "deg/s": "deg/s deg/sec degree/s degrees/s degree/sec degrees/sec dps degps",
+    "deg/h": "deg/h deg/hr deg/hour degree/h degrees/h dph",
+    "rad/s": "rad/s rad/sec radps",
+    "m/s^2": "m/s^2 m/s/s m/s2 m/s**2 m/sec^2 m/s² mps2 mpss (m/s)/s",
+    "m/s": "m/s mps m/sec",
+    "km/h": "km/h kph kmh km/hr kmph",
+    "degC": "degc celsius cel degcelsius c",
+    "degF": "degf fahrenheit",
+    "percent": "% percent pct",
+    "rpm": "rpm 1/min u/min rev/min",
+    "s": "s sec second seconds",
+    "V": "volt volts",
+    "A": "amp amps ampere",
+    "hour": "hours hrs",
+    "minute": "minutes mins",
+    "LSB": "lsb lsbs",
+    "count": "counts cnt cnts raw",
+    "gauss": "gauss",
+}
+_UNITS = {"": "1"} | {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings.split()}
+_GRAVITY = {"g": "g_0", "gn": "g_0", "g0": "g_0", "mg": "mg_0", "ug": "ug_0", "µg": "ug_0", "μg": "ug_0"}
+_MASSES = {"g", "mg", "ug", "µg", "μg"}  # pint reads them as gram
+_RAW = ("1", "count", "V", "A", "Hz")
+_AXIS = r"(?:[_.]?(?:[xyz]|\d+))?"
+_EXPECTED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    (r"(?:angular_)?rate|gyro|omega", "an angular rate", ("deg/s", "deg/h", "rad/s")),
+    (r"acc|accel|acceleration", "an acceleration", ("g_0", "m/s^2")),
+    (r"temp|temperature", "a temperature", ("degC", "K")),
+    (r"(?:supply_)?voltage", "a voltage", ("V",)),
+    (r"(?:supply_)?current", "a current", ("A",)),
+    (r"pressure", "a pressure", ("Pa", "hPa")),
+)
+
+
+def database_unit(text: str | None, signal: str) -> tuple[str, bool]:
+    """Unit of a CAN database as gyrofleet writes it, and whether it is known; an unknown one stays as it is.
+
+    In a database "g" on an acceleration is standard gravity, not gram, and "C" a temperature, not coulomb.
+
+    Examples
+    --------
+    >>> database_unit("°/s", "YawRate"), database_unit("smoots", "Length"), database_unit("g", "AccX")
+    (('deg/s', True), ('smoots', False), ('g_0', True))
+    """
+    written = (text or "").strip()
+    plain = _plain(written)
+    if plain in {"g", "gn", "g0"} and _is_acceleration(signal):
+        return "g_0", True
+    if plain in _UNITS:
+        return _UNITS[plain], True
+    try:
+        return check_unit(written), True
+    except UnknownUnit:
+        return written, False
+
+
+def column_unit(text: str, signal: str) -> tuple[str, str]:
+    """Unit of a column of a table, and a remark if it was interpreted or does not suit the signal; else ''.
+
+    A unit that pint knows stays as it is written.
+
+    Examples
+    --------
+    >>> column_unit("dps", "rate"), column_unit("dph", "rate")
+    (('dps', ''), ('deg/h', ''))
+    >>> column_unit("g", "acceleration_x")
+    ('g_0', "g is taken as standard gravity (g_0), since 'acceleration_x' is an acceleration")
+    >>> column_unit("furlong", "rate")[1]
+    "warning: 'rate' is expected to be an angular rate, in deg/s, deg/h or rad/s; furlong is another quantity"
+    """
+    written = text.strip()
+    plain = _plain(written)
+    if plain in _GRAVITY and _is_acceleration(signal):
+        unit = _GRAVITY[plain]
+        return unit, f"{written} is taken as standard gravity ({unit}), since {signal!r} is an acceleration"
+    if written in _MASSES and not re.search("mass|weight", signal.lower()):
+        raise BadInput(
+            f"unit {written!r} may be standard gravity or a mass; write {_GRAVITY[written]!r} for gravity, "
+            f"{written.replace('g', 'gram')!r} for a mass"
+        )
+    if plain in {"c", "f"} and re.match("temp", signal.lower()):
+        unit = "degC" if plain == "c" else "degF"
+        return unit, f"{written} is taken as {unit}, since {signal!r} is a temperature"
+    try:
+        unit = check_unit(written)
+    except UnknownUnit:
+        if plain not in _UNITS:
+            raise
+        unit = _UNITS[plain]
+    return unit, _unexpected(unit, signal)
+
+
+def _plain(written: str) -> str:
+    plain = re.sub(r"\s+", "", written).replace("°", "deg").replace("º", "deg")
+    return plain.replace("grad/s", "deg/s").lower()
+
+
+def _is_acceleration(signal: str) -> bool:
+    return "acc" in signal.lower()
+
+
+def _unexpected(unit: str, signal: str) -> str:
+    """A warning if the unit does not suit the signal's name; raw outputs (counts, V, A, Hz) suit any."""
+    for pattern, quantity, units in _EXPECTED:
+        if re.fullmatch(f"(?:{pattern}){_AXIS}", signal.lower()):
+            is_rate = units[0] == "deg/s"
+            convert = conversion if quantity == "a temperature" else result_factor
+            suits = is_angular_rate(unit) if is_rate else _converts(unit, units[0], convert)
+            if not suits and not any(_converts(unit, raw, result_factor) for raw in _RAW):
+                known = " or ".join(filter(None, [", ".join(units[:-1]), units[-1]]))
+                return f"warning: {signal!r} is expected to be {quantity}, in {known}; {unit} is another quantity"
+    return ""
+
+
+def _converts(source: str, target: str, convert: Callable[[str, str], object]) -> bool:
+    try:
+        convert(source, target)
+    except UnknownUnit:
+        return False
+    return True

@@ -1,0 +1,111 @@
+"""Documents of a store about itself, and their signature (the stored field `seal`).
+
+They may come over the bus, where anybody can read the store's identity and write in its name. The signature needs a
+secret that is in the store's folder only, in no message and no segment.
+"""
+
+import hmac
+import os
+import time
+from hashlib import sha256
+from secrets import token_bytes
+from typing import Any
+
+import msgspec
+
+from storage.store import Store
+from stream.errors import StoreError
+from stream.events import AnyDocument, SpecificationEntered, StoreNoted
+from stream.identity import Place
+
+LAKE = Place("store", "lake")
+_SECRET = "seal.key"  # noqa: S105  a file name
+_SEAL = "seal"
+_BYTES = 32
+
+
+def store_document(store: str, what: str, text: str, details: dict[str, Any]) -> StoreNoted:
+    """A document of the store with that identity, dated now.
+
+    Examples
+    --------
+    >>> document = store_document("5e", "disk_low", "", {})
+    >>> is_own(document, "5e"), is_own(document, "6f")
+    (True, False)
+    """
+    return StoreNoted(run="", t_ns=time.time_ns(), what=what, text=text, details={**details, "store": store})
+
+
+def is_own(document: StoreNoted, store: str) -> bool:
+    """Whether a document names that store; recorders on one bus receive the documents of all of them."""
+    named: object = document.details.get("store")
+    return named == store
+
+
+def is_foreign(document: StoreNoted, store: str) -> bool:
+    """Whether a document names another store; one that names none belongs to the store whose log holds it."""
+    named: object = document.details.get("store", store)
+    return named != store
+
+
+def signed(store: Store, document: StoreNoted) -> StoreNoted:
+    """The document with the store's signature."""
+    details = {name: value for name, value in document.details.items() if name != _SEAL}
+    plain = msgspec.structs.replace(document, details=details)
+    return msgspec.structs.replace(document, details={**details, _SEAL: _digest(_secret(store), plain)})
+
+
+def is_signed(store: Store, document: StoreNoted) -> bool:
+    """Whether a document carries the store's own signature."""
+    found = document.details.get(_SEAL)
+    if not isinstance(found, str):
+        return False
+    wanted = signed(store, document).details[_SEAL]
+    return hmac.compare_digest(found.encode(), str(wanted).encode())
+
+
+def signed_specification(store: Store, document: SpecificationEntered) -> SpecificationEntered:
+    """The document with the identity and the signature of a store."""
+    plain = msgspec.structs.replace(document, store=store.identity, seal="")
+    return msgspec.structs.replace(plain, seal=_digest(_secret(store), plain))
+
+
+def forgery(store: Store, document: AnyDocument) -> str | None:
+    """Why a document that came over the bus must not be recorded; None if it may be.
+
+    Documents of this store and its specifications need its signature. Documents of other stores are recorded, their
+    specifications are not.
+    """
+    if isinstance(document, SpecificationEntered):
+        if document.store != store.identity:
+            return "it is a specification of another store"
+        is_valid = hmac.compare_digest(document.seal.encode(), signed_specification(store, document).seal.encode())
+    elif isinstance(document, StoreNoted):
+        is_valid = is_foreign(document, store.identity) or is_signed(store, document)
+    else:
+        is_valid = True
+    return None if is_valid else "it claims to be of the store that is recorded to, and lacks its seal"
+
+
+def _digest(secret: bytes, document: StoreNoted | SpecificationEntered) -> str:
+    return hmac.new(secret, msgspec.json.encode(document, order="deterministic"), sha256).hexdigest()
+
+
+def _secret(store: Store) -> bytes:
+    path = store.folder / _SECRET
+    try:
+        try:
+            descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        except FileExistsError:
+            pass
+        else:
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(token_bytes(_BYTES))
+                file.flush()
+                os.fsync(file.fileno())
+        secret = path.read_bytes()
+    except OSError as error:
+        raise StoreError(f"{path} cannot be read or written: {error}; free space or repair the disk") from error
+    if len(secret) != _BYTES:
+        raise StoreError(f"{path} is damaged; remove it, a new one is then created")
+    return secret

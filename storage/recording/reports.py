@@ -1,0 +1,90 @@
+"""The recorder's documents about itself in the log: recoveries, clock steps, conflicts and pauses."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+from uuid import uuid4
+
+from storage.log.event_log import EventLog
+from storage.log.sequence import Place as Position
+from storage.log.store_documents import store_document
+from storage.recording.disk_watch import monotonic_and_wall_ns
+from storage.recording.intake import Intake
+from storage.segments.records import EVENTS, LogRecord
+from storage.store import Store
+from stream.delivery.publisher import StreamId
+from stream.events import encode_event
+from stream.identity import Place, event_key
+
+_CONFLICTS_EVERY_S = 1.0
+_CLOCK_STEP_NS = 100_000_000
+_KEY = event_key(Place("store", "recorder"))
+
+
+class Reports:
+    """Appends documents of the store to its log; called by the writer thread of a recorder."""
+
+    def __init__(self, store: Store, log: EventLog, intake: Intake, warn: Callable[[str], None]) -> None:
+        self._store = store
+        self._log = log
+        self._intake = intake
+        self._warn = warn
+        self._stream = StreamId(_KEY, uuid4().hex)
+        self._recoveries = 0
+        self._warnings = len(log.warnings)
+        self._conflicts_at = -math.inf
+        self._wall_ahead_ns: int | None = None
+
+    def append(self, what: str, text: str, details: dict[str, Any]) -> None:
+        """Append a document."""
+        seq = self._log.marks.get(self._stream, 0)
+        document = store_document(self._store.identity, what, text, details)
+        now_ns = document.t_ns
+        record = LogRecord(_KEY, EVENTS, now_ns, now_ns, encode_event(document, self._stream.epoch, seq))
+        self._log.append(Position(self._stream, seq, seq + 1, now_ns, now_ns, ""), record)
+
+    def log_warnings(self) -> None:
+        """Pass on new warnings of the log."""
+        for warning in self._log.warnings[self._warnings :]:
+            self._warn(warning)
+        self._warnings = len(self._log.warnings)
+
+    def recoveries(self) -> None:
+        """Document segments that were recovered since the last call."""
+        while self._recoveries < len(self._log.recovered):
+            recovery = self._log.recovered[self._recoveries]
+            self._recoveries += 1
+            kept = None if recovery.kept_aside is None else recovery.kept_aside.name
+            details = {"segment": recovery.segment, "lost": [vars(each) for each in recovery.lost], "kept_aside": kept}
+            self.append("segment_recovered", f"{recovery}; it was left open", details)
+
+    def clock_steps(self) -> None:
+        """Document steps of the sources' clocks and of the recorder's own."""
+        steps, self._intake.clock_steps = self._intake.clock_steps, []
+        for step in steps[:100]:
+            text = f"{step.key}: the source's clock went back by {step.back_ns / 1e9:.9g} s at sample {step.seq}"
+            self.append("source_clock_back", text, {"run": step.run, "seq": step.seq, "back_ns": step.back_ns})
+        monotonic_ns, wall_ns = monotonic_and_wall_ns()
+        ahead_ns = wall_ns - monotonic_ns
+        before_ns, self._wall_ahead_ns = self._wall_ahead_ns, ahead_ns
+        if before_ns is not None and abs(ahead_ns - before_ns) > _CLOCK_STEP_NS:
+            step_ns = ahead_ns - before_ns
+            text = f"the recorder's clock, which gives arrival times, was set by {step_ns / 1e9:+.3f} s"
+            self._warn(text)
+            self.append("arrival_clock_step", text, {"step_ns": step_ns})
+
+    def conflicts(self, now: float) -> None:
+        """Document numbers that were received with two contents; at most once a second."""
+        if not self._intake.conflicts or now < self._conflicts_at + _CONFLICTS_EVERY_S:
+            return
+        self._conflicts_at = now
+        found, self._intake.conflicts = self._intake.conflicts, []
+        first = found[0]
+        more = f" and {len(found) - 1} more messages" if len(found) > 1 else ""
+        text = (
+            f"{first.key}: numbers {first.seq} to {first.next_seq - 1} of epoch {first.epoch} came with other content "
+            f"than is recorded{more}; they are kept beside it in the log: two sources send under one name, or one "
+            f"restarted its numbers"
+        )
+        self._warn(text)
+        self.append("number_conflict", text, {"conflicts": [vars(each) for each in found[:100]], "count": len(found)})
