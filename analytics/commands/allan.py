@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.table import Table
 
 from storage.commands.stored_names import RUN, SIGNAL, UNIT
 from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput
+from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.curves.allan_curve import AllanCurve, Overlap
@@ -247,15 +247,12 @@ def _fleet(catalog: "Catalog", curve: "AllanCurve", compare: tuple[str, ...]) ->
     return [(unit, curve.run if held.get(unit) else None) for unit in units if unit != curve.unit]
 
 
-def _curve_table(curve: "AllanCurve") -> Table:
-    table = Table(
+def _curve_table(curve: "AllanCurve") -> ResultTable:
+    table = ResultTable(
         title=f"{curve.names[0]} ({curve.names[1]}) of {curve.unit} {curve.signal}, run {curve.run}",
-        title_justify="left",
         caption=f"{curve.samples:,} samples every {curve.sample_interval_s:g} s, {curve.missing:,} missing; "
         f"{curve.overlap} overlap; limits: 95 % confidence, least degrees of freedom of the plausible noises α "
         "(2 quantization, 1 flicker of angle, 0 angle random walk, -1 bias instability, -2 rate random walk)",
-        caption_justify="left",
-        header_style="bold",
     )
     for title in ("tau s", f"deviation {curve.unit_of_measure}", "from", "to", "degrees of freedom", "noise α"):
         table.add_column(title, justify="right")

@@ -2,8 +2,6 @@
 
 from collections.abc import Mapping
 
-from rich.table import Table
-
 from analytics.loop.report.finding_sentences import alternative, evidence, separating_test
 from analytics.loop.report.fleet_sentences import fleet_rows, fleet_sentence, unit_rows
 from analytics.loop.report.report_tables import TextTable, absent_rows, achieved, error_rows, gain_rows, noise_rows
@@ -11,6 +9,7 @@ from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Language, Wording
 from analytics.loop.unit_diagnosis import UnitDiagnosis, UnitsDiagnosis
 from stream.console import notes, results, styled
+from stream.result_table import ResultTable
 
 _MOST_NAMED = 3
 
@@ -79,8 +78,8 @@ def _print_remarks(units: Mapping[str, UnitDiagnosis], words: Wording) -> None:
         notes().print(f"{kind}: {text}", markup=False, soft_wrap=True)
 
 
-def _rich(table: TextTable) -> Table:
-    shown = Table(title=table.title, title_justify="left", header_style="bold")
+def _rich(table: TextTable) -> ResultTable:
+    shown = ResultTable(title=table.title)
     for at, title in enumerate(table.columns):
         shown.add_column(title, justify="right" if table.is_numeric(at) else "left", overflow="fold")
     for row in table.rows:

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.table import Table
 
 from analytics.commands.limits import warn_of_copies
 from storage.commands.stored_names import RUN, UNIT
 from stream.completion import ListedName
 from stream.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
 from stream.errors import BadInput
+from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.evaluation.annex_a import AnnexRow
@@ -132,11 +132,7 @@ def _print_annex(rows: "Sequence[AnnexRow]", unit: str, language: str, *, as_jso
         print_json({"unit": unit, "standard": "JJF2014", "annex": "A", "rows": [row.document() for row in rows]})
         return
     in_chinese = language == "zh"
-    table = Table(
-        title=f"JJF 2014-2022 附录 A: {unit}" if in_chinese else f"JJF 2014-2022 annex A: {unit}",
-        title_justify="left",
-        header_style="bold",
-    )
+    table = ResultTable(title=f"JJF 2014-2022 附录 A: {unit}" if in_chinese else f"JJF 2014-2022 annex A: {unit}")
     for title in ("序号", "校准项目", "校准结果", "95 % 区间", "参数", "条款") if in_chinese else (
         "no.", "characteristic", "result", "95 % interval", "parameters", "clause"
     ):  # fmt: skip
@@ -161,7 +157,7 @@ def _print_unused(unused: "Sequence[tuple[str, int, str]]") -> None:
         notes().print(f'... and {more} reasons more; `gyrofleet sql "from unused_steps"` has all', markup=False)
 
 
-def _print_table(table: Table, count: int) -> None:
+def _print_table(table: ResultTable, count: int) -> None:
     console = results()
     if count == 0:
         console.print(_NOTHING)

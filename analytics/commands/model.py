@@ -55,7 +55,7 @@ def list_models(folder: Path, unit: str | None, *, as_json: bool) -> None:
 
 
 def _tell_list(rows: list[dict[str, Any]], unit: str | None, *, is_empty: bool, as_json: bool) -> None:
-    from rich.table import Table
+    from stream.result_table import ResultTable
 
     if as_json:
         print_json(rows)
@@ -69,9 +69,7 @@ def _tell_list(rows: list[dict[str, Any]], unit: str | None, *, is_empty: bool, 
             soft_wrap=True,
         )
         return
-    table = Table(header_style="bold")
-    for title in ("unit", "version", "stage", "verdict", "made", "by", "model"):
-        table.add_column(title, overflow="fold")
+    table = ResultTable("unit", "version", "stage", "verdict", "made", "by", "model")
     for row in rows:
         table.add_row(*(str(row[name]) for name in ("unit", "version", "stage", "verdict", "made", "by", "model")))
     results().print(table, markup=False)

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import click
 import numpy as np
-from rich.table import Table
 
 from storage.commands.stored_names import RUN, SIGNAL, UNIT
 from stream.console import notes, print_json, reporting, results, store_option
+from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.curves.spectrum import SignalSpectrum
@@ -56,15 +56,12 @@ def spectrum(unit: str, signal: str, run: str | None, folder: Path, plot_path: P
         notes().print(f"plot: {plot_path}")
 
 
-def _line_table(found: "SignalSpectrum") -> Table:
+def _line_table(found: "SignalSpectrum") -> ResultTable:
     from analytics.curves.spectrum import with_error
 
-    table = Table(
+    table = ResultTable(
         title=f"Lines (谱线) of {found.unit} {found.signal}, run {found.run}",
-        title_justify="left",
         caption=f"{found.confidence * 100:g} % confidence; amplitude is that of the peak. {_tested(found)}",
-        caption_justify="left",
-        header_style="bold",
     )
     for title in ("frequency Hz 频率", f"amplitude {found.unit_of_measure} 幅值", "from", "to", "times background"):
         table.add_column(title, justify="right")
@@ -75,14 +72,11 @@ def _line_table(found: "SignalSpectrum") -> Table:
     return table
 
 
-def _hump_table(found: "SignalSpectrum") -> Table:
-    table = Table(
+def _hump_table(found: "SignalSpectrum") -> ResultTable:
+    table = ResultTable(
         title=f"Humps (宽带凸起) of {found.unit} {found.signal}, run {found.run}",
-        title_justify="left",
         caption=f"bands above the fitted power-law noise model; {found.confidence * 100:g} % confidence; of spectra of "
         f"such noise, at most {found.false_alarm_probability * 100:g} % show one",
-        caption_justify="left",
-        header_style="bold",
     )
     rms = f"excess RMS {found.unit_of_measure} 超出均方根"
     for title in ("from Hz", "to Hz", "times model 与模型之比", "from", "to", rms, "probability by chance"):
@@ -104,18 +98,15 @@ def _tested(found: "SignalSpectrum") -> str:
     )
 
 
-def _level_table(found: "SignalSpectrum") -> Table:
+def _level_table(found: "SignalSpectrum") -> ResultTable:
     length_s = found.segment_samples * found.sample_interval_s
     left_out = f", {found.segments_left_out:,} left out for missing samples" if found.segments_left_out else ""
-    table = Table(
+    table = ResultTable(
         title=f"Power spectral density (功率谱密度) of {found.unit} {found.signal}, run {found.run}",
-        title_justify="left",
         caption=f"{found.samples:,} samples every {found.sample_interval_s:g} s, {found.missing:,} missing; "
         f"resolution {found.bin_width_hz:.4g} Hz: {found.segments:,} segments of {found.segment_samples:,} samples "
         f"({length_s:g} s){left_out}, half overlapping, Hann window; means over a tenth of a decade, lines left out; "
         f"limits: {found.confidence * 100:g} % confidence",
-        caption_justify="left",
-        header_style="bold",
     )
     titles = ("frequency Hz 频率", f"density {found.psd_unit}", "from", "to", f"line seen from {found.unit_of_measure}")
     for title in titles:

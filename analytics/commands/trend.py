@@ -4,12 +4,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.table import Table
 
 from analytics.commands.metrics import METRIC, language_option, opened_catalog
 from storage.commands.stored_names import SIGNAL, UNIT
 from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput
+from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.trends.control_chart import IndividualsChart
@@ -149,14 +149,14 @@ def _print_trend(found: "Trend", language: str) -> None:
         results().print(sentence.in_language(language), soft_wrap=True, markup=False)
 
 
-def _chart_table(found: "Trend", language: str) -> Table:
+def _chart_table(found: "Trend", language: str) -> ResultTable:
     from analytics.evaluation.table import format_unit, name_of
     from analytics.trends.words import NotComputed
 
     unit = format_unit(found.series.unit_of_measure)
     name = name_of(found.series.metric, language) if language == "zh" else found.series.metric
     title = f"{name} / {unit}" if unit else name
-    table = Table(title=title, title_justify="left", header_style="bold")
+    table = ResultTable(title=title)
     table.add_column(found.by or "")
     for title in _TITLES[language]:
         table.add_column(title, justify="right" if title not in {"state", "状态"} else "left")

@@ -1,18 +1,17 @@
 """Noise coefficients as a table in English and Chinese."""
 
-from rich.table import Table
-
 from analytics.curves.allan_curve import AllanCurve
 from analytics.curves.noise_coefficients import CONFIDENCE, NoiseCoefficients
 from stream.estimators.base import NoEstimate
 from stream.estimators.noise.noise_fit import NoiseCoefficient
 from stream.estimators.noise.noise_misfit import SIGNIFICANCE
+from stream.result_table import ResultTable
 
 _NOT_OBSERVABLE = "not observable (不可观测): at most"
 _NONE = "\N{EN DASH}"
 
 
-def noise_table(curve: AllanCurve, found: NoiseCoefficients) -> Table:
+def noise_table(curve: AllanCurve, found: NoiseCoefficients) -> ResultTable:
     """Table of the coefficients with their bounds; of one that is not observable, the upper bound.
 
     Examples
@@ -26,13 +25,10 @@ def noise_table(curve: AllanCurve, found: NoiseCoefficients) -> Table:
     >>> list(table.columns[0].cells)[1], list(table.columns[2].cells)[1]
     ('Angle random walk 角度随机游走', '0.01000')
     """
-    table = Table(
+    table = ResultTable(
         title=f"Noise coefficients (噪声系数) of {curve.unit} {curve.signal}, run {curve.run}",
-        title_justify="left",
         caption=f"IEEE 952-2020 annex C; limits: {CONFIDENCE * 100:g} % confidence; {_agreement(found, curve)}; "
         "normalised (归一化法): GJB 2426A-2004 5.12.5.4.1, from the samples",
-        caption_justify="left",
-        header_style="bold",
     )
     table.add_column("noise 噪声", overflow="fold")
     table.add_column("")

@@ -3,14 +3,13 @@
 import math
 from dataclasses import dataclass
 
-from rich.table import Table
-
 from storage.sql.catalog import Catalog
 from storage.sql.reading import find_signal, read_signal
 from stream.errors import NotFound
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
 from stream.estimators.rolling_window import RollingWindow, WindowEstimate
+from stream.result_table import ResultTable
 
 _SECONDS_PER_HOUR = 3600.0
 _SHOWN_TAUS = 8
@@ -46,20 +45,17 @@ class RollingAllan:
     lo: tuple[tuple[float | None, ...], ...]
     hi: tuple[tuple[float | None, ...], ...]
 
-    def table(self) -> Table:
+    def table(self) -> ResultTable:
         """Rows of windows at some of the averaging times, for the terminal."""
         every = math.ceil(len(self.tau_s) / _SHOWN_TAUS)
         columns = range(0, len(self.tau_s), every)
         rows = range(0, len(self.start_h), math.ceil(len(self.start_h) / _SHOWN_ROWS))
         is_all = len(rows) == len(self.start_h) and every == 1
         left_out = f"; --json gives {'the limits' if is_all else 'all windows and times, with limits'}"
-        table = Table(
+        table = ResultTable(
             title=f"Rolling Allan deviation (动态 Allan 标准差) of {self.unit} {self.signal}, run {self.run}",
-            title_justify="left",
             caption=f"{len(self.start_h)} windows of {self.window_s / _SECONDS_PER_HOUR:g} h every "
             f"{self.step_s / _SECONDS_PER_HOUR:g} h; deviations in {self.unit_of_measure}{left_out}",
-            caption_justify="left",
-            header_style="bold",
         )
         table.add_column("from h", justify="right")
         for column in columns:

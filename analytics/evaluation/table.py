@@ -8,13 +8,12 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-
 from analytics.evaluation.selection import Row, clauses_of
 from analytics.metric_registry.registry import metrics
 from stream.atomic_file import replacement
 from stream.console import csv_text, shown_text, styled
 from stream.errors import BadInput
+from stream.result_table import ResultTable
 
 COLUMNS = (
     "metric", "unit", "signal", "run", "value", "unit_of_measure", "lo", "hi", "standard_uncertainty", "n",
@@ -124,11 +123,11 @@ def format_limits(row: Row) -> str:
     return f"{lower:g} .. {upper:g}"
 
 
-def metrics_table(rows: Sequence[Row], language: str) -> Table:
+def metrics_table(rows: Sequence[Row], language: str) -> ResultTable:
     """Rows as a table for the screen, a section for each unit and run; a reason replaces a missing value."""
-    table = Table(header_style="bold")
-    for column in ("name", "signal", "value", "interval", "n", "parameters", "clause"):
-        table.add_column(title_of(column, language), overflow="fold")
+    table = ResultTable(
+        *(title_of(each, language) for each in ("name", "signal", "value", "interval", "n", "parameters", "clause"))
+    )
     for (unit, run), section in groupby(sorted(rows, key=_section), key=_section):
         runs = run or ("几次试验合计" if language == "zh" else "over several runs")
         table.add_section()
