@@ -56,3 +56,19 @@ def test_a_metric_of_ones_own(house: Path, tmp_path: Path, ask: Ask) -> None:
     (found,) = json.loads(ask("metrics", "--metric", "bias_magnitude", "--store", "S", "--json"))
     assert found["lo"] < 3.0 < found["hi"]
     assert found["clause"] == "5.12.1 (19)"
+
+
+def test_an_effect_of_ones_own(house: Path, tmp_path: Path, ask: Ask) -> None:
+    effects = house / "analytics" / "loop" / "effects"
+    (effects / "ambient_pressure.py").write_text(block("own-effect.md", "python"), encoding="utf-8")
+    rng = np.random.default_rng(6)
+    t_s = np.arange(0.0, 7200.0, 10.0)
+    for run in range(6):
+        pressure = 1000.0 + 50.0 * np.sin(2 * np.pi * t_s / 3600 + run)
+        rate = 1.0 + 0.02 * (pressure - 1000.0) + rng.normal(0.0, 0.3, t_s.size)
+        rows = "\n".join(f"{a:g},{b:.5f},{c:.3f}" for a, b, c in zip(t_s, rate, pressure, strict=True))
+        (tmp_path / f"p{run}.csv").write_text(f"time[s],rate[deg/h],pressure[hPa]\n{rows}")
+    ask("import", *(f"p{run}.csv" for run in range(6)), "--unit", "G-2", "--store", "S")
+    found = json.loads(ask("diagnose", "--unit", "G-2", "--model", "rate = bias", "--store", "S", "--json"))
+    assert [each["name"] for each in found["effects"]] == ["ambient_pressure"]
+    assert found["effects"][0]["coefficients"][0]["value"] == pytest.approx(0.02, rel=0.05)
