@@ -71,4 +71,4 @@ def test_an_effect_of_ones_own(house: Path, tmp_path: Path, ask: Ask) -> None:
     ask("import", *(f"p{run}.csv" for run in range(6)), "--unit", "G-2", "--store", "S")
     found = json.loads(ask("diagnose", "--unit", "G-2", "--model", "rate = bias", "--store", "S", "--json"))
     assert [each["name"] for each in found["effects"]] == ["ambient_pressure"]
-    assert found["effects"][0]["coefficients"][0]["value"] == pytest.approx(0.02, rel=0.05)
+    assert found["effects"][0]["coefficient"] == pytest.approx(0.02, rel=0.05)
