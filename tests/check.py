@@ -1,7 +1,7 @@
 """Every gate, from nothing but Python 3.11: ``python3 tests/check.py``.
 
-Sets up ``.venv``, runs ruff, mypy, import-linter and pytest on the checkout, then builds the wheel and runs the laws
-of estimators and metrics and the demo once more against it, installed in a clean environment (``.venv-wheel``).
+Sets up ``.venv``, runs ruff, mypy, import-linter and pytest on the checkout, then builds the wheel and runs every
+command's help and the demo against it, installed in a clean environment (``.venv-wheel``).
 With ``--all``, the long forms of the tests run as well, and some against the lowest versions of the libraries.
 """
 
@@ -102,8 +102,8 @@ def main() -> None:
         shared = ROOT.parent / "shared"
         if shared.exists():
             (there / "shared").symlink_to(shared)
-        # what reads files that are no Python, and the whole path
-        again = ("tests/laws/test_estimator_laws.py", "tests/laws/test_metric_laws.py", *DEMO)
+        # files that are no Python, every command, and the whole path
+        again = ("tests/test_house.py", "tests/test_commands.py", *DEMO)
         run(clean / "python", "-m", "pytest", *PARALLEL, *again, cwd=there / "project")
 
     if everything:
