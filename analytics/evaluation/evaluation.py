@@ -240,7 +240,7 @@ def _products(catalog: Catalog) -> dict[str, str]:
 def _averaging_times(catalog: Catalog, steps: pa.Table) -> dict[str, str]:
     """The averaging times of the Allan deviation that limits name, which are those of every unit's values."""
     found = catalog.rows(
-        "select string_agg(distinct key, ';' order by key) from specification_parameters "
+        "select string_agg(distinct key, ';' order by key) from internal.specification_parameters "
         "where metric = 'allan_deviation'"
     )
     return {} if found[0][0] is None else dict.fromkeys(steps["unit"].unique().to_pylist(), str(found[0][0]))

@@ -32,8 +32,8 @@ HEADER = """\
 """
 
 _ASKED = """
-select s.*, t.tau_s from bias_steps s,
-  (select distinct replace(key, 'number ', '')::double as tau_s from specification_parameters
+select s.*, t.tau_s from internal.bias_steps s,
+  (select distinct replace(key, 'number ', '')::double as tau_s from internal.specification_parameters
     where metric = 'allan_deviation' and path = '$."tau_s"' and starts_with(key, 'number ')) t
 where t.tau_s > 0
 order by s.unit, s.signal, s.run, s."index", t.tau_s
