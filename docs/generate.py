@@ -38,7 +38,7 @@ def _tables() -> str:
 
 
 def _metrics() -> str:
-    from analytics.metrics.registry import metrics
+    from analytics.metric_registry.registry import metrics
 
     headers = [metric.header for metric in metrics().values()]
     rows = [

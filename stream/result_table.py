@@ -73,11 +73,13 @@ class ResultTable(Table):
         for row, cells in enumerate(zip(*(column.cells for column in self.columns), strict=True)):
             if row:
                 yield Segment.line()
-            for header, cell in zip(headers, cells, strict=True):
-                text = _text(cell, console)
-                if not text.plain:
-                    continue
-                yield from _entry(header, text, indent if beside else None, console, options)
+            texts = [_text(cell, console) for cell in cells]
+            if len(headers) > 1 and not any(text.plain for text in texts[1:]):  # the heading of a section
+                yield texts[0]
+                continue
+            for header, text in zip(headers, texts, strict=True):
+                if text.plain:
+                    yield from _entry(header, text, indent if beside else None, console, options)
         if self.caption is not None:
             yield _text(self.caption, console)
 

@@ -22,6 +22,7 @@ def test_each_package_has_exactly_one_owner(package: str) -> None:
         ("storage.sql", "schema/10_tables.sql"),
         ("storage.sql", "schema/20_views.sql"),
         ("analytics.demo", "demo_limits.toml"),
+        ("analytics.loop.report", "templates/diagnosis.html.jinja"),
         ("ingest.simulator", "station_template/station.toml"),
     ],
 )

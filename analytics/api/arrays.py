@@ -1,5 +1,6 @@
 """Estimates of plain arrays, without a store: Allan deviation and noise coefficients."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from stream.errors import BadInput, EstimatorError, NotEnoughData
 from stream.estimators.base import NoEstimate
 from stream.estimators.full_overlap.deviation_forms import Deviation
 from stream.estimators.full_overlap.full_overlap import FullOverlap
-from stream.estimators.noise.noise_fit import NoiseFit, fit_noise
+from stream.estimators.noise.noise_fit import NoiseCoefficient, NoiseFit, fit_noise
 from stream.events import EstimatePoint
 
 if TYPE_CHECKING:
@@ -128,6 +129,8 @@ def allan_deviation(
 def noise_fit(curve: DeviationCurve) -> NoiseFit:
     """Noise coefficients Q, N, B, K, R of IEEE 952 from an overlapping Allan deviation, with their bounds.
 
+    The `value` of a term that is not `observable` is NaN: the record gives its upper bound `hi` only.
+
     Parameters
     ----------
     curve: Of an angular rate, by `allan_deviation`.
@@ -162,7 +165,13 @@ def noise_fit(curve: DeviationCurve) -> NoiseFit:
     found = fit_noise(points)
     if isinstance(found, NoEstimate):
         raise NotEnoughData(found.reason)
-    return found
+    terms = {name: getattr(found, name) for name in found.__struct_fields__}
+    bounds = {
+        name: msgspec.structs.replace(each, value=math.nan)
+        for name, each in terms.items()
+        if isinstance(each, NoiseCoefficient) and not each.observable
+    }
+    return msgspec.structs.replace(found, **bounds)
 
 
 def _row_of(values: npt.ArrayLike) -> FloatArray:

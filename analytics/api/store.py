@@ -31,7 +31,7 @@ from (select unit, run, count(*) as signals from signals group by all) s left jo
 order by s.unit, s.run
 """
 _SAMPLES = """
-select t_ns, make_timestamp_ns(t_ns) as time, value, unit_of_measure
+select t_ns, make_timestamp_ns(t_ns) as time, value, unit_of_measure, run
 from samples
 where unit = $unit and signal = $signal and run = $run
   and ($start is null or t_ns >= $start) and ($stop is null or t_ns < $stop)
@@ -102,13 +102,13 @@ class FleetStore:
         Parameters
         ----------
         unit, signal: Which signal.
-        run: Of which run; the one measured last if left out.
+        run: The longest record if omitted; the column `run` has its name.
         start, stop: From when, and until before when: a moment with a time zone, or nanoseconds UTC (as `t_ns`).
 
         Returns
         -------
         DataFrame
-            ``t_ns``, ``time`` (UTC), ``value`` and ``unit_of_measure``.
+            ``t_ns``, ``time`` (UTC), ``value``, ``unit_of_measure`` and ``run``.
 
         Raises
         ------
@@ -128,6 +128,8 @@ class FleetStore:
         self, unit: str, signal: str, run: str | None = None, *, deviation: str = "oadev", points_per_octave: int = 1
     ) -> DeviationCurve:
         """Allan deviation of a recorded signal, or another deviation; see `gyrofleet.allan_deviation`.
+
+        Without a run it is that of the longest record; `curve.run` of the result is its name.
 
         Raises
         ------
@@ -177,9 +179,9 @@ class FleetStore:
 
         asked = Selection(_each(unit), _each(lot), _each(run), _each(metric), _each(standard))
         rows = selected(self._catalog, asked)
-        told = [row | {"parameters": json.dumps(row["parameters"], ensure_ascii=False)} for row in rows]
+        texts = [row | {"parameters": json.dumps(row["parameters"], ensure_ascii=False)} for row in rows]
         names = [name for name in COLUMNS.names if name != "freedom"]
-        return pl.DataFrame(told, schema=None if told else names, infer_schema_length=None, strict=False)
+        return pl.DataFrame(texts, schema=None if texts else names, infer_schema_length=None, strict=False)
 
     def diagnose(
         self,
@@ -220,7 +222,7 @@ class FleetStore:
             holdout=None if holdout is None else _each(holdout),
             runs=None if runs is None else _each(runs),
         )
-        return diagnose_units(self._catalog, [unit], question, told=progress).units[unit]
+        return diagnose_units(self._catalog, [unit], question, on_progress=progress).units[unit]
 
     @property
     def _catalog(self) -> "Catalog":

@@ -1,4 +1,4 @@
-"""The command `gyrofleet allan`: deviations of a recorded signal, its noise coefficients, how they change with time."""
+"""The command `gyrofleet allan`: deviations and noise coefficients of a recorded signal, also over a rolling window."""
 
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.table import Table
 
 from storage.commands.stored_names import RUN, SIGNAL, UNIT
 from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput
+from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.curves.allan_curve import AllanCurve, Overlap
@@ -26,7 +26,7 @@ _DEVIATIONS = ("adev", "oadev", "mdev", "hdev", "ohdev")
 @click.command("allan")
 @click.option("--unit", type=UNIT, required=True, help="Which unit.")
 @click.option("--signal", type=SIGNAL, required=True, help="Which of its signals, as rate or rate_x.")
-@click.option("--run", type=RUN, help="Which run; the one measured last if left out.")
+@click.option("--run", type=RUN, help="Which run; by default the one with the longest record.")
 @store_option
 @click.option(
     "--points-per-octave",
@@ -35,6 +35,7 @@ _DEVIATIONS = ("adev", "oadev", "mdev", "hdev", "ohdev")
     show_default=True,
     help="Averaging times in an octave.",
 )
+@click.option("--tau", "taus", metavar="SECONDS,...", help="These averaging times, as 10,100,1000.")
 @click.option(
     "--deviation",
     "kind",
@@ -46,8 +47,8 @@ _DEVIATIONS = ("adev", "oadev", "mdev", "hdev", "ohdev")
 @click.option(
     "--overlap",
     type=click.Choice(["full", "strided"]),
-    help="Every window there is, as by default up to a million samples, or one every 1/16 of the averaging time, as "
-    "while data flow.",
+    help="Every window, the default up to a million samples, or one every 1/16 of the averaging time, as in live "
+    "estimates.",
 )
 @click.option("--resample", "resample_s", type=float, help="Take means of blocks of so many seconds first.")
 @click.option("--plot", "plot_path", type=click.Path(path_type=Path), help="Draw the curve: FILE.png or FILE.svg.")
@@ -58,8 +59,8 @@ _DEVIATIONS = ("adev", "oadev", "mdev", "hdev", "ohdev")
     "--limits", "limits_path", type=click.Path(path_type=Path), help="Draw the limits of this specification file."
 )
 @click.option("--fit", is_flag=True, help="Fit the noise coefficients of IEEE 952 to the curve; drawn in with --plot.")
-@click.option("--rolling", "window_h", type=float, metavar="HOURS", help="The same over a window that rolls along.")
-@click.option("--step", "step_h", type=float, metavar="HOURS", help="By how much it rolls; an eighth if left out.")
+@click.option("--rolling", "window_h", type=float, metavar="HOURS", help="The same over a rolling window.")
+@click.option("--step", "step_h", type=float, metavar="HOURS", help="Step of the rolling window, by default 1/8 of it.")
 @reporting
 def allan(
     unit: str,
@@ -67,6 +68,7 @@ def allan(
     run: str | None,
     folder: Path,
     points_per_octave: str,
+    taus: str | None,
     kind: str,
     overlap: "Overlap | None",
     resample_s: float | None,
@@ -98,10 +100,11 @@ def allan(
     if step_h is not None and window_h is None:
         raise BadInput("--step is by how much a window rolls: give --rolling HOURS as well")
     if window_h is not None:
-        if fit or compare or limits_path or resample_s or overlap:
+        if fit or compare or limits_path or resample_s or overlap or taus:
             raise BadInput("--rolling goes with --step, --points-per-octave and --plot only")
         _rolling(folder, (unit, signal, run), (window_h, step_h), int(points_per_octave), plot_path, as_json=as_json)
         return
+    taus_s = _seconds(taus)
     limits = []
     if limits_path is not None:
         specified = parse_specification(read_specification(limits_path), str(limits_path)).limits
@@ -118,9 +121,10 @@ def allan(
                 resample_s=resample_s,
                 deviation=deviation,
                 overlap=overlap,
+                taus_s=taus_s,
             )
 
-        curve = curve_of(unit, run)
+        curve = curve_of(unit, chosen_run(catalog, unit, signal, run))
         others = [curve_of(each, in_run) for each, in_run in _fleet(catalog, curve, compare)]
         found, outliers = _noise(catalog, curve) if fit else (None, None)
     if plot_path is not None:
@@ -132,6 +136,27 @@ def allan(
     _show(curve, found, outliers, as_json=as_json)
     if plot_path is not None and not as_json:
         notes().print(f"plot: {plot_path}")
+
+
+def chosen_run(catalog: "Catalog", unit: str, signal: str, run: str | None) -> str:
+    """The run of a signal, by default that of its longest record; a note says which of several was taken."""
+    from storage.sql.reading import find_signal
+
+    record = find_signal(catalog, unit, signal, run)
+    if record.runs > 1:
+        text = f"run {record.run}: the longest record of {record.runs} runs; --run chooses another"
+        notes().print(text, markup=False, soft_wrap=True)
+    return record.run
+
+
+def _seconds(taus: str | None) -> tuple[float, ...]:
+    try:
+        found = tuple(float(each) for each in (taus or "").split(",") if each.strip())
+    except ValueError:
+        found = (-1.0,)
+    if (taus is not None and not found) or not all(0.0 < each < float("inf") for each in found):
+        raise BadInput(f"--tau {taus!r}: averaging times in seconds are expected, as 10,100,1000")
+    return found
 
 
 def _working(*, as_json: bool) -> AbstractContextManager[object]:
@@ -177,9 +202,12 @@ def _rolling(
 
     window_h, step_h = hours
     with _working(as_json=as_json), Catalog(Store.open(folder)) as catalog:
+        unit, signal, run = which
         surface = rolling_allan(
             catalog,
-            *which,
+            unit,
+            signal,
+            chosen_run(catalog, unit, signal, run),
             window_s=window_h * _SECONDS_PER_HOUR,
             step_s=(window_h / 8 if step_h is None else step_h) * _SECONDS_PER_HOUR,
             points_per_octave=points_per_octave,
@@ -211,7 +239,7 @@ def _noise(catalog: "Catalog", curve: "AllanCurve") -> "tuple[NoiseCoefficients 
 def _fleet(catalog: "Catalog", curve: "AllanCurve", compare: tuple[str, ...]) -> list[tuple[str, str | None]]:
     """Units to draw beside a curve, and of which run: those named, or all that have the signal.
 
-    Of a unit that was not in the run of the curve, as one imported from a file of its own, the last run is taken.
+    A unit that was not in the run of the curve, as one imported from its own file, is drawn with its longest record.
     """
     sql = "select unit, bool_or(run = $run) from signals where signal = $signal group by unit order by unit"
     held = {str(unit): bool(both) for unit, both in catalog.rows(sql, {"run": curve.run, "signal": curve.signal})}
@@ -219,15 +247,12 @@ def _fleet(catalog: "Catalog", curve: "AllanCurve", compare: tuple[str, ...]) ->
     return [(unit, curve.run if held.get(unit) else None) for unit in units if unit != curve.unit]
 
 
-def _curve_table(curve: "AllanCurve") -> Table:
-    table = Table(
+def _curve_table(curve: "AllanCurve") -> ResultTable:
+    table = ResultTable(
         title=f"{curve.names[0]} ({curve.names[1]}) of {curve.unit} {curve.signal}, run {curve.run}",
-        title_justify="left",
         caption=f"{curve.samples:,} samples every {curve.sample_interval_s:g} s, {curve.missing:,} missing; "
         f"{curve.overlap} overlap; limits: 95 % confidence, least degrees of freedom of the plausible noises α "
         "(2 quantization, 1 flicker of angle, 0 angle random walk, -1 bias instability, -2 rate random walk)",
-        caption_justify="left",
-        header_style="bold",
     )
     for title in ("tau s", f"deviation {curve.unit_of_measure}", "from", "to", "degrees of freedom", "noise α"):
         table.add_column(title, justify="right")

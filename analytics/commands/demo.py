@@ -94,7 +94,7 @@ def _summary(state: "DemoState", folder: Path, plot: Path) -> dict[str, object]:
 def _tell_found(state: "DemoState") -> None:
     """What the units' error models lack, in a sentence each, in both languages."""
     from analytics.demo.demo_loop import DECLARED_MODEL
-    from analytics.loop.report.sentences import verdict_sentence
+    from analytics.loop.report.verdict_sentence import verdict_sentence
     from analytics.loop.report.wording import Wording
 
     assert state.found is not None

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.table import Table
 
 from stream.command_group import CommandGroup
 from stream.console import counted, notes, print_json, reporting, results, store_option
+from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from storage.specifications.chain import Chain
@@ -124,9 +124,7 @@ def history(folder: Path, *, as_json: bool) -> None:
     if as_json:
         print_json([{"sha256": link.hash, "document": link.document} for link in links])
         return
-    table = Table(header_style="bold")
-    for title in ("entered", "action", "specification", "by", "reason", "earlier runs"):
-        table.add_column(title, overflow="fold")
+    table = ResultTable("entered", "action", "specification", "by", "reason", "earlier runs")
     for link in links:
         each = link.document
         what = link.label if each.name else ""
@@ -152,9 +150,7 @@ def list_all(folder: Path, *, as_json: bool) -> None:
     if as_json:
         print_json([_told(each) | _entry(entered[each.specification.label]) for each in periods])
     else:
-        table = Table(header_style="bold")
-        for title in ("specification", "revision", "valid", "limits", "products", "entered", "by"):
-            table.add_column(title, overflow="fold")
+        table = ResultTable("specification", "revision", "valid", "limits", "products", "entered", "by")
         for each in periods:
             found, entry = each.specification, _entry(entered[each.specification.label])
             counts = (str(len(found.limits)), ", ".join(found.products))
@@ -184,7 +180,7 @@ def show(name: str, folder: Path, language: str, *, as_toml: bool, as_json: bool
     if as_json:
         print_json({**_told(period), "limits": [_told_limit(each) for each in found.limits]})
         return
-    table = Table(title=f"{found.label}, {period.text}", title_justify="left", header_style="bold")
+    table = ResultTable(title=f"{found.label}, {period.text}")
     titles = ("特性", "限定", "产品", "下限", "上限", "单位")
     for title in (
         titles if language == "zh" else ("characteristic", "of", "product", "lower", "upper", "unit of measure")

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.table import Table
 
 from analytics.commands.limits import warn_of_copies
 from storage.commands.stored_names import RUN, UNIT
 from stream.completion import ListedName
 from stream.console import counted, notes, print_json, progress_bar, reporting, results, store_option, styled
 from stream.errors import BadInput
+from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.evaluation.annex_a import AnnexRow
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _SHOWN_ROWS = 500
 _SHOWN_REASONS = 5
-_NOTHING = 'no characteristic is of what was asked for; `gyrofleet sql "from unit_runs"` has what was tested when'
+_NOTHING = 'no metric matches the selection; `gyrofleet sql "from unit_runs"` lists the tested units and runs'
 _LANGUAGES = click.Choice(["en", "zh"])
 
 language_option = click.option(
@@ -29,7 +29,7 @@ language_option = click.option(
 
 
 def _metric_names() -> list[str]:
-    from analytics.metrics.registry import metrics
+    from analytics.metric_registry.registry import metrics
 
     return list(metrics())
 
@@ -69,7 +69,7 @@ def metrics(
 ) -> None:
     """Characteristics of the test standards: value, 95 % interval, clause, or the reason why there is none.
 
-    Runs that have changed since the last time are reduced first. Then values come from what was kept.
+    Changed runs are reduced first; other values are read from the store. With --metric only these metrics are computed.
 
     \b
     gyrofleet metrics --unit FOG-0231
@@ -85,11 +85,12 @@ def metrics(
     asked = Selection(units, lots, runs, ids, standards, None if since is None else dated(since))
     with opened_catalog(folder, quiet=as_json) as catalog:
         if annex_unit is not None:
-            tell_annex(annex_a(catalog, annex_unit), annex_unit, language, as_json=as_json)
+            _print_annex(annex_a(catalog, annex_unit), annex_unit, language, as_json=as_json)
             return
         rows = selected(catalog, asked)
-        undated = undated_runs(catalog) if since else 0
-        _tell_unused(unused_steps(catalog, asked))
+        undated = undated_runs(catalog, asked) if since else 0
+        if not ids:  # a step is unused where no metric at all uses it
+            _print_unused(unused_steps(catalog, asked))
     if undated:
         notes().print(f"--since leaves out {undated} runs whose date is not known; import them with --start")
     if csv_path is not None:
@@ -103,12 +104,12 @@ def metrics(
     if as_json:
         print_json(rows)
     elif csv_path is None and xlsx_path is None:
-        _tell(metrics_table(rows[:_SHOWN_ROWS], language), len(rows))
+        _print_table(metrics_table(rows[:_SHOWN_ROWS], language), len(rows))
 
 
 @contextmanager
 def opened_catalog(folder: Path, *, quiet: bool) -> "Iterator[Catalog]":
-    """A store's catalogue that tells on standard error how far the reduction of changed runs is."""
+    """A store's catalogue that shows the progress of the reduction of changed runs on standard error."""
     from storage.specifications.chain import read_chain
     from storage.sql.catalog import Catalog
     from storage.store import Store
@@ -116,27 +117,22 @@ def opened_catalog(folder: Path, *, quiet: bool) -> "Iterator[Catalog]":
     with progress_bar(hidden=quiet) as progress:
         task = progress.add_task("reducing changed runs", total=None, visible=False)
 
-        def told(done: int, total: int) -> None:
+        def update(done: int, total: int) -> None:
             progress.update(task, completed=done, total=total, visible=done < total)
 
-        with Catalog(Store.open(folder), progress=told) as catalog:
+        with Catalog(Store.open(folder), progress=update) as catalog:
             warn_of_copies(catalog.store, read_chain(catalog.store, catalog))
             yield catalog
 
 
-def tell_annex(rows: "Sequence[AnnexRow]", unit: str, language: str, *, as_json: bool) -> None:
-    """Print the annex."""
-    from analytics.evaluation.table import interval_of, told_number, told_parameters, told_unit
+def _print_annex(rows: "Sequence[AnnexRow]", unit: str, language: str, *, as_json: bool) -> None:
+    from analytics.evaluation.table import format_parameters, format_value, interval_of
 
     if as_json:
-        print_json({"unit": unit, "standard": "JJF2014", "annex": "A", "rows": [row.told() for row in rows]})
+        print_json({"unit": unit, "standard": "JJF2014", "annex": "A", "rows": [row.document() for row in rows]})
         return
     in_chinese = language == "zh"
-    table = Table(
-        title=f"JJF 2014-2022 附录 A: {unit}" if in_chinese else f"JJF 2014-2022 annex A: {unit}",
-        title_justify="left",
-        header_style="bold",
-    )
+    table = ResultTable(title=f"JJF 2014-2022 附录 A: {unit}" if in_chinese else f"JJF 2014-2022 annex A: {unit}")
     for title in ("序号", "校准项目", "校准结果", "95 % 区间", "参数", "条款") if in_chinese else (
         "no.", "characteristic", "result", "95 % interval", "parameters", "clause"
     ):  # fmt: skip
@@ -146,14 +142,14 @@ def tell_annex(rows: "Sequence[AnnexRow]", unit: str, language: str, *, as_json:
         if not row.results:
             table.add_row(str(row.number), name, styled(row.reason or "", "yellow"), "", "", row.clause)
         for at, each in enumerate(row.results):
-            value = f"{told_number(each['value'], each['standard_uncertainty'])} {told_unit(each['unit_of_measure'])}"
             head = ("", "") if at else (str(row.number), name)
-            table.add_row(*head, value.strip(), interval_of(each), told_parameters(each["parameters"]), each["clause"])
+            parameters = format_parameters(each["parameters"])
+            table.add_row(*head, format_value(each), interval_of(each), parameters, each["clause"])
     results().print(table)
 
 
-def _tell_unused(unused: "Sequence[tuple[str, int, str]]") -> None:
-    """Say which steps no characteristic rests on; their reasons, and how many of how many units."""
+def _print_unused(unused: "Sequence[tuple[str, int, str]]") -> None:
+    """Note the steps that no metric uses: how many, of which units, and why."""
     for reason, steps, units in unused[:_SHOWN_REASONS]:
         notes().print(f"not judged: {counted(steps, 'step')} of {units}: {reason}", soft_wrap=True, markup=False)
     if len(unused) > _SHOWN_REASONS:
@@ -161,7 +157,7 @@ def _tell_unused(unused: "Sequence[tuple[str, int, str]]") -> None:
         notes().print(f'... and {more} reasons more; `gyrofleet sql "from unused_steps"` has all', markup=False)
 
 
-def _tell(table: Table, count: int) -> None:
+def _print_table(table: ResultTable, count: int) -> None:
     console = results()
     if count == 0:
         console.print(_NOTHING)

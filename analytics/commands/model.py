@@ -55,7 +55,7 @@ def list_models(folder: Path, unit: str | None, *, as_json: bool) -> None:
 
 
 def _tell_list(rows: list[dict[str, Any]], unit: str | None, *, is_empty: bool, as_json: bool) -> None:
-    from rich.table import Table
+    from stream.result_table import ResultTable
 
     if as_json:
         print_json(rows)
@@ -69,9 +69,7 @@ def _tell_list(rows: list[dict[str, Any]], unit: str | None, *, is_empty: bool, 
             soft_wrap=True,
         )
         return
-    table = Table(header_style="bold")
-    for title in ("unit", "version", "stage", "verdict", "made", "by", "model"):
-        table.add_column(title, overflow="fold")
+    table = ResultTable("unit", "version", "stage", "verdict", "made", "by", "model")
     for row in rows:
         table.add_row(*(str(row[name]) for name in ("unit", "version", "stage", "verdict", "made", "by", "model")))
     results().print(table, markup=False)
@@ -172,7 +170,7 @@ def promote(
     gyrofleet model promote --unit FOG-0235 --model 'rate = bias + temperature'
     gyrofleet model promote --unit FOG-0235 --version 2 --shadow
     """  # noqa: D301  click's mark for lines that are not to be joined
-    from analytics.commands.diagnose import block_seconds, holdout_of, noise_of
+    from analytics.commands.diagnose_options import block_seconds, holdout_of, noise_of
     from analytics.loop.model.model_registry import ModelRegistry
     from analytics.loop.model.model_use import Stage, activate
     from analytics.loop.model_promotion import check_usable, confounded_warning, promote_trace
@@ -199,7 +197,7 @@ def promote(
             runs=runs or None,
         )
         with status_line() as told:
-            version, _ = promote_trace(store, unit, question, stage, by=_who(by), note=reason, told=told)
+            version, _ = promote_trace(store, unit, question, stage, by=_who(by), note=reason, on_progress=told)
     warning = confounded_warning(version) if stage is Stage.LIVE else None
     if as_json:
         told_of = {"unit": unit, "version": version.version, "hash": version.hash, "stage": stage}

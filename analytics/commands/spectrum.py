@@ -1,4 +1,4 @@
-"""The command `gyrofleet spectrum`: power spectral density of a recorded signal and the lines in it."""
+"""The command `gyrofleet spectrum`: power spectral density of a recorded signal, its lines and humps."""
 
 import math
 from pathlib import Path
@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import click
 import numpy as np
-from rich.table import Table
 
 from storage.commands.stored_names import RUN, SIGNAL, UNIT
 from stream.console import notes, print_json, reporting, results, store_option
+from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.curves.spectrum import SignalSpectrum
@@ -22,18 +22,22 @@ _FEW_ROWS = 4
 @click.command("spectrum")
 @click.option("--unit", type=UNIT, required=True, help="Which unit.")
 @click.option("--signal", type=SIGNAL, required=True, help="Which of its signals, as rate or rate_x.")
-@click.option("--run", type=RUN, help="Which run; the one measured last if left out.")
+@click.option("--run", type=RUN, help="Which run; by default the one with the longest record.")
 @store_option
 @click.option("--plot", "plot_path", type=click.Path(path_type=Path), help="Draw the density: FILE.png or FILE.svg.")
 @reporting
 def spectrum(unit: str, signal: str, run: str | None, folder: Path, plot_path: Path | None, *, as_json: bool) -> None:
-    """Power spectral density of a recorded signal and the sinusoidal lines in it, with 95 % confidence limits."""
+    """Power spectral density of a recorded signal, its sinusoidal lines and its humps, with 95 % confidence limits.
+
+    A hump is a band wider than a line with more noise than a sum of power laws explains, as of a resonance.
+    """
+    from analytics.commands.allan import chosen_run
     from analytics.curves.spectrum import spectrum_of
     from storage.sql.catalog import Catalog
     from storage.store import Store
 
     with Catalog(Store.open(folder)) as catalog:
-        found = spectrum_of(catalog, unit, signal, run)
+        found = spectrum_of(catalog, unit, signal, chosen_run(catalog, unit, signal, run))
     if plot_path is not None:
         from analytics.plots.spectrum_plot import plot_spectrum
 
@@ -45,20 +49,19 @@ def spectrum(unit: str, signal: str, run: str | None, folder: Path, plot_path: P
         results().print(_line_table(found))
     else:
         results().print(_no_line(found), soft_wrap=True, markup=False)
+    if found.humps:
+        results().print(_hump_table(found))
     results().print(_level_table(found))
     if plot_path is not None:
         notes().print(f"plot: {plot_path}")
 
 
-def _line_table(found: "SignalSpectrum") -> Table:
+def _line_table(found: "SignalSpectrum") -> ResultTable:
     from analytics.curves.spectrum import with_error
 
-    table = Table(
+    table = ResultTable(
         title=f"Lines (谱线) of {found.unit} {found.signal}, run {found.run}",
-        title_justify="left",
         caption=f"{found.confidence * 100:g} % confidence; amplitude is that of the peak. {_tested(found)}",
-        caption_justify="left",
-        header_style="bold",
     )
     for title in ("frequency Hz 频率", f"amplitude {found.unit_of_measure} 幅值", "from", "to", "times background"):
         table.add_column(title, justify="right")
@@ -66,6 +69,21 @@ def _line_table(found: "SignalSpectrum") -> Table:
         amplitudes = (line.amplitude, line.amplitude_lo, line.amplitude_hi)
         frequency = with_error(line.frequency_hz, line.frequency_hi_hz - line.frequency_hz)
         table.add_row(frequency, *(f"{value:.4g}" for value in amplitudes), f"{line.background_ratio:,.3g}")
+    return table
+
+
+def _hump_table(found: "SignalSpectrum") -> ResultTable:
+    table = ResultTable(
+        title=f"Humps (宽带凸起) of {found.unit} {found.signal}, run {found.run}",
+        caption=f"bands above the fitted power-law noise model; {found.confidence * 100:g} % confidence; of spectra of "
+        f"such noise, at most {found.false_alarm_probability * 100:g} % show one",
+    )
+    rms = f"excess RMS {found.unit_of_measure} 超出均方根"
+    for title in ("from Hz", "to Hz", "times model 与模型之比", "from", "to", rms, "probability by chance"):
+        table.add_column(title, justify="right")
+    for hump in found.humps:
+        numbers = (hump.frequency_lo_hz, hump.frequency_hi_hz, hump.ratio, hump.ratio_lo, hump.ratio_hi, hump.rms)
+        table.add_row(*(f"{each:.3g}" for each in numbers), f"{hump.false_alarm_probability:.1g}")
     return table
 
 
@@ -80,18 +98,15 @@ def _tested(found: "SignalSpectrum") -> str:
     )
 
 
-def _level_table(found: "SignalSpectrum") -> Table:
+def _level_table(found: "SignalSpectrum") -> ResultTable:
     length_s = found.segment_samples * found.sample_interval_s
     left_out = f", {found.segments_left_out:,} left out for missing samples" if found.segments_left_out else ""
-    table = Table(
+    table = ResultTable(
         title=f"Power spectral density (功率谱密度) of {found.unit} {found.signal}, run {found.run}",
-        title_justify="left",
         caption=f"{found.samples:,} samples every {found.sample_interval_s:g} s, {found.missing:,} missing; "
         f"resolution {found.bin_width_hz:.4g} Hz: {found.segments:,} segments of {found.segment_samples:,} samples "
         f"({length_s:g} s){left_out}, half overlapping, Hann window; means over a tenth of a decade, lines left out; "
         f"limits: {found.confidence * 100:g} % confidence",
-        caption_justify="left",
-        header_style="bold",
     )
     titles = ("frequency Hz 频率", f"density {found.psd_unit}", "from", "to", f"line seen from {found.unit_of_measure}")
     for title in titles:

@@ -1,18 +1,19 @@
-"""The command `gyrofleet trend`: a characteristic over time, by unit, lot, station or fixture."""
+"""The command `gyrofleet trend`: a metric over time, by unit, lot, station or fixture."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.table import Table
 
 from analytics.commands.metrics import METRIC, language_option, opened_catalog
 from storage.commands.stored_names import SIGNAL, UNIT
 from stream.console import notes, print_json, reporting, results, store_option
 from stream.errors import BadInput
+from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
-    from analytics.trends.trend import Chart, Trend
+    from analytics.trends.control_chart import IndividualsChart
+    from analytics.trends.trend import Trend
 
 _NONE = "\N{EN DASH}"
 _SHOWN_ROWS = 40
@@ -28,11 +29,12 @@ _STATES = {
 
 
 @click.command("trend")
-@click.argument("metric", type=METRIC)
+@click.argument("metric", type=METRIC, required=False)
+@click.option("--metric", "named", type=METRIC, help="The metric; the same as the argument METRIC.")
 @click.option(
     "--by",
     type=click.Choice(["unit", "lot", "station", "fixture"]),
-    help="One chart for each; left out, all units stand on one chart with their first values.",
+    help="One chart for each; by default one chart with the first value of each unit.",
 )
 @store_option
 @click.option("--unit", "units", type=UNIT, multiple=True, help="Only this unit; may be given several times.")
@@ -44,20 +46,21 @@ _STATES = {
 @click.option("--standard", help="Only values of this standard: GJB2426A, JJF2014.")
 @click.option("--parameter", "parameters", multiple=True, metavar="NAME=VALUE", help="Which kind, as average_s=100.")
 @click.option("--since", help="Only values measured then or later: 2026-11-21, or with time and zone.")
-@click.option("--baseline", type=click.IntRange(min=8), help="Limits from so many first points; from all if left out.")
+@click.option("--baseline", type=click.IntRange(min=8), help="Limits from this many first points; by default all.")
 @click.option(
     "--sigma",
     "spread",
     type=click.Choice(["median_moving_range", "moving_range", "deviation"]),
     default="median_moving_range",
     show_default=True,
-    help="From what the limits are computed; wild points move the median least.",
+    help="How the limits are computed; outliers change the median least.",
 )
 @click.option("--plot", "plot_path", type=click.Path(path_type=Path), help="Draw the charts: FILE.png or FILE.svg.")
 @language_option
 @reporting
 def trend(
-    metric: str,
+    metric: str | None,
+    named: str | None,
     by: str | None,
     folder: Path,
     units: tuple[str, ...],
@@ -76,23 +79,28 @@ def trend(
     *,
     as_json: bool,
 ) -> None:
-    """A characteristic over time: control charts, changes, drift, differences between stations, capability.
+    """A metric over time: control charts, changes, drift, differences between stations, capability.
 
-    At the end it says in words what stands out: since when, which group differs, by how much with its interval.
+    The report at the end has a sentence on each significant result: since when, which group differs, by how much.
 
     \b
     gyrofleet trend bias --by station --plot bias.png
+    gyrofleet trend --metric bias --by lot
     gyrofleet trend bias_stability_averaged --parameter average_s=100
     gyrofleet trend scale_factor --unit FOG-0231 --lang zh
     """  # noqa: D301  click's mark for lines that are not to be joined
     from analytics.evaluation.selection import dated, standard_named
     from analytics.plots.figure_file import check_suffix
+    from analytics.trends.capability import specified_limits
     from analytics.trends.control_chart import Spread
     from analytics.trends.document import document
     from analytics.trends.series import Choice, read_series
-    from analytics.trends.specified import specified_limits
     from analytics.trends.trend import trend_of
 
+    if metric is None:
+        metric = named
+    if metric is None or named not in {None, metric}:
+        raise BadInput("name one metric, as `gyrofleet trend bias` or `gyrofleet trend --metric bias`")
     if plot_path is not None:
         check_suffix(plot_path)
     choice = Choice(
@@ -117,7 +125,7 @@ def trend(
     if as_json:
         print_json(document(found))
         return
-    _tell(found, language)
+    _print_trend(found, language)
     if plot_path is not None:
         notes().print(f"plot: {plot_path}", markup=False)
 
@@ -132,31 +140,29 @@ def _pairs(parameters: tuple[str, ...]) -> dict[str, str]:
     return found
 
 
-def _tell(found: "Trend", language: str) -> None:
+def _print_trend(found: "Trend", language: str) -> None:
     from analytics.trends.report import sentences
 
     results().print(_chart_table(found, language))
     results().print()
-    for words in sentences(found):
-        results().print(words.said(language), soft_wrap=True, markup=False)
+    for sentence in sentences(found):
+        results().print(sentence.in_language(language), soft_wrap=True, markup=False)
 
 
-def _chart_table(found: "Trend", language: str) -> Table:
-    from analytics.evaluation.table import name_of, told_unit
-    from analytics.trends.words import Refused
+def _chart_table(found: "Trend", language: str) -> ResultTable:
+    from analytics.evaluation.table import format_unit, name_of
+    from analytics.trends.words import NotComputed
 
-    unit = told_unit(found.series.unit_of_measure)
+    unit = format_unit(found.series.unit_of_measure)
     name = name_of(found.series.metric, language) if language == "zh" else found.series.metric
     title = f"{name} / {unit}" if unit else name
-    table = Table(title=title, title_justify="left", header_style="bold")
+    table = ResultTable(title=title)
     table.add_column(found.by or "")
     for title in _TITLES[language]:
         table.add_column(title, justify="right" if title not in {"state", "状态"} else "left")
     order = sorted(found.charts, key=lambda chart: (chart.in_control is not False, chart.in_control is None))
     for chart in order[:_SHOWN_ROWS]:
-        limits = [_NONE] * 4
-        if not isinstance(chart.limits, Refused):
-            limits = _numbers(chart)
+        limits = [_NONE] * 4 if isinstance(chart.limits, NotComputed) else _numbers(chart.limits)
         met = ", ".join(f"{rule} ({chart.counts[rule - 1]})" for rule in chart.signals) or _NONE
         state = _STATES[language][chart.in_control]
         table.add_row(chart.name or _ALL[language], str(chart.series.value.size), *limits, state, met)
@@ -165,17 +171,8 @@ def _chart_table(found: "Trend", language: str) -> Table:
     return table
 
 
-def _numbers(chart: "Chart") -> list[str]:
-    from analytics.trends.control_chart import IndividualsChart
+def _numbers(limits: "IndividualsChart") -> list[str]:
     from analytics.trends.words import figures
 
-    limits = chart.limits
-    assert isinstance(limits, IndividualsChart)
-    return [
-        figures(each, limits.sigma / 10) if name != "sigma" else f"{each:.3g}"
-        for name, each in zip(
-            ("centre", "sigma", "lower", "upper"),
-            (limits.centre, limits.sigma, limits.lower, limits.upper),
-            strict=True,
-        )
-    ]
+    centre, lower, upper = (figures(each, limits.sigma / 10) for each in (limits.centre, limits.lower, limits.upper))
+    return [centre, f"{limits.sigma:.3g}", lower, upper]

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.table import Table
 from rich.text import Text
 
 from analytics.commands.metrics import language_option, opened_catalog
 from storage.commands.stored_names import UNIT
 from stream.console import counted, notes, print_json, reporting, results, store_option, styled
 from stream.errors import BadInput
+from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from analytics.specifications.verdicts import Verdicts
@@ -101,7 +101,7 @@ def _tell(found: "Verdicts", shares: list[dict[str, Any]], by: str | None, langu
         notes().print(f"warning: unit {row['unit']}: {reason}", markup=False, soft_wrap=True)
 
 
-def _unit_table(units: Iterable[dict[str, Any]], language: str) -> Table:
+def _unit_table(units: Iterable[dict[str, Any]], language: str) -> ResultTable:
     table = _table(
         ("unit", "product", "lot", "verdict", "latest", "passed", "failed", "marginal", "no data", "reason"), language
     )
@@ -125,8 +125,8 @@ def _told_reasons(row: dict[str, Any], language: str) -> str:
     )
 
 
-def _value_table(rows: Iterable[dict[str, Any]], language: str) -> Table:
-    from analytics.evaluation.table import told_limits, told_number, told_parameters, told_unit
+def _value_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
+    from analytics.evaluation.table import format_limits, format_number, format_parameters, format_unit
 
     table = _table(
         (
@@ -137,15 +137,15 @@ def _value_table(rows: Iterable[dict[str, Any]], language: str) -> Table:
     )  # fmt: skip
     for row in rows:
         half = None if row["lo"] is None else (row["hi"] - row["lo"]) / 4
-        unit = told_unit(row["unit_of_measure"])
-        value = "" if row["value"] is None else f"{told_number(row['value'], half)} {unit}".strip()
-        interval = "" if row["lo"] is None else f"{told_number(row['lo'], half)} .. {told_number(row['hi'], half)}"
-        parameters = told_parameters(json.loads(row["parameters"] or "{}"))
+        unit = format_unit(row["unit_of_measure"])
+        value = "" if row["value"] is None else f"{format_number(row['value'], half)} {unit}".strip()
+        interval = "" if row["lo"] is None else f"{format_number(row['lo'], half)} .. {format_number(row['hi'], half)}"
+        parameters = format_parameters(json.loads(row["parameters"] or "{}"))
         label = f"{row['specification']}-{row['revision'] or '?'}" if row["specification"] else ""
         table.add_row(
             _name(row["metric"], language) + (f" ({parameters})" if parameters else ""),
             row["signal"], row["run"] or _several(row["runs"], language), value, interval,
-            f"{told_limits(row)} {unit}".strip(), _coloured(row["verdict"], language), row["standard"], label,
+            f"{format_limits(row)} {unit}".strip(), _coloured(row["verdict"], language), row["standard"], label,
             row["reason"] or "",
         )  # fmt: skip
     return table
@@ -157,7 +157,7 @@ def _several(runs: Iterable[str], language: str) -> str:
     return several if len(list(runs)) > 1 else ""
 
 
-def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> Table:
+def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> ResultTable:
     table = _table((by, "units", "passed", "failed", "marginal", "no data", "yield", "95 % interval"), language)
     for row in rows:
         counts = (str(row[name]) for name in ("units", "passed", "failed", "marginal", "no_data"))
@@ -168,7 +168,7 @@ def _yield_table(rows: Iterable[dict[str, Any]], by: str, language: str) -> Tabl
     return table
 
 
-def _pareto_table(rows: Iterable[dict[str, Any]], language: str) -> Table:
+def _pareto_table(rows: Iterable[dict[str, Any]], language: str) -> ResultTable:
     table = _table(("fails by", "failed", "marginal", "judged", "share", "cumulative"), language)
     for row in rows:
         of = row["subject"].removeprefix(row["metric"])
@@ -178,8 +178,8 @@ def _pareto_table(rows: Iterable[dict[str, Any]], language: str) -> Table:
     return table
 
 
-def _table(titles: Iterable[str], language: str) -> Table:
-    table = Table(header_style="bold")
+def _table(titles: Iterable[str], language: str) -> ResultTable:
+    table = ResultTable()
     for title in titles:
         table.add_column(_ZH.get(title, title) if language == "zh" else title, overflow="fold")
     return table
@@ -188,7 +188,7 @@ def _table(titles: Iterable[str], language: str) -> Table:
 def _name(metric: str, language: str) -> str:
     """A metric's name; an entered check may have a name of its own."""
     from analytics.evaluation.table import name_of
-    from analytics.metrics.registry import metrics
+    from analytics.metric_registry.registry import metrics
 
     if metric in metrics():
         return name_of(metric, language)

@@ -1,6 +1,7 @@
 """The Allan curve of a recorded signal."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -18,30 +19,23 @@ from stream.events import EstimatePoint
 Overlap = Literal["full", "strided"]
 
 FULL_AT_MOST = 1_000_000
+_TAU_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
 class AllanCurve:
-    """Allan deviation of one signal over averaging time, or another deviation in its place.
+    """Allan deviation of one signal over averaging time, or another deviation.
 
     Parameters
     ----------
-    unit, signal, run: Whose curve it is.
     unit_of_measure: Of `adev`, `lo` and `hi`.
-    sample_interval_s: Sample interval of the record, seconds.
     samples, missing: Samples in the record, and missing from it.
-    tau_s: Averaging times, seconds, rising.
-    adev, lo, hi: Deviation and its confidence limits (95 %).
+    tau_s: Averaging times, increasing.
+    adev, lo, hi: Deviation of the kind `deviation`, and its 95 % confidence bounds.
     edf: Equivalent degrees of freedom.
-    deviation: Which deviation `adev` holds.
-    plausible: Exponents of the noises that are plausible at each averaging time, see `EstimatePoint`; empty where
-        unknown.
-    windows: Differences that each deviation rests on; empty where unknown.
+    plausible: Exponents of the plausible noises at each averaging time, see `EstimatePoint`; empty where unknown.
+    windows: Number of differences of each deviation; empty where unknown.
     overlap: Windows at every sample, or at every 1/16 of the averaging time or closer.
-
-    Raises
-    ------
-    BadInput: If the columns differ in length.
     """
 
     unit: str
@@ -96,9 +90,8 @@ class AllanCurve:
         return f"Overlapping {FORMS[self.deviation].name}", f"重叠 {FORMS[self.deviation].chinese}"
 
     def document(self) -> dict[str, Any]:
-        """Return the curve as it stands in JSON: the column of deviations is named after what it holds."""
-        column = self.deviation.value.removeprefix("o")
-        return {column if key == "adev" else key: value for key, value in asdict(self).items() if key != "windows"}
+        """The curve as JSON, with the same keys for every kind of deviation."""
+        return {"value" if key == "adev" else key: value for key, value in asdict(self).items() if key != "windows"}
 
 
 def allan_curve(
@@ -111,40 +104,53 @@ def allan_curve(
     resample_s: float | None = None,
     deviation: Deviation = Deviation.OVERLAPPING_ALLAN,
     overlap: Overlap | None = None,
+    taus_s: Sequence[float] = (),
     scratch: Path | None = None,
 ) -> AllanCurve:
     """Allan deviation of a signal in the store, or another deviation.
 
     Parameters
     ----------
-    catalog: The store.
-    unit, signal: Which signal.
-    run: Of which run; the one measured last where none is named.
+    run: Of which run; the longest record if omitted.
     points_per_octave: 1, 2, 4 or 8 averaging times an octave.
-    resample_s: Take means of blocks this long (seconds) first: the way to a curve from irregular samples.
-    deviation: Which; all but the overlapping Allan deviation need the full overlap.
-    overlap: "full" takes every window there is. "strided" is the estimator that runs while data flow, in small and
-        constant memory; its limits are as wide to 0.5 %. By default full up to a million samples.
-    scratch: Where the sums of a long record lie while it is evaluated with full overlap, 8 bytes a sample.
+    resample_s: Take means of blocks this long first, as for irregular samples.
+    overlap: "full" takes every window. "strided" is the estimator of live data, in small and constant memory; its
+        bounds are as wide to 0.5 %. By default full up to a million samples; all but the overlapping Allan deviation
+        need it.
+    taus_s: Averaging times, instead of those of `points_per_octave`; they need the full overlap.
+    scratch: Folder of the sums of a long record during its evaluation with full overlap, 8 bytes a sample.
 
     Raises
     ------
     NotFound: If the store does not hold the signal, or holds too little of it.
-    BadInput: If another deviation than the overlapping Allan deviation is wanted with strides.
+    BadInput: If another deviation than the overlapping Allan deviation, or averaging times, are asked for with strides.
     """
     record = find_signal(catalog, unit, signal, run)
     if overlap is None:
-        is_full = deviation is not Deviation.OVERLAPPING_ALLAN or record.samples <= FULL_AT_MOST
+        is_full = bool(taus_s) or deviation is not Deviation.OVERLAPPING_ALLAN or record.samples <= FULL_AT_MOST
         overlap = "full" if is_full else "strided"
     if overlap == "strided":
         if deviation is not Deviation.OVERLAPPING_ALLAN:
             raise BadInput(f"{deviation} has no strided form: leave --overlap out, or say --overlap full")
+        if taus_s:
+            raise BadInput("given averaging times need every window: leave --overlap out, or say --overlap full")
         strided = AllanDeviation(points_per_octave=points_per_octave)
         _feed(strided, catalog, record, resample_s)
         return _curve(record, strided, strided.estimate(), deviation, overlap)
     with FullOverlap(scratch) as full:
         _feed(full, catalog, record, resample_s)
-        return _curve(record, full, full.evaluate(deviation, points_per_octave), deviation, overlap)
+        factors = [_factor(tau_s, full.sample_interval_s) for tau_s in taus_s] or None
+        points = full.evaluate(deviation, points_per_octave, factors)
+        return _curve(record, full, points, deviation, overlap)
+
+
+def _factor(tau_s: float, interval_s: float) -> int:
+    factor = round(tau_s / interval_s) if interval_s > 0.0 else 1
+    if factor < 1 or abs(factor * interval_s / tau_s - 1.0) > _TAU_TOLERANCE:
+        raise BadInput(
+            f"--tau {tau_s:g}: an averaging time is a whole number of sample intervals, here of {interval_s:g} s"
+        )
+    return factor
 
 
 def _feed(
@@ -177,11 +183,8 @@ def _curve(
         sample_interval_s=estimator.sample_interval_s,
         samples=estimator.samples,
         missing=estimator.missing,
-        tau_s=tuple(point.tau_s for point in points),
         adev=tuple(point.value for point in points),
-        lo=tuple(point.lo for point in points),
-        hi=tuple(point.hi for point in points),
-        edf=tuple(point.edf for point in points),
+        **{name: tuple(getattr(point, name) for point in points) for name in ("tau_s", "lo", "hi", "edf")},
         deviation=deviation,
         overlap=overlap,
         plausible=tuple(point.plausible for point in points),
@@ -190,7 +193,7 @@ def _curve(
 
 
 def stored_curves(catalog: Catalog, run: str, signal: str) -> list[AllanCurve]:
-    """The final Allan curves of a run as they were estimated while it ran, one for each unit.
+    """The final live Allan curves of a run, one for each unit.
 
     Raises
     ------
@@ -208,19 +211,6 @@ def stored_curves(catalog: Catalog, run: str, signal: str) -> list[AllanCurve]:
     if not rows:
         raise NotFound(f"run {run}, signal {signal}: no final Allan deviation is stored; has the run ended?")
     return [
-        AllanCurve(
-            unit,
-            signal,
-            run,
-            unit_of_measure,
-            interval_s,
-            samples,
-            missing,
-            tau_s=tuple(taus_s),
-            adev=tuple(adev),
-            lo=tuple(lo),
-            hi=tuple(hi),
-            edf=tuple(edf),
-        )
-        for unit, unit_of_measure, interval_s, samples, missing, taus_s, adev, lo, hi, edf in rows
+        AllanCurve(unit, signal, run, *about, *(tuple(column) for column in (taus_s, adev, lo, hi, edf)))
+        for unit, *about, taus_s, adev, lo, hi, edf in rows
     ]

@@ -1,4 +1,4 @@
-"""Single samples far from the others beside them, and by how much they raise the angle random walk."""
+"""Isolated outliers of a signal, and by how much they raise the angle random walk."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,24 +10,23 @@ from storage.sql.reading import SignalRecord, read_signal
 from stream.batch import FloatArray
 
 FAR = 9.0
-"""Standard deviations by which a sample leaves the mean of its neighbours: of white noise 1 sample in 10^13."""
+"""Threshold, in standard deviations from the mean of the neighbours: in white noise 1 sample in 10^13."""
 _CALM = 0.6
 _MOTION = 0.01
 _PER_MEDIAN = 1.4826
 _BESIDE = 3
 WORTH_A_WORD = 0.01
-"""Part by which outliers raise N from which on they are reported."""
+"""Relative increase of N from which outliers are reported."""
 
 
 @dataclass(frozen=True)
 class IsolatedOutliers:
-    """What single far samples do to the noise of a signal.
+    """Isolated outliers of a signal.
 
     Parameters
     ----------
-    count: How many there are.
-    largest: The largest departure from the neighbours, in standard deviations of the noise from sample to sample.
-    raise_n_by: Relative amount by which they raise N as an Allan deviation tells it.
+    largest: The largest departure from the neighbours, in standard deviations of the noise between samples.
+    raise_n_by: Relative increase of N, as estimated from the Allan deviation.
     """
 
     count: int
@@ -36,12 +35,12 @@ class IsolatedOutliers:
 
     @property
     def is_worth_a_word(self) -> bool:
-        """Whether N is higher for them by 1 % or more."""
+        """Whether they raise N by 1 % or more."""
         return self.raise_n_by >= WORTH_A_WORD
 
     @property
     def sentence(self) -> str:
-        """What to say of them."""
+        """The report of the outliers."""
         return (
             f"{self.count:,} isolated outliers, up to {self.largest:.3g} times the noise, raise N by "
             f"{self.raise_n_by:.0%}: leave them out, or find what makes them"
@@ -54,10 +53,10 @@ def isolated_outliers(catalog: Catalog, record: SignalRecord) -> IsolatedOutlier
 
 
 def count_outliers(pieces: Iterable[FloatArray]) -> IsolatedOutliers:
-    """Count the samples that leave the mean of their neighbours by nine standard deviations of the noise, alone.
+    """Count the single samples that leave the mean of their neighbours by nine standard deviations of the noise.
 
-    The noise is that of the median difference from sample to sample; what moves goes on moving, and is no outlier; nor
-    is a tail of the noise, where one sample in a hundred is far.
+    The noise is from the median difference between samples; a lasting change is no outlier, nor is the tail of a noise
+    in which one sample in a hundred lies outside.
 
     Examples
     --------

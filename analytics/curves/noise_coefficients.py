@@ -1,4 +1,4 @@
-"""Noise coefficients of an Allan curve of the store: the fit, its terms, and their JSON."""
+"""Noise coefficients of a stored Allan curve: the fit, its terms, and their JSON."""
 
 import dataclasses
 import math
@@ -12,6 +12,7 @@ from analytics.curves.isolated_outliers import IsolatedOutliers
 from stream.batch import FloatArray
 from stream.estimators.base import NoEstimate
 from stream.estimators.noise.noise_fit import NoiseCoefficient, NoiseFit, fit_noise
+from stream.estimators.noise.noise_misfit import SIGNIFICANCE
 from stream.estimators.noise.noise_model import (
     ANGLE_RANDOM_WALK,
     MARKOV_NOISE,
@@ -29,21 +30,14 @@ MOST_MISFIT = 0.25
 
 @dataclasses.dataclass(frozen=True)
 class FittedTerm:
-    """One term of a fitted model.
-
-    Parameters
-    ----------
-    term: Which one: its names, letter and unit.
-    coefficient: What the fit says of it.
-    correlation_s: Correlation time of Markov noise, seconds; None for the others.
-    """
+    """One term of a fitted model; `correlation_s` is the correlation time of Markov noise, None for the others."""
 
     term: Term
     coefficient: NoiseCoefficient
     correlation_s: float | None = None
 
     def variance(self, taus_s: FloatArray) -> FloatArray:
-        """Its part in the fitted Allan variance, (deg/h)**2, at averaging times in seconds."""
+        """Its share of the fitted Allan variance, (deg/h)**2, at averaging times in seconds."""
         if self.correlation_s is None:
             column = term_columns(taus_s)[:, TERMS.index(self.term)]
         else:
@@ -54,11 +48,10 @@ class FittedTerm:
 
 @dataclasses.dataclass(frozen=True)
 class NoiseCoefficients:
-    """The noise of one signal: coefficients fitted to its Allan curve, and the other method beside them.
+    """Noise coefficients of one signal, fitted to its Allan curve.
 
     Parameters
     ----------
-    fit: The coefficients of IEEE 952.
     normalised: Angle random walk by normalised bias stability (GJB 2426A-2004 5.12.5.4.1), or why there is none.
     """
 
@@ -67,7 +60,7 @@ class NoiseCoefficients:
 
     @property
     def terms(self) -> tuple[FittedTerm, ...]:
-        """The five terms, and the Markov term where the curve asked for one."""
+        """The five terms, and the Markov term if there is one."""
         terms = tuple(FittedTerm(term, getattr(self.fit, term.key)) for term in TERMS)
         markov = self.fit.markov
         return terms if markov is None else (*terms, FittedTerm(MARKOV_NOISE, markov.amplitude, markov.correlation_s))
@@ -83,9 +76,9 @@ class NoiseCoefficients:
         return self.fit.misfit <= MOST_MISFIT
 
     def farthest(self, curve: AllanCurve) -> tuple[float, float]:
-        """Where the model departs most from a curve beyond its limits, and by how much: seconds, and model over curve.
+        """Averaging time of the largest departure of the model beyond the bounds of a curve; model over curve there.
 
-        The ratio is 1 where the model lies within the limits everywhere.
+        The ratio is 1 where the model lies within the bounds everywhere.
         """
         columns = zip(
             curve.tau_s, self.deviation(np.array(curve.tau_s)).tolist(), curve.adev, curve.lo, curve.hi, strict=True
@@ -96,44 +89,37 @@ class NoiseCoefficients:
         return max(outside, key=lambda each: abs(math.log(each[1])), default=(curve.tau_s[0], 1.0))
 
     def agreeing(self, curve: AllanCurve) -> int:
-        """At how many averaging times of a curve the model lies within the limits of its deviation.
-
-        Limits of the coefficients suppose that the noise is that of the model: far fewer than 95 % say that it is not.
-        """
+        """At how many averaging times of a curve the model lies within the bounds of its deviation."""
         model = self.deviation(np.array(curve.tau_s))
         return int(np.count_nonzero((np.array(curve.lo) <= model) & (model <= np.array(curve.hi))))
 
     def document(self) -> dict[str, Any]:
-        """Return the coefficients as they stand in JSON, the limits of each beside its value."""
-        document: dict[str, Any] = {term.key: msgspec.to_builtins(getattr(self.fit, term.key)) for term in TERMS}
-        document["markov"] = msgspec.to_builtins(self.fit.markov)
-        document["angle_random_walk_normalised"] = (
-            {
-                "value": None,
-                "lo": None,
-                "hi": None,
-                "unit_of_measure": ANGLE_RANDOM_WALK.unit_of_measure,
-                "observable": False,
-                "reason": self.normalised.reason,
-            }
-            if isinstance(self.normalised, NoEstimate)
-            else msgspec.to_builtins(self.normalised)
-        )
-        return document
+        """The coefficients as JSON, with bounds; one that is not observable has no value, `hi` is its upper bound."""
+        terms = {term.key: _term_document(getattr(self.fit, term.key)) for term in TERMS}
+        markov = self.fit.markov
+        if isinstance(self.normalised, NoEstimate):
+            missing = dict.fromkeys(("value", "lo", "hi"))
+            unit = {"unit_of_measure": ANGLE_RANDOM_WALK.unit_of_measure}
+            normalised = missing | unit | {"observable": False, "reason": self.normalised.reason}
+        else:
+            normalised = _term_document(self.normalised)
+        return {
+            **terms,
+            "markov": markov and msgspec.to_builtins(markov) | {"amplitude": _term_document(markov.amplitude)},
+            "angle_random_walk_normalised": normalised,
+        }
+
+
+def _term_document(coefficient: NoiseCoefficient) -> dict[str, Any]:
+    document: dict[str, Any] = msgspec.to_builtins(coefficient)
+    return document if coefficient.observable else document | {"value": None}
 
 
 def noise_coefficients(curve: AllanCurve, normalised: NoiseCoefficient | NoEstimate) -> NoiseCoefficients | NoEstimate:
-    """Fit the noise model of IEEE 952 to an Allan curve.
+    """Fit the noise model of IEEE 952 to an overlapping Allan deviation.
 
-    Parameters
-    ----------
-    curve: Overlapping Allan deviation of a signal.
-    normalised: Angle random walk of the same signal by the normalised method, see `normalised_walk`.
-
-    Returns
-    -------
-    NoiseCoefficients or NoEstimate
-        NoEstimate where the signal is no angular rate, or the curve too short or zero throughout.
+    NoEstimate where the signal is no angular rate, or the curve too short or zero throughout; `normalised` is that of
+    the same signal, see `normalised_walk`.
 
     Examples
     --------
@@ -168,12 +154,14 @@ def noise_coefficients(curve: AllanCurve, normalised: NoiseCoefficient | NoEstim
 def curve_document(
     curve: AllanCurve, found: NoiseCoefficients | NoEstimate, outliers: IsolatedOutliers | None = None
 ) -> dict[str, Any]:
-    """Return a curve and its coefficients, or the reason why there are none, as one JSON document."""
+    """A curve and its coefficients, or the reason why there are none, as one JSON document."""
     return {
         **curve.document(),
         "coefficients": None if isinstance(found, NoEstimate) else found.document(),
         "coefficients_reason": found.reason if isinstance(found, NoEstimate) else None,
         "misfit": None if isinstance(found, NoEstimate) else found.fit.misfit,
+        "misfit_probability": None if isinstance(found, NoEstimate) else found.fit.misfit_chance,
+        "misfit_level": SIGNIFICANCE,
         "confidence": CONFIDENCE,
         "outliers": None if outliers is None else dataclasses.asdict(outliers),
     }

@@ -1,18 +1,18 @@
-"""Noise coefficients as people read them: a table in English and Chinese."""
-
-from rich.table import Table
+"""Noise coefficients as a table in English and Chinese."""
 
 from analytics.curves.allan_curve import AllanCurve
 from analytics.curves.noise_coefficients import CONFIDENCE, NoiseCoefficients
 from stream.estimators.base import NoEstimate
 from stream.estimators.noise.noise_fit import NoiseCoefficient
+from stream.estimators.noise.noise_misfit import SIGNIFICANCE
+from stream.result_table import ResultTable
 
 _NOT_OBSERVABLE = "not observable (不可观测): at most"
 _NONE = "\N{EN DASH}"
 
 
-def noise_table(curve: AllanCurve, found: NoiseCoefficients) -> Table:
-    """Table of the coefficients with their limits; what the record does not show is said so, with its bound.
+def noise_table(curve: AllanCurve, found: NoiseCoefficients) -> ResultTable:
+    """Table of the coefficients with their bounds; of one that is not observable, the upper bound.
 
     Examples
     --------
@@ -25,13 +25,10 @@ def noise_table(curve: AllanCurve, found: NoiseCoefficients) -> Table:
     >>> list(table.columns[0].cells)[1], list(table.columns[2].cells)[1]
     ('Angle random walk 角度随机游走', '0.01000')
     """
-    table = Table(
+    table = ResultTable(
         title=f"Noise coefficients (噪声系数) of {curve.unit} {curve.signal}, run {curve.run}",
-        title_justify="left",
         caption=f"IEEE 952-2020 annex C; limits: {CONFIDENCE * 100:g} % confidence; {_agreement(found, curve)}; "
         "normalised (归一化法): GJB 2426A-2004 5.12.5.4.1, from the samples",
-        caption_justify="left",
-        header_style="bold",
     )
     table.add_column("noise 噪声", overflow="fold")
     table.add_column("")
@@ -57,8 +54,9 @@ def noise_table(curve: AllanCurve, found: NoiseCoefficients) -> Table:
 
 
 def _agreement(found: NoiseCoefficients, curve: AllanCurve) -> str:
+    test = f"at the {SIGNIFICANCE:.0%} level (p = {found.fit.misfit_chance:.2g}"
     if found.fit.misfit == 0.0:
-        return "the terms explain the curve (模型与曲线一致)"
+        return f"a test does not reject the sum of the terms {test}; 检验未拒绝模型)"
     at_s, ratio = found.farthest(curve)
     if not found.describes:
         return (
@@ -66,9 +64,10 @@ def _agreement(found: NoiseCoefficients, curve: AllanCurve) -> str:
             "was the unit at rest? `gyrofleet spectrum` and --rolling show more"
         )
     return (
-        f"misfit (失配) {found.fit.misfit:.1%}: the curve is no sum of these terms to its own precision; the model is "
-        f"{abs(ratio - 1):.0%} too {'high' if ratio > 1 else 'low'} at {at_s:g} s, {found.agreeing(curve)} of "
-        f"{len(curve.tau_s)} points agree within their limits; the limits of the coefficients are widened for it"
+        f"a test rejects the sum of the terms {test}, as for about {SIGNIFICANCE:.0%} of records of such noise; "
+        f"检验拒绝模型): estimated misfit (失配) {found.fit.misfit:.1%}; the model is {abs(ratio - 1):.0%} too "
+        f"{'high' if ratio > 1 else 'low'} at {at_s:g} s, {found.agreeing(curve)} of {len(curve.tau_s)} points agree "
+        "within their limits; the limits of the coefficients are widened for it"
     )
 
 

@@ -21,16 +21,7 @@ def normalised_walk(
 ) -> NoiseCoefficient | NoEstimate:
     """Angle random walk by the normalised method (GJB 2426A-2004 5.12.5.4.1), from the samples of a record.
 
-    Parameters
-    ----------
-    catalog: The store.
-    record: Which signal of it, see `find_signal`.
-    confidence: Level of the limits.
-
-    Returns
-    -------
-    NoiseCoefficient or NoEstimate
-        In deg/sqrt(h); NoEstimate where the samples are no angular rate, lie on no grid or are too slow or too few.
+    In deg/sqrt(h); NoEstimate where the samples are no angular rate, lie on no grid or are too slow or too few.
 
     Notes
     -----
@@ -40,7 +31,7 @@ def normalised_walk(
     Examples
     --------
     >>> record = SignalRecord("FOG-1", "temperature", "r1", "degC", 3600, False)
-    >>> normalised_walk(None, record)  # no store is needed to tell
+    >>> normalised_walk(None, record)  # the store is not read
     NoEstimate(reason='the signal is in degC: an angle random walk is of an angular rate, such as deg/s')
     """
     unit_of_measure, factor = report_unit(record.unit_of_measure)

@@ -1,9 +1,7 @@
-"""The Allan deviation of a recorded signal over a window that rolls along: how the noise changes with time."""
+"""The Allan deviation of a recorded signal over a rolling window."""
 
 import math
 from dataclasses import dataclass
-
-from rich.table import Table
 
 from storage.sql.catalog import Catalog
 from storage.sql.reading import find_signal, read_signal
@@ -11,6 +9,7 @@ from stream.errors import NotFound
 from stream.estimators.allan_variance import AllanDeviation
 from stream.estimators.base import NoEstimate
 from stream.estimators.rolling_window import RollingWindow, WindowEstimate
+from stream.result_table import ResultTable
 
 _SECONDS_PER_HOUR = 3600.0
 _SHOWN_TAUS = 8
@@ -25,12 +24,11 @@ class RollingAllan:
     ----------
     unit, signal, run: Whose it is.
     unit_of_measure: Of `adev`, `lo` and `hi`.
-    window_s, step_s: Length of the window and by how much it moves on, seconds.
-    start_h: Where each window begins, hours since the first sample.
+    window_s, step_s: Length and step of the window.
+    start_h: Beginning of each window, hours since the first sample.
     samples, missing: Samples in each window, and missing from it.
-    tau_s: Averaging times, seconds, rising.
-    adev, lo, hi: shape (windows, taus); deviation and its 95 % limits; None where a window is too short or has too many
-        gaps.
+    tau_s: Averaging times, increasing.
+    adev, lo, hi: shape (windows, taus); deviation and its 95 % bounds; None where a window is too short or has gaps.
     """
 
     unit: str
@@ -47,20 +45,17 @@ class RollingAllan:
     lo: tuple[tuple[float | None, ...], ...]
     hi: tuple[tuple[float | None, ...], ...]
 
-    def table(self) -> Table:
+    def table(self) -> ResultTable:
         """Rows of windows at some of the averaging times, for the terminal."""
         every = math.ceil(len(self.tau_s) / _SHOWN_TAUS)
         columns = range(0, len(self.tau_s), every)
         rows = range(0, len(self.start_h), math.ceil(len(self.start_h) / _SHOWN_ROWS))
         is_all = len(rows) == len(self.start_h) and every == 1
         left_out = f"; --json gives {'the limits' if is_all else 'all windows and times, with limits'}"
-        table = Table(
+        table = ResultTable(
             title=f"Rolling Allan deviation (动态 Allan 标准差) of {self.unit} {self.signal}, run {self.run}",
-            title_justify="left",
             caption=f"{len(self.start_h)} windows of {self.window_s / _SECONDS_PER_HOUR:g} h every "
             f"{self.step_s / _SECONDS_PER_HOUR:g} h; deviations in {self.unit_of_measure}{left_out}",
-            caption_justify="left",
-            header_style="bold",
         )
         table.add_column("from h", justify="right")
         for column in columns:
@@ -85,18 +80,11 @@ def rolling_allan(
 
     Parameters
     ----------
-    catalog: The store.
-    unit, signal: Which signal.
-    run: Of which run; where none is named the one measured last of those that fill a window.
-    window_s, step_s: Length of the window and by how much it moves on, seconds; the window is a whole number of steps.
+    run: Of which run; the longest record if omitted.
+    window_s, step_s: Length and step of the window, a whole number of steps.
     points_per_octave: 1, 2, 4 or 8 averaging times an octave.
-
-    Raises
-    ------
-    NotFound: If the store does not hold the signal, or no window of it has an Allan deviation.
-    EstimatorError: If the steps do not fill the window.
     """
-    record = find_signal(catalog, unit, signal, run, at_least_s=window_s)
+    record = find_signal(catalog, unit, signal, run)
     rolling = RollingWindow(lambda: AllanDeviation(points_per_octave), window_s, step_s)
     windows: list[WindowEstimate] = []
     first_ns = last_ns = None

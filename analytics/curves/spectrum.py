@@ -1,7 +1,8 @@
-"""The power spectral density of a recorded signal, and the sinusoidal lines in it."""
+"""The power spectral density of a recorded signal, its sinusoidal lines and its broad humps."""
 
 import itertools
 import math
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ import msgspec
 import numpy as np
 import scipy.special
 
+from analytics.curves.humps import Hump, find_humps, independent_bins
 from storage.sql.catalog import Catalog
 from storage.sql.reading import SignalRecord, find_signal, read_signal
 from stream.batch import FloatArray
@@ -24,12 +26,10 @@ LONGEST_SEGMENT = 65_536
 
 _ENOUGH_SEGMENTS = 8
 _SHORT_SEGMENT = 512
-# correlation of the densities one and two bins apart under the Hann window
-_NEIGHBOURS = (4.0 / 9.0, 1.0 / 36.0)
 
 
 class Level(msgspec.Struct, frozen=True):
-    """Mean density of a band without its lines, and its limits; `frequency_hz` is the geometric mean of its bins."""
+    """Mean density of a band without its lines, with bounds; `frequency_hz` is the geometric mean of its bins."""
 
     frequency_hz: float
     psd: float
@@ -39,30 +39,20 @@ class Level(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class SignalSpectrum:
-    """One-sided power spectral density of one signal of one run, with its lines.
+    """One-sided power spectral density of one signal of one run, with its lines and humps.
 
     Parameters
     ----------
-    unit, signal, run: Whose it is.
     unit_of_measure: Of the amplitudes of lines; ``deg/h`` for angular rates.
-    sample_interval_s: Sample interval of the record, seconds.
     samples, missing: Samples in the record, and missing from it.
-    frequency_hz: Frequency of every bin, Hz, rising in equal steps.
-    psd, lo, hi: Density of every bin and its confidence limits, in `psd_unit`.
+    frequency_hz: Frequency of every bin, increasing in equal steps.
+    psd, lo, hi: Density of every bin and its confidence bounds, in `psd_unit`.
     psd_unit: ``(deg/h)^2/Hz`` for angular rates.
-    confidence: Confidence level of all limits.
     edf: Equivalent degrees of freedom of a bin.
-    segments, segments_left_out: Segments averaged, and those left out as a sample is missing from them.
-    segment_samples: Samples of a segment.
-    bin_width_hz: Distance of neighbouring bins, Hz.
-    false_alarm_probability: Most probability that a spectrum without any line shows one.
-    searched_lo_hz, searched_hi_hz: Band that was searched for lines, Hz: the bins that have neighbours on both sides to
-        be compared with.
-    lines: The lines, lowest frequency first.
-
-    Raises
-    ------
-    BadInput: If the columns differ in length.
+    segments, segments_left_out: Segments averaged, and those with missing samples.
+    false_alarm_probability: Largest probability that a spectrum without any line shows one; the same for humps.
+    searched_lo_hz, searched_hi_hz: Band that was searched for lines: bins with neighbours on both sides.
+    lines, humps: Lowest frequency first.
     """
 
     unit: str
@@ -87,6 +77,7 @@ class SignalSpectrum:
     searched_lo_hz: float
     searched_hi_hz: float
     lines: tuple[SpectralLine, ...]
+    humps: tuple[Hump, ...] = ()
 
     def __post_init__(self) -> None:
         """Check that the columns fit together."""
@@ -95,34 +86,20 @@ class SignalSpectrum:
 
     def document(self) -> dict[str, Any]:
         """Return the spectrum as it stands in JSON."""
-        lines = [
-            {
-                "frequency_hz": line.frequency_hz,
-                "frequency_lo_hz": line.frequency_lo_hz,
-                "frequency_hi_hz": line.frequency_hi_hz,
-                "amplitude": line.amplitude,
-                "lo": line.amplitude_lo,
-                "hi": line.amplitude_hi,
-                "unit_of_measure": self.unit_of_measure,
-                "background_ratio": line.background_ratio,
-                "false_alarm_probability": line.false_alarm_probability,
-            }
-            for line in self.lines
-        ]
-        return asdict(self) | {"lines": lines}
+        names = {"amplitude_lo": "lo", "amplitude_hi": "hi"}
+        unit = {"unit_of_measure": self.unit_of_measure}
+        lines = [{names.get(k, k): v for k, v in msgspec.structs.asdict(line).items()} | unit for line in self.lines]
+        return asdict(self) | {"lines": lines, "humps": [msgspec.structs.asdict(hump) | unit for hump in self.humps]}
 
     def levels(self, edges_hz: FloatArray) -> list[Level]:
         """Mean density of the bands between neighbouring edges (Hz); bands without a bin are left out.
 
-        Bins within 4 of a line do not count. Limits are for a density that is smooth over a band: m bins of `edf`
+        Bins within 4 of a line do not count. Bounds are for a density that is smooth over a band: m bins of `edf`
         degrees, whose densities correlate by 4/9 and 1/36 one and two bins apart, have m edf / (1 + 8/9 (1 - 1/m) +
         1/18 (1 - 2/m)) together.
         """
         frequency_hz, psd = np.array(self.frequency_hz), np.array(self.psd)
-        clear = np.ones(len(psd), np.bool_)
-        for line in self.lines:
-            middle = round(line.frequency_hz / self.bin_width_hz) - FIRST_BIN
-            clear[max(0, middle - GUARD_BINS) : middle + GUARD_BINS + 1] = False
+        clear = _clear_of(self.lines, len(psd), self.bin_width_hz)
         bands = np.searchsorted(frequency_hz, edges_hz).tolist()
         found = []
         for start, stop in itertools.pairwise(bands):
@@ -130,13 +107,13 @@ class SignalSpectrum:
             if len(kept) == 0:
                 continue
             value = float(psd[kept].mean())
-            lo, hi = deviation_bounds(1.0, self.edf * _independent(len(kept)), self.confidence)
+            lo, hi = deviation_bounds(1.0, self.edf * independent_bins(len(kept)), self.confidence)
             middle_hz = float(np.exp(np.log(frequency_hz[kept]).mean()))
             found.append(Level(middle_hz, value, value * lo**2, value * hi**2))
         return found
 
     def least_amplitude(self, level: Level) -> float | None:
-        """Amplitude from which on a line over this background is found at least as often as not.
+        """Amplitude from which a line over this background is found in at least half of the spectra.
 
         None outside the band that was searched. Taken half way between two bins, where a line is hardest to see.
         """
@@ -154,14 +131,7 @@ def spectrum_of(catalog: Catalog, unit: str, signal: str, run: str | None = None
 
     Parameters
     ----------
-    catalog: The store.
-    unit, signal: Which signal.
-    run: Of which run; the one measured last where none is named.
-
-    Raises
-    ------
-    NotFound: If the store does not hold the signal, or holds none that has a spectrum: too little of it without a gap,
-        or irregular samples.
+    run: Of which run; the longest record if omitted.
 
     Notes
     -----
@@ -214,6 +184,15 @@ def _result(record: SignalRecord, spectral: SpectralDensity) -> SignalSpectrum:
             f"unit {record.unit}, signal {record.signal}, run {record.run}: no power spectral density: {reason}"
         )
     lo_hz, hi_hz = spectral.searched_hz
+    clear = _clear_of(lines, spectrum.density.size, spectral.bin_width_hz)
+    humps = find_humps(
+        spectrum.frequency_hz[clear],
+        spectrum.density[clear],
+        spectrum.edf,
+        sample_interval_s=spectral.sample_interval_s,
+        false_alarm_probability=FALSE_ALARM_PROBABILITY,
+        confidence=CONFIDENCE,
+    )
     return SignalSpectrum(
         unit=record.unit,
         signal=record.signal,
@@ -237,19 +216,19 @@ def _result(record: SignalRecord, spectral: SpectralDensity) -> SignalSpectrum:
         searched_lo_hz=lo_hz,
         searched_hi_hz=hi_hz,
         lines=lines,
+        humps=humps,
     )
 
 
-def _independent(bins: int) -> float:
-    """How many independent bins so many neighbours are worth.
-
-    Examples
-    --------
-    >>> _independent(1), round(_independent(2), 3), round(_independent(100), 1)
-    (1.0, 1.385, 51.7)
-    """
-    correlated = sum(rho * max(0.0, 1.0 - lag / bins) for lag, rho in enumerate(_NEIGHBOURS, 1))
-    return bins / (1.0 + 2.0 * correlated)
+def _clear_of(
+    lines: Iterable[SpectralLine], bins: int, bin_width_hz: float
+) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Bins that are not within 4 of a line."""
+    clear = np.ones(bins, np.bool_)
+    for line in lines:
+        middle = round(line.frequency_hz / bin_width_hz) - FIRST_BIN
+        clear[max(0, middle - GUARD_BINS) : middle + GUARD_BINS + 1] = False
+    return clear
 
 
 def with_error(value: float, half_width: float, digits: int = 2) -> str:

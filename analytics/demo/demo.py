@@ -167,7 +167,7 @@ def run_demo(
 
 
 def _send_steps(pipeline: EmbeddedPipeline, units: tuple[str, ...], run: str, t0_ns: int, last_ns: int) -> None:
-    """Say that each unit was at rest throughout the run."""
+    """Send the step of each unit: at rest throughout the run."""
     for unit in units:
         step = StepStarted(run=run, t_ns=t0_ns, unit=unit, words=_AT_REST)
         pipeline.send_event(event_key(PLACE), step)

@@ -71,4 +71,4 @@ def trace_fleet(
     GyrofleetError: If none can be traced.
     """
     with Catalog(Store.open(folder)) as catalog:
-        return diagnose_units(catalog, units, Question(model=DECLARED_MODEL, runs=runs), told=report)
+        return diagnose_units(catalog, units, Question(model=DECLARED_MODEL, runs=runs), on_progress=report)

@@ -4,7 +4,7 @@ from collections import defaultdict
 from typing import NamedTuple
 
 from analytics.evaluation.selection import Row, Selection, selected
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from storage.sql.catalog import Catalog
 
 STANDARD = "JJF2014"
@@ -18,43 +18,39 @@ class Characteristic(NamedTuple):
     metric: str
 
 
-CHARACTERISTICS = (
-    Characteristic("标度因数", "Scale factor", "scale_factor"),
-    Characteristic("标度因数非线性度", "Scale factor nonlinearity", "scale_factor_nonlinearity"),
-    Characteristic("量程", "Range", "range"),
-    Characteristic("标度因数不对称度", "Scale factor asymmetry", "scale_factor_asymmetry"),
-    Characteristic("标度因数重复性", "Scale factor repeatability", "scale_factor_repeatability"),
-    Characteristic(
-        "标度因数温度灵敏度", "Scale factor temperature sensitivity", "scale_factor_temperature_sensitivity"
-    ),
-    Characteristic(
-        "标度因数轴向加速度敏感度", "Scale factor sensitivity to axial acceleration",
-        "scale_factor_acceleration_sensitivity",
-    ),
-    Characteristic("标度因数冲击前后变化量", "Change of the scale factor by shock", "scale_factor_shock_change"),
-    Characteristic(
-        "标度因数振动前后变化量", "Change of the scale factor by vibration", "scale_factor_vibration_change"
-    ),
-    Characteristic("阈值", "Threshold", "threshold"),
-    Characteristic("分辨率", "Resolution", "resolution"),
-    Characteristic("输入轴失准角", "Input axis misalignment", "misalignment"),
-    Characteristic("输入轴失准角重复性", "Input axis misalignment repeatability", "misalignment_repeatability"),
-    Characteristic("零偏", "Bias", "bias"),
-    Characteristic("零偏稳定性", "Bias stability", "bias_stability_averaged"),
-    Characteristic("零偏重复性", "Bias repeatability", "bias_repeatability"),
-    Characteristic("零偏温度灵敏度", "Bias temperature sensitivity", "bias_temperature_sensitivity"),
-    Characteristic("零偏加速度灵敏度", "Bias acceleration sensitivity", "bias_acceleration_sensitivity"),
-    Characteristic("零偏冲击前后变化量", "Change of the bias by shock", "bias_shock_change"),
-    Characteristic("零偏振动前后变化量", "Change of the bias by vibration", "bias_vibration_change"),
-    Characteristic("角度随机游走系数", "Angle random walk", "angle_random_walk"),
-    Characteristic("带宽", "Bandwidth", "bandwidth"),
-    Characteristic("输出延迟时间", "Output delay", "output_delay"),
-    Characteristic("启动时间", "Start-up time", "startup_time"),
-)  # fmt: skip
+_ROWS = """\
+scale_factor: 标度因数: Scale factor
+scale_factor_nonlinearity: 标度因数非线性度: Scale factor nonlinearity
+range: 量程: Range
+scale_factor_asymmetry: 标度因数不对称度: Scale factor asymmetry
+scale_factor_repeatability: 标度因数重复性: Scale factor repeatability
+scale_factor_temperature_sensitivity: 标度因数温度灵敏度: Scale factor temperature sensitivity
+scale_factor_acceleration_sensitivity: 标度因数轴向加速度敏感度: Scale factor sensitivity to axial acceleration
+scale_factor_shock_change: 标度因数冲击前后变化量: Change of the scale factor by shock
+scale_factor_vibration_change: 标度因数振动前后变化量: Change of the scale factor by vibration
+threshold: 阈值: Threshold
+resolution: 分辨率: Resolution
+misalignment: 输入轴失准角: Input axis misalignment
+misalignment_repeatability: 输入轴失准角重复性: Input axis misalignment repeatability
+bias: 零偏: Bias
+bias_stability_averaged: 零偏稳定性: Bias stability
+bias_repeatability: 零偏重复性: Bias repeatability
+bias_temperature_sensitivity: 零偏温度灵敏度: Bias temperature sensitivity
+bias_acceleration_sensitivity: 零偏加速度灵敏度: Bias acceleration sensitivity
+bias_shock_change: 零偏冲击前后变化量: Change of the bias by shock
+bias_vibration_change: 零偏振动前后变化量: Change of the bias by vibration
+angle_random_walk: 角度随机游走系数: Angle random walk
+bandwidth: 带宽: Bandwidth
+output_delay: 输出延迟时间: Output delay
+startup_time: 启动时间: Start-up time
+"""
+CHARACTERISTICS = tuple(
+    Characteristic(zh, en, metric) for metric, zh, en in (line.split(": ") for line in _ROWS.splitlines())
+)
 
 
 class AnnexRow(NamedTuple):
-    """One characteristic of a unit: the values of the last run that gave some, or why there is none."""
+    """One characteristic of a unit: the values of the last run with any, or the reason why there is none."""
 
     number: int
     characteristic: Characteristic
@@ -63,24 +59,18 @@ class AnnexRow(NamedTuple):
 
     @property
     def clause(self) -> str:
-        """Clause of the standard that the row is by."""
+        """Clause of the standard."""
         sources = metrics()[self.characteristic.metric].header.sources
         return "; ".join(each.clause for each in sources if each.standard == STANDARD)
 
-    def told(self) -> dict[str, object]:
-        """As JSON tells it."""
-        zh, en, metric = self.characteristic
-        return {"number": self.number, "zh": zh, "en": en, "metric": metric, "results": self.results,
-                "reason": self.reason}  # fmt: skip
+    def document(self) -> dict[str, object]:
+        """The row as JSON."""
+        names = self.characteristic._asdict()
+        return {"number": self.number, **names, "results": self.results, "reason": self.reason}
 
 
 def annex_a(catalog: Catalog, unit: str) -> list[AnnexRow]:
-    """The annex of a unit: always 24 rows.
-
-    Raises
-    ------
-    NotFound: If the store has no completed step of it.
-    """
+    """The annex of a unit: always 24 rows."""
     rows = selected(catalog, Selection(units=(unit,), standards=(STANDARD,)))
     began = dict(catalog.rows("select run, t_start_ns from unit_runs where unit = $unit", {"unit": unit}))
     of_metric: defaultdict[str, list[Row]] = defaultdict(list)
@@ -100,7 +90,7 @@ def _row(number: int, characteristic: Characteristic, rows: list[Row], began: di
     results: list[Row] = []
     for signal in sorted({row["signal"] or "" for row in rows}):
         valued = [row for row in rows if (row["signal"] or "") == signal and row["value"] is not None]
-        # clause 6.1 asks for (20 +- 5) degC: other temperatures stand in for it only where there is nothing else
+        # clause 6.1 asks for (20 +- 5) degC: other temperatures are shown only where there is nothing else
         valued = [row for row in valued if row["parameters"].get("room") is not False] or valued
         last = max((when(row) for row in valued), default=0)
         results += [row for row in valued if when(row) == last]

@@ -1,4 +1,4 @@
-"""What `gyrofleet verify` says of the metrics that a store keeps: each is what computing it anew gives."""
+"""Check of the kept metrics for `gyrofleet verify`: recomputing gives the same."""
 
 import tempfile
 import time
@@ -16,14 +16,11 @@ from storage.sql.catalog import Catalog
 from storage.store import Store
 
 _ATTEMPTS = 3
-_REMEDY = "move it to lake-aside; it is computed anew when it is first asked for"
+_REMEDY = "move it to lake-aside; it is recomputed when it is next needed"
 
 
 def kept_findings(store: Store) -> list[Finding]:
-    """What is wrong with them: damage, and values that do not follow from what the lake holds.
-
-    What is not up to date is not wrong: it is computed when it is asked for.
-    """
+    """Damage of the kept files, and values that do not follow from the lake; outdated ones are no finding."""
     paths = [store.folder / FOLDER / name for name in (step_table.FILE, evaluation.FILE)]
     found = [
         Finding(KEPT_DAMAGED, Severity.DAMAGE, str(path), "its content does not agree with its hash", _REMEDY)
@@ -37,20 +34,24 @@ def kept_findings(store: Store) -> list[Finding]:
         tempfile.TemporaryDirectory(prefix="gyrofleet-verify-") as scratch,
         Catalog(store, kept=Path(scratch)) as catalog,
     ):
-        metrics_now = evaluation.unit_metrics(catalog)
+        metrics_now = pl.DataFrame(evaluation.unit_metrics(catalog))
         steps_now = step_table.kept_steps(Path(scratch))
         _, prints_now = evaluation.kept_metrics(Path(scratch))
     if steps is not None and steps_now is not None:
         marks, marks_now = step_table.kept_prints(steps), step_table.kept_prints(steps_now)
         same = {run for run, mark in marks.items() if marks_now.get(run) == mark}
         found += _changed(paths[0], "run", _differing(steps, steps_now, "run", same))
-    same = {unit for unit, mark in prints.items() if prints_now.get(unit) == mark}
+    parts = {unit: mark.partition(":") for unit, mark in prints.items()}
+    same = {unit for unit, (mark, _, _) in parts.items() if prints_now.get(unit) == mark}
+    for unit, (_, colon, names) in parts.items():
+        if colon:  # some metrics only
+            metrics_now = metrics_now.filter((pl.col("unit") != unit) | pl.col("metric").is_in(names.split(",")))
     found += _changed(paths[1], "unit", _differing(metrics, metrics_now, "unit", same))
     return found
 
 
 def _is_damaged(path: Path) -> bool:
-    """Whether a file is not what was written; it may be written at this moment, with its hash to come."""
+    """Whether a file disagrees with its hash; one that is being written has its hash a moment later."""
     for _ in range(_ATTEMPTS):
         if not path.exists() or not hash_path(path).exists() or read_kept(path) is not None:
             return False
@@ -58,7 +59,7 @@ def _is_damaged(path: Path) -> bool:
     return True
 
 
-def _differing(kept: pa.Table, now: pa.Table, key: str, same: Collection[str]) -> list[str]:
+def _differing(kept: pa.Table, now: pa.Table | pl.DataFrame, key: str, same: Collection[str]) -> list[str]:
     """Runs or units whose rows should be the same, and are not."""
     one, other = (pl.DataFrame(table).partition_by(key, as_dict=True) for table in (kept, now))
     nothing = pl.DataFrame()
@@ -69,5 +70,5 @@ def _changed(path: Path, key: str, which: list[str]) -> list[Finding]:
     if not which:
         return []
     more = f" and {len(which) - 5} more" if len(which) > 5 else ""
-    what = f"{key} {', '.join(which[:5])}{more}: what is kept is not what computing it anew gives"
+    what = f"{key} {', '.join(which[:5])}{more}: the kept rows are not what recomputing gives"
     return [Finding(KEPT_DAMAGED, Severity.DAMAGE, str(path), what, _REMEDY)]

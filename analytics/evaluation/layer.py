@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 
 class MetricsLayer:
-    """Step records and metrics; computed when a statement first names one of the tables, and kept in the store.
+    """Step records and metrics, computed when a statement first names one of the tables, and kept in the store.
 
-    What computes them is imported only then: every command that opens a catalogue makes one of these.
+    The code that computes them is imported only then: every command that opens a catalogue makes a layer.
     """
 
     tables = (
@@ -41,10 +41,10 @@ class MetricsLayer:
 
     @property
     def columns(self) -> "ColumnTexts":
-        """What the columns of its tables hold."""
+        """Descriptions of the columns of its tables."""
         from storage.sql.tables import read_texts
 
-        return read_texts(files("analytics.metrics").joinpath("tables", "columns.toml"))
+        return read_texts(files("analytics.evaluation").joinpath("tables", "columns.toml"))
 
     def fill(self, catalog: "Catalog") -> None:
         """Bring the metrics up to date, and define the tables."""
@@ -54,18 +54,16 @@ class MetricsLayer:
         define_tables(catalog)
 
     def findings(self, store: "Store") -> "list[Finding]":
-        """What is wrong with the metrics that the store keeps."""
+        """Findings on the metrics that the store keeps."""
         from analytics.evaluation.kept_check import kept_findings
 
         return kept_findings(store)
 
 
 def define_tables(catalog: "Catalog") -> None:
-    """Define what stands on the step records and metrics of a catalogue, and on the specifications of its store."""
+    """Define the tables that use the step records and metrics of a catalogue, and the specifications of its store."""
+    from analytics.evaluation.evaluation import define_scripts
     from analytics.specifications.sql_tables import put_names
 
     put_names(catalog)
-    folder = files("analytics.metrics").joinpath("tables")
-    for script in sorted(folder.iterdir(), key=lambda each: each.name):
-        if script.name.endswith(".sql"):
-            catalog.define(script.read_text(encoding="utf-8"))
+    define_scripts(catalog, "tables")

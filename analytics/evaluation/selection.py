@@ -1,12 +1,14 @@
-"""Which metrics are asked for: by unit, lot, run, metric, standard and time; and what has gone by a wrong name."""
+"""Selection of metrics: by unit, lot, run, metric, standard and time."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from analytics.evaluation.evaluation import row_of
-from analytics.metrics.names import alike, check_metrics
-from analytics.metrics.registry import metrics
+import pyarrow as pa
+
+from analytics.evaluation.evaluation import define_scripts, row_of, unit_metrics
+from analytics.metric_registry.registry import alike, check_metrics, metrics
 from ingest.moment import moment_ns
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput, NotFound
@@ -15,15 +17,17 @@ Row = dict[str, Any]
 
 _FEW_UNITS = 5
 _YEAR = re.compile(r"[-—]\d{4}$")
+# of a catalogue whose tables of metrics are partial: which metrics they have
+_PARTIAL = "partial_metrics"
+_HAS_PARTIAL = "select 1 from information_schema.tables where table_name = 'partial_metrics'"
 
 
 class Selection(NamedTuple):
-    """What is asked for; an empty part asks for all.
+    """The selection; an empty part selects all.
 
     Parameters
     ----------
-    units, lots, runs, metrics, standards: Names.
-    since_ns: Only what rests on a run that was begun at this moment or later.
+    since_ns: Only values of a run that began at this moment or later.
     """
 
     units: tuple[str, ...] = ()
@@ -34,33 +38,72 @@ class Selection(NamedTuple):
     since_ns: int | None = None
 
 
+@contextmanager
+def evaluated(catalog: Catalog, names: Collection[str]) -> Iterator[None]:
+    """Within it the catalogue has ``unit_runs`` and the ``unit_metrics`` of some metrics, of all if none is named."""
+    if not names:
+        yield
+        return
+    with catalog.suspended_layers() as waiting:
+        if any("unit_metrics" in layer.tables for layer in waiting):
+            has = (
+                {name for (name,) in catalog.rows(f"from internal.{_PARTIAL}")} if catalog.rows(_HAS_PARTIAL) else set()
+            )
+            if not has.issuperset(names):
+                unit_metrics(catalog, catalog.progress, has | set(names))
+                define_scripts(catalog, "tables", ["05_unit_runs.sql"])
+                catalog.put(_PARTIAL, pa.table({"metric": sorted(has | set(names))}))
+        yield
+
+
 def selected(catalog: Catalog, asked: Selection) -> list[Row]:
-    """Values and reasons that are asked for, as `gyrofleet metrics --json` tells them.
+    """Selected values and reasons, as in `gyrofleet metrics --json`; only the named metrics are computed.
 
     Raises
     ------
-    NotFound: If a unit, lot or run is not in the store; the message names what looks alike.
+    NotFound: If a unit, lot or run is not in the store; the message names similar ones.
     BadInput: If there is no such metric or standard.
     """
     check_metrics(asked.metrics)
     standards = [standard_named(each) for each in asked.standards]
-    for kind, names in (("unit", asked.units), ("lot", asked.lots), ("run", asked.runs)):
-        _check(catalog, kind, names)
-    where = ["true"]
+    with evaluated(catalog, asked.metrics):
+        for kind, names in (("unit", asked.units), ("lot", asked.lots), ("run", asked.runs)):
+            _check(catalog, kind, names)
+        conditions, given = _in_lists({"m.metric": asked.metrics, "m.unit": asked.units})
+        if asked.lots or asked.runs or asked.since_ns is not None:
+            of_runs, more = _in_lists({"u.lot": asked.lots, "u.run": asked.runs}, asked.since_ns, "u.")
+            given |= more
+            conditions += (
+                " and m.rowid in (select r.row from "  # noqa: S608
+                "(select rowid as row, unit, unnest(runs) as run from unit_metrics) r "
+                f"join unit_runs u on u.run = r.run and u.unit = r.unit where {of_runs})"
+            )
+        sql = f"select m.* from unit_metrics m where {conditions} "  # noqa: S608
+        ordered = f"{sql} order by m.unit, m.metric, m.signal, m.run, m.standard, m.parameters"
+        rows = [row_of(row) for batch in catalog.batches(ordered, given or None) for row in batch.to_pylist()]
+    narrow = (narrowed(row, standards) for row in rows)
+    return [row for row in narrow if row is not None]
+
+
+def _in_lists(
+    columns: dict[str, Sequence[str]], since_ns: int | None = None, of: str = ""
+) -> tuple[str, dict[str, object]]:
+    """Condition that columns are among the given names and a run's date is known and not before a moment."""
+    conditions = ["true"]
     given: dict[str, object] = {}
-    for column, names in (("metric", asked.metrics), ("unit", asked.units)):
+    for column, names in columns.items():
         if names:
-            where.append(f"list_contains(${column}, m.{column})")
-            given[column] = list(names)
-    if asked.lots or asked.runs or asked.since_ns is not None:
-        where.append(_resting_on(asked, given))
-    rows = _rows(catalog, f"select m.* from unit_metrics m where {' and '.join(where)}", given)  # noqa: S608
-    told = (narrowed(row_of(row), standards) for row in rows)
-    return [row for row in told if row is not None]
+            key = column.rpartition(".")[2]
+            conditions.append(f"list_contains(${key}, {column})")
+            given[key] = list(names)
+    if since_ns is not None:
+        conditions.append(f"{of}date_known and {of}t_start_ns >= $since")
+        given["since"] = since_ns
+    return " and ".join(conditions), given
 
 
 def dated(text: str) -> int:
-    """Nanoseconds UTC of what `--since` was given: a date (from its first moment, UTC), or a moment with a time zone.
+    """Nanoseconds UTC of the value of `--since`: a date (its first moment, UTC), or a moment with a time zone.
 
     Raises
     ------
@@ -75,37 +118,23 @@ def dated(text: str) -> int:
     return moment_ns(f"{text}T00:00:00Z" if is_date else text, "--since")
 
 
-def undated_runs(catalog: Catalog) -> int:
-    """How many runs with steps have no known date, and so are in no answer to `--since`."""
-    ((count,),) = catalog.rows("select count(distinct run) from unit_runs where not date_known")
+def undated_runs(catalog: Catalog, asked: Selection) -> int:
+    """How many runs with steps have no known date, and so are omitted by `--since`."""
+    with evaluated(catalog, asked.metrics):
+        ((count,),) = catalog.rows("select count(distinct run) from unit_runs where not date_known")
     return int(count)
 
 
 def unused_steps(catalog: Catalog, asked: Selection) -> list[tuple[str, int, str]]:
-    """Steps of the chosen units and runs that no characteristic rests on.
-
-    Returns
-    -------
-    list of tuple
-        Reason, how many steps, and of which units (by name where they are few).
-    """
-    conditions = ["true"]
-    given: dict[str, object] = {}
-    for column, names in (("unit", asked.units), ("run", asked.runs)):
-        if names:
-            conditions.append(f"list_contains(${column}, {column})")
-            given[column] = list(names)
-    if asked.lots:
-        conditions.append("(unit, run) in (select (unit, run) from unit_runs where list_contains($lot, lot))")
-        given["lot"] = list(asked.lots)
-    if asked.since_ns is not None:
-        conditions.append(
-            "(unit, run) in (select (unit, run) from unit_runs where date_known and t_start_ns >= $since)"
-        )
-        given["since"] = asked.since_ns
+    """Steps of the selected units and runs that no metric uses: the reason, how many, and of which units."""
+    conditions, given = _in_lists({"unit": asked.units, "run": asked.runs})
+    if asked.lots or asked.since_ns is not None:
+        of_runs, more = _in_lists({"lot": asked.lots}, asked.since_ns)
+        conditions += f" and (unit, run) in (select (unit, run) from unit_runs where {of_runs})"  # noqa: S608
+        given |= more
     found = catalog.rows(
         "select reason, count(*), list(distinct unit order by unit) from unused_steps "  # noqa: S608
-        f"where {' and '.join(conditions)} group by reason order by count(*) desc, reason",
+        f"where {conditions} group by reason order by count(*) desc, reason",
         given or None,
     )
     return [
@@ -115,7 +144,7 @@ def unused_steps(catalog: Catalog, asked: Selection) -> list[tuple[str, int, str
 
 
 def standard_named(text: str) -> str:
-    """A standard as the metrics name it, from how people write it.
+    """Name of a standard in the metrics, from the ways people write it.
 
     Raises
     ------
@@ -134,10 +163,10 @@ def standard_named(text: str) -> str:
 
 
 def narrowed(row: Row, standards: Sequence[str]) -> Row | None:
-    """A row as these standards have it; None where it is of none of them. Without standards it stays as it is."""
+    """A row restricted to these standards; None where it is of none of them, unchanged without standards."""
     if not standards:
         return row
-    of_row = [each.strip() for each in row["standard"].split(",")]
+    of_row = _standards(row)
     kept = [each for each in of_row if each in standards]
     if not kept or len(kept) == len(of_row):
         return row if kept else None
@@ -146,16 +175,16 @@ def narrowed(row: Row, standards: Sequence[str]) -> Row | None:
 
 
 def clauses_of(row: Row) -> dict[str, str]:
-    """The clause of each standard that a row is of."""
-    of_row = [each.strip() for each in row["standard"].split(",")]
+    """The clause of each standard of a row."""
+    of_row = _standards(row)
     if len(of_row) == 1:
         return {of_row[0]: row["clause"]}
-    return {
-        standard: "; ".join(
-            each.clause for each in metrics()[row["metric"]].header.sources if each.standard == standard
-        )
-        for standard in of_row
-    }
+    sources = metrics()[row["metric"]].header.sources
+    return {standard: "; ".join(each.clause for each in sources if each.standard == standard) for standard in of_row}
+
+
+def _standards(row: Row) -> list[str]:
+    return [each.strip() for each in row["standard"].split(",")]
 
 
 def _check(catalog: Catalog, kind: str, names: Iterable[str]) -> None:
@@ -163,7 +192,8 @@ def _check(catalog: Catalog, kind: str, names: Iterable[str]) -> None:
         return
     known = {name for (name,) in catalog.rows(f"select distinct {kind} from unit_runs where {kind} is not null")}  # noqa: S608
     if kind == "unit":
-        known |= {name for (name,) in catalog.rows("select distinct unit from unit_metrics")}
+        checked = "select distinct unit from internal.lake_documents where kind = 'CheckEntered'"
+        known |= {name for (name,) in catalog.rows(checked)}
     for name in names:
         if name not in known:
             if kind in {"unit", "run"} and catalog.rows(f"from signals where {kind} = $name limit 1", {"name": name}):
@@ -174,23 +204,3 @@ def _check(catalog: Catalog, kind: str, names: Iterable[str]) -> None:
             raise NotFound(
                 f"no completed step of {kind} {name!r} is in the store; {alike(name, known, f'{kind}s are')}"
             )
-
-
-def _resting_on(asked: Selection, given: dict[str, object]) -> str:
-    conditions = ["true"]
-    for column, names in (("lot", asked.lots), ("run", asked.runs)):
-        if names:
-            conditions.append(f"list_contains(${column}, u.{column})")
-            given[column] = list(names)
-    if asked.since_ns is not None:
-        conditions.append("u.date_known and u.t_start_ns >= $since")
-        given["since"] = asked.since_ns
-    return (
-        "m.rowid in (select r.row from (select rowid as row, unit, unnest(runs) as run from unit_metrics) r "  # noqa: S608
-        f"join unit_runs u on u.run = r.run and u.unit = r.unit where {' and '.join(conditions)})"
-    )
-
-
-def _rows(catalog: Catalog, sql: str, given: dict[str, object]) -> list[Row]:
-    ordered = f"{sql} order by m.unit, m.metric, m.signal, m.run, m.standard, m.parameters"
-    return [row for batch in catalog.batches(ordered, given or None) for row in batch.to_pylist()]

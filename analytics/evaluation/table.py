@@ -1,4 +1,4 @@
-"""Metrics as people read them: a table on the screen, a CSV file, a workbook."""
+"""Metrics for people: a table on the screen, a CSV file, a workbook."""
 
 import csv
 import json
@@ -8,39 +8,23 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-
 from analytics.evaluation.selection import Row, clauses_of
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from stream.atomic_file import replacement
 from stream.console import csv_text, shown_text, styled
 from stream.errors import BadInput
+from stream.result_table import ResultTable
 
-LANGUAGES = ("en", "zh")
 COLUMNS = (
     "metric", "unit", "signal", "run", "value", "unit_of_measure", "lo", "hi", "standard_uncertainty", "n",
     "parameters", "runs", "steps", "standard", "clause", "reason",
 )  # fmt: skip
 _ZH = {
-    "name": "特性",
-    "metric": "代号",
-    "unit": "产品编号",
-    "signal": "信号",
-    "run": "试验",
-    "value": "数值",
-    "unit_of_measure": "单位",
-    "lo": "下限",
-    "hi": "上限",
-    "standard_uncertainty": "标准不确定度",
-    "n": "样本数",
-    "parameters": "参数",
-    "runs": "试验清单",
-    "steps": "步骤",
-    "standard": "标准",
-    "clause": "条款",
-    "reason": "无数值的原因",
-    "interval": "95 % 区间",
-}
+    "name": "特性", "metric": "代号", "unit": "产品编号", "signal": "信号", "run": "试验", "value": "数值",
+    "unit_of_measure": "单位", "lo": "下限", "hi": "上限", "standard_uncertainty": "标准不确定度", "n": "样本数",
+    "parameters": "参数", "runs": "试验清单", "steps": "步骤", "standard": "标准", "clause": "条款",
+    "reason": "无数值的原因", "interval": "95 % 区间",
+}  # fmt: skip
 _EN = {
     "name": "characteristic",
     "unit_of_measure": "unit of measure",
@@ -66,16 +50,16 @@ def name_of(metric: str, language: str) -> str:
 
 
 def title_of(column: str, language: str) -> str:
-    """What a column is called."""
+    """Title of a column."""
     return (_ZH if language == "zh" else _EN).get(column, column)
 
 
-def told_number(value: float | None, resolution: float | None = None) -> str:
-    """A number with as many digits as its uncertainty leaves it: two of the uncertainty's own.
+def format_number(value: float | None, resolution: float | None = None) -> str:
+    """A number rounded to two digits of its uncertainty.
 
     Examples
     --------
-    >>> told_number(12.3456, 0.0123), told_number(1.5e-7, 2e-9), told_number(3.0), told_number(None)
+    >>> format_number(12.3456, 0.0123), format_number(1.5e-7, 2e-9), format_number(3.0), format_number(None)
     ('12.346', '1.500e-07', '3', '')
     """
     if value is None:
@@ -89,50 +73,48 @@ def told_number(value: float | None, resolution: float | None = None) -> str:
     return f"{value:.{digits}e}"
 
 
-def told_parameters(parameters: Mapping[str, Any]) -> str:
-    """Parameters on one line, without those that are not known, and without the procedure, which the run names.
-
-    That a step is not the one marked as at room temperature goes without saying.
+def format_parameters(parameters: Mapping[str, Any]) -> str:
+    """Parameters on one line, without unknown ones, the procedure, which the run names, and ``room = false``.
 
     Examples
     --------
-    >>> told_parameters({"procedure": "static_bias", "average_s": 100.0, "room": True, "axis": None})
+    >>> format_parameters({"procedure": "static_bias", "average_s": 100.0, "room": True, "axis": None})
     'average_s = 100, room = true'
-    >>> told_parameters({"temperature": 25.0, "room": False})
+    >>> format_parameters({"temperature": 25.0, "room": False})
     'temperature = 25'
     """
     return ", ".join(
-        f"{name} = {_told_parameter(each)}"
+        f"{name} = {_format_parameter(each)}"
         for name, each in parameters.items()
         if each is not None and name != "procedure" and not (name == "room" and each is False)
     )
 
 
-def _told_parameter(value: object) -> str:
+def _format_parameter(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def told_clauses(row: Row) -> str:
+def format_clauses(row: Row) -> str:
     """Standards and their clauses, such as ``GJB2426A 5.12.1 (19); JJF2014 7.2.13 (27)(28)``."""
     return "; ".join(f"{standard} {clause}" for standard, clause in clauses_of(row).items())
 
 
 def interval_of(row: Row) -> str:
-    """The limits of a value, where it has some."""
+    """The confidence bounds of a value, empty where it has none."""
     if row["lo"] is None or row["hi"] is None:
         return ""
     u = row["standard_uncertainty"]
-    return f"{told_number(row['lo'], u)} .. {told_number(row['hi'], u)}"
+    return f"{format_number(row['lo'], u)} .. {format_number(row['hi'], u)}"
 
 
-def told_limits(row: Row) -> str:
-    """The limits of a specification.
+def format_limits(row: Row) -> str:
+    """Specification limits.
 
     Examples
     --------
-    >>> told_limits({"lower": None, "upper": 0.5}), told_limits({"lower": -1.0, "upper": 1.0})
+    >>> format_limits({"lower": None, "upper": 0.5}), format_limits({"lower": -1.0, "upper": 1.0})
     ('<= 0.5', '-1 .. 1')
     """
     lower, upper = row["lower"], row["upper"]
@@ -141,25 +123,24 @@ def told_limits(row: Row) -> str:
     return f"{lower:g} .. {upper:g}"
 
 
-def metrics_table(rows: Sequence[Row], language: str) -> Table:
-    """Rows as a table for the screen, a section for each unit and run; a reason stands in the place of its value."""
-    table = Table(header_style="bold")
-    for column in ("name", "signal", "value", "interval", "n", "parameters", "clause"):
-        table.add_column(title_of(column, language), overflow="fold")
+def metrics_table(rows: Sequence[Row], language: str) -> ResultTable:
+    """Rows as a table for the screen, a section for each unit and run; a reason replaces a missing value."""
+    table = ResultTable(
+        *(title_of(each, language) for each in ("name", "signal", "value", "interval", "n", "parameters", "clause"))
+    )
     for (unit, run), section in groupby(sorted(rows, key=_section), key=_section):
         runs = run or ("几次试验合计" if language == "zh" else "over several runs")
         table.add_section()
         table.add_row(styled(unit, "bold").append(f"  {shown_text(runs)}", "default"))
         for row in section:
-            value = f"{told_number(row['value'], row['standard_uncertainty'])} {told_unit(row['unit_of_measure'])}"
             table.add_row(
                 name_of(row["metric"], language),
                 row["signal"] or "",
-                styled(str(row["reason"]), "yellow") if row["value"] is None else value.strip(),
+                styled(str(row["reason"]), "yellow") if row["value"] is None else format_value(row),
                 interval_of(row),
                 "" if row["n"] is None else f"{row['n']:,}",
-                told_parameters(row["parameters"]),
-                told_clauses(row),
+                format_parameters(row["parameters"]),
+                format_clauses(row),
             )
     return table
 
@@ -168,18 +149,18 @@ def _section(row: Row) -> tuple[str, str]:
     return row["unit"], row["run"] or ""
 
 
-def told_unit(unit_of_measure: str | None) -> str:
-    """A unit of measure behind a number; nothing for a number that has none."""
+def format_value(row: Row) -> str:
+    """A value rounded by its uncertainty, with its unit."""
+    return f"{format_number(row['value'], row['standard_uncertainty'])} {format_unit(row['unit_of_measure'])}".strip()
+
+
+def format_unit(unit_of_measure: str | None) -> str:
+    """A unit of measure for display; empty for a dimensionless number."""
     return "" if unit_of_measure in (None, "", "1") else str(unit_of_measure)
 
 
 def write_csv(rows: Iterable[Row], path: Path, language: str) -> None:
-    """Write rows as CSV, in UTF-8 with a mark that spreadsheets know it by.
-
-    Raises
-    ------
-    BadInput: If the file cannot be written.
-    """
+    """Write rows as CSV, in UTF-8 with the byte-order mark that spreadsheets need."""
     try:
         with replacement(path) as fresh, fresh.open("w", encoding="utf-8-sig", newline="") as file:
             writer = csv.writer(file)
@@ -191,16 +172,11 @@ def write_csv(rows: Iterable[Row], path: Path, language: str) -> None:
 
 
 def write_xlsx(rows: Iterable[Row], path: Path, language: str) -> None:
-    """Write rows as a workbook with one sheet: numbers as numbers, titles in the language, a filter on each column.
-
-    Raises
-    ------
-    BadInput: If the file cannot be written.
-    """
+    """Write rows as a workbook with one sheet: numbers as numbers, titles in the language, column filters."""
     import xlsxwriter
     from xlsxwriter.exceptions import XlsxWriterException
 
-    # text stays text: a unit called "=1+1" is no formula, and a run called "http://x" no link
+    # text stays text: a unit "=1+1" is no formula, a run "http://x" no link
     options = dict.fromkeys(("strings_to_formulas", "strings_to_urls", "strings_to_numbers"), False)
     options["nan_inf_to_errors"] = True
     try:

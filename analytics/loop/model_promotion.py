@@ -8,8 +8,8 @@ import msgspec
 from analytics.loop.effects.turn_on import TURN_ON
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion, run_hashes
 from analytics.loop.model.model_use import InUse, Stage, activate, read_uses
-from analytics.loop.tracing.fitted_candidates import JUMP, LINE
-from analytics.loop.tracing.result import Diagnosis, Verdict
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
+from analytics.loop.tracing.search.fitted_candidates import JUMP, LINE
 from analytics.loop.unit_diagnosis import UnitDiagnosis, diagnose_units
 from analytics.loop.unit_reduction import Question
 from storage.sql.catalog import Catalog
@@ -18,16 +18,11 @@ from stream.errors import BadInput
 from stream.events import ModelActivated
 
 EVENTS = (LINE, JUMP, TURN_ON)
-"""What no model predicts: a line has a phase of its own in each run, a jump happens once."""
+"""Effects that no model predicts: a line has another phase in each run, a jump occurs once."""
 
 
 def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: str, note: str = "") -> ModelVersion:
-    """A trace as a version that can be written down.
-
-    Raises
-    ------
-    BadInput: If the trace has no fitted model.
-    """
+    """A trace as a version to be written; BadInput if it has no fitted model."""
     diagnosis = found.diagnosis
     if diagnosis.model is None or diagnosis.declared is None or diagnosis.noise is None:
         raise BadInput(
@@ -61,15 +56,15 @@ def version_of(catalog: Catalog, found: UnitDiagnosis, use: InUse, *, by: str, n
 
 
 def _confounded(diagnosis: Diagnosis) -> Iterator[str]:
-    """Effects that the data do not tell from those that are added."""
+    """Effects that the data do not distinguish from those that are added."""
     for effect in diagnosis.effects:
         if effect.name not in EVENTS:
             yield from (other.name for other in effect.confounded if other.name not in diagnosis.names)
 
 
 def confounded_warning(version: ModelVersion) -> str | None:
-    """Say that a version holds one of several effects that the data cannot tell apart; None where it does not."""
-    if not version.confounded and version.verdict != Verdict.CONFOUNDED:
+    """Warning that a version has one of several effects that the data do not distinguish; None where it does not."""
+    if not version.confounded and version.verdict != ModelVerdict.CONFOUNDED:
         return None
     added, others = ", ".join(version.added), ", ".join(version.confounded) or "others"
     return (
@@ -87,16 +82,16 @@ def promote_trace(
     *,
     by: str,
     note: str = "",
-    told: Callable[[str], None] = lambda _: None,
+    on_progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[ModelVersion, ModelActivated]:
-    """Trace a unit's residual, write down the model with what was found as a new version, and put it to use.
+    """Trace a unit's residual, write the model with the effects found as a new version, and put it to use.
 
     Raises
     ------
     BadInput: If the trace has no model, or it must not go live; then nothing is written.
     """
     with Catalog(store) as catalog:
-        found = diagnose_units(catalog, [unit], question, told=told).units[unit]
+        found = diagnose_units(catalog, [unit], question, on_progress=on_progress).units[unit]
         use = read_uses(store).get((unit, question.signal_name), InUse())
         version = version_of(catalog, found, use, by=by, note=note)
     check_usable(version, stage)
@@ -105,13 +100,7 @@ def promote_trace(
 
 
 def check_usable(version: ModelVersion, stage: Stage) -> None:
-    """Refuse a version that must not be put to use at a stage.
-
-    Raises
-    ------
-    BadInput: If what it adds is not confirmed by held-out runs, or has a term that cannot be computed while a run goes
-        on.
-    """
+    """Refuse to go live with effects not confirmed by held-out runs, or with a term that cannot be computed live."""
     if stage is not Stage.LIVE:
         return
     if not version.is_confirmed:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.tracing.diagnosis import diagnose
-from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, standing
-from analytics.loop.tracing.result import Diagnosis
+from analytics.loop.tracing.fleet import FleetDiagnosis, diagnose_fleet, significant_findings
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis
 from analytics.loop.unit_reduction import Question, ReducedUnit, ReducedUnits, model_on, reduce_units
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput, GyrofleetError, NotFound
@@ -14,20 +14,20 @@ from stream.errors import BadInput, GyrofleetError, NotFound
 
 @dataclass(frozen=True)
 class UnitDiagnosis:
-    """The diagnosis of a unit, and what it rests on."""
+    """The diagnosis of a unit with its data."""
 
     data: ReducedUnit
     diagnosis: Diagnosis
 
     @property
     def unit(self) -> str:
-        """Which unit."""
+        """Name of the unit."""
         return self.data.runs[0].unit
 
     def document(self) -> dict[str, object]:
-        """Return it as it stands in JSON."""
-        notes = [{"what": note.what, "text": note.text, "channel": note.channel} for note in self.data.notes]
-        return {**self.diagnosis.document(), "noise_source": self.data.noise_source, "reduction": notes}
+        """Content of the JSON document."""
+        notes = [{"what": note.what, "text": str(note.text), "channel": note.channel} for note in self.data.notes]
+        return {**self.diagnosis.document(), "noise_source": str(self.data.noise_source), "reduction": notes}
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,9 @@ class UnitsDiagnosis:
 
     Parameters
     ----------
-    units: Each unit alone.
-    failed: Units that could not be diagnosed, and why.
-    own_findings: Findings that stand among so many units (Benjamini and Hochberg).
-    fleet: All units pooled, where that was asked.
+    failed: Why units could not be diagnosed.
+    own_findings: Findings significant among so many units (Benjamini and Hochberg).
+    fleet: All units pooled, if requested.
     """
 
     units: Mapping[str, UnitDiagnosis]
@@ -48,7 +47,7 @@ class UnitsDiagnosis:
     fleet: FleetDiagnosis | None = None
 
     def document(self) -> dict[str, object]:
-        """Return it as it stands in JSON."""
+        """Content of the JSON document."""
         whole = {} if self.fleet is None else self.fleet.document()
         return whole | {
             "units": {unit: each.document() for unit, each in self.units.items()},
@@ -63,38 +62,35 @@ def diagnose_units(
     question: Question,
     *,
     is_pooled: bool = False,
-    told: Callable[[str], None] = lambda _: None,
+    on_progress: Callable[[str], None] = lambda _: None,
 ) -> UnitsDiagnosis:
     """Reduce and trace units of a store; see `reduce_units` and `trace_units`."""
-    return trace_units(reduce_units(catalog, units, question, told=told), question, is_pooled=is_pooled, told=told)
+    return trace_units(
+        reduce_units(catalog, units, question, on_progress=on_progress),
+        question,
+        is_pooled=is_pooled,
+        on_progress=on_progress,
+    )
 
 
 def trace_units(
-    read: ReducedUnits, question: Question, *, is_pooled: bool = False, told: Callable[[str], None] = lambda _: None
+    read: ReducedUnits,
+    question: Question,
+    *,
+    is_pooled: bool = False,
+    on_progress: Callable[[str], None] = lambda _: None,
 ) -> UnitsDiagnosis:
-    """Trace units that were read.
-
-    Parameters
-    ----------
-    read: The units.
-    question: What is asked of them.
-    is_pooled: Whether to search for what they have in common as well.
-    told: Called with a sentence on each stage.
-
-    Raises
-    ------
-    GyrofleetError: If there is one unit only and it cannot be diagnosed, or none of several can.
-    """
+    """Trace units, if `is_pooled` for common effects as well; a single unit that cannot be diagnosed raises."""
     failed = dict(read.failed)
     is_one = len(read.units) + len(failed) == 1
     held_out, all_held = _held_out_of_each(question.holdout, read.units, is_one=is_one)
     failed |= dict.fromkeys(all_held, "all its runs are to be held out: leave some that the model is fitted to")
     units = {unit: data for unit, data in read.units.items() if unit not in all_held or is_one}
     if is_pooled and units:
-        return _pooled(units, question, failed, held_out, told)
+        return _pooled(units, question, failed, held_out, on_progress)
     done: dict[str, UnitDiagnosis] = {}
     for number, (unit, data) in enumerate(units.items(), start=1):
-        told(f"tracing {unit} ({number} of {len(units)})")
+        on_progress(f"tracing {unit} ({number} of {len(units)})")
         try:
             found_in = diagnose(
                 data.runs,
@@ -114,7 +110,7 @@ def trace_units(
         count = len(read.units) + len(read.failed)
         why = "; ".join(f"{unit}: {why}" for unit, why in failed.items())
         raise NotFound(f"none of {count} units can be diagnosed; {why}")
-    return UnitsDiagnosis(done, failed, standing({unit: each.diagnosis for unit, each in done.items()}))
+    return UnitsDiagnosis(done, failed, significant_findings({unit: each.diagnosis for unit, each in done.items()}))
 
 
 def _pooled(
@@ -122,7 +118,7 @@ def _pooled(
     question: Question,
     failed: Mapping[str, str],
     held_out: Mapping[str, Sequence[str]],
-    told: Callable[[str], None],
+    on_progress: Callable[[str], None],
 ) -> UnitsDiagnosis:
     runs = {unit: data.runs for unit, data in units.items()}
     fleet = diagnose_fleet(
@@ -131,7 +127,7 @@ def _pooled(
         declared_noise={unit: data.noise for unit, data in units.items() if data.noise is not None},
         holdout=held_out,
         left_out={unit: data.left_out for unit, data in units.items()},
-        told=told,
+        on_progress=on_progress,
     )
     done = {unit: UnitDiagnosis(data, fleet.units[unit]) for unit, data in units.items()}
     return UnitsDiagnosis(done, failed, fleet.own_findings, fleet)
@@ -140,12 +136,7 @@ def _pooled(
 def _held_out_of_each(
     asked: Sequence[str] | None, units: Mapping[str, ReducedUnit], *, is_one: bool
 ) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
-    """Runs to hold out of each unit, and units all of whose runs they are; of several units not all need have a run.
-
-    Raises
-    ------
-    BadInput: If no unit has one of the runs.
-    """
+    """Runs to hold out of each unit, and units of which these are all runs; each run must be in some unit."""
     if asked is None:
         return {}, ()
     names = {name for data in units.values() for run in data.runs for name in _names_of(run)}
@@ -159,17 +150,12 @@ def _held_out_of_each(
 
 
 def _names_of(run: RunBlocks) -> tuple[str, str]:
-    """The name of a run, and of the whole run where it is one of its power-ons."""
+    """The name of a run, and of the whole run if it is a power-on."""
     return run.run, run.run.rpartition("#")[0] or run.run
 
 
 def held_out_runs(asked: Sequence[str] | None, runs: Sequence[RunBlocks]) -> tuple[str, ...] | None:
-    """Runs that are held out; the name of a run stands for all its power-ons, ``RUN#1``, ``RUN#2``, ...
-
-    Raises
-    ------
-    BadInput: If a run is not among them.
-    """
+    """Runs that are held out; the name of a run means all its power-ons, ``RUN#1``, ``RUN#2``, ..."""
     if asked is None:
         return None
     names = [run.run for run in runs]

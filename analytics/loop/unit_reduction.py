@@ -1,4 +1,4 @@
-"""From the store to blocks: what was asked of units, each reduced with its declared model and its noise."""
+"""From the store to blocks: units reduced for a question, each with its declared model and its noise."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analytics.loop.blocks.checks import Note, in_runs
+from analytics.loop.bilingual import Bilingual
+from analytics.loop.blocks.block_reducer import BLOCK_S, BlockReducer
 from analytics.loop.blocks.left_out import LeftOut
-from analytics.loop.blocks.records import usual_block_s
-from analytics.loop.blocks.reduction import BLOCK_S, BlockReducer
+from analytics.loop.blocks.reduction_notes import Note, in_runs
 from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.blocks.stored_signals import usual_block_s
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.declared_noise import GivenNoise, declared_noise, with_turn_on
 from analytics.loop.model.error_model import ErrorModel
@@ -20,21 +21,22 @@ from stream.errors import BadInput, GyrofleetError, NotFound
 from stream.estimators.base import NoEstimate
 
 _LARGEST = 1e50
+GIVEN = Bilingual("as given", "用户给定")
+OWN_FITS = Bilingual("the unit's own Allan fits", "产品自身的Allan拟合")
 
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of units.
+    """A question to a store about units.
 
     Parameters
     ----------
     model: The declared error model as text.
-    signal: Which signal; the one that the model names if left out.
+    signal: By default the signal of the model.
     block_s: Length of a block, seconds; by default 30, or the interval of the samples where that is longer.
     noise: Declared; by default that of each unit's own Allan fits. Turn-on scatter that is not given is estimated.
-    holdout: Runs to hold out; the last third if left out.
-    runs: Only these runs.
-    since_ns: Only samples from then on.
+    holdout: Runs to hold out; by default the last third.
+    runs, since_ns: Limit the data to these runs, and to samples from that time on.
     """
 
     model: str
@@ -47,11 +49,7 @@ class Question:
 
     @property
     def signal_name(self) -> str:
-        """The signal, as it was named or as the model names it.
-
-        Raises
-        ------
-        BadInput: If neither names it, or they differ.
+        """The signal, as given or from the model; BadInput if neither names it, or they differ.
 
         Examples
         --------
@@ -69,16 +67,13 @@ class Question:
 
 @dataclass(frozen=True)
 class ReducedUnit:
-    """A unit's runs as blocks, with what is to be said of them.
+    """A unit's runs as blocks, with notes on the reduction.
 
     Parameters
     ----------
-    runs: The runs.
-    notes: What was left out, converted, supposed or looks wrong.
-    noise: Declared, or by the unit's own Allan fits.
-    noise_source: Where that comes from, or why there is none.
+    noise, noise_source: Declared, or from the unit's own Allan fits; its source, or why there is none.
     left_out: What was left out of the record, with its share.
-    turn_on_is_declared: Whether the turn-on scatter of `noise` was given, and not estimated from these runs.
+    turn_on_is_declared: Whether the turn-on scatter of `noise` was given, not estimated from these runs.
     """
 
     runs: tuple[RunBlocks, ...]
@@ -91,14 +86,7 @@ class ReducedUnit:
 
 @dataclass(frozen=True)
 class ReducedUnits:
-    """Units that were read, and what each is asked.
-
-    Parameters
-    ----------
-    units: Those that could be read.
-    models: The declared model, on the channels of each.
-    failed: The others, and why.
-    """
+    """Units with the declared model on the channels of each, and why others could not be read."""
 
     units: Mapping[str, ReducedUnit]
     models: Mapping[str, ErrorModel]
@@ -106,21 +94,9 @@ class ReducedUnits:
 
 
 def reduce_units(
-    catalog: Catalog, units: Sequence[str], question: Question, *, told: Callable[[str], None] = lambda _: None
+    catalog: Catalog, units: Sequence[str], question: Question, *, on_progress: Callable[[str], None] = lambda _: None
 ) -> ReducedUnits:
-    """Read units of a store as blocks.
-
-    Parameters
-    ----------
-    catalog: The store.
-    units: Which units.
-    question: What is asked of them.
-    told: Called with a sentence on each stage.
-
-    Raises
-    ------
-    GyrofleetError: If there is one unit only and it cannot be read, or none of several can.
-    """
+    """Read units of a store as blocks; a single unit that cannot be read raises."""
     signal, block_s = question.signal_name, question.block_s
     if block_s is None:
         block_s = usual_block_s(catalog, units, signal, question.runs, BLOCK_S)
@@ -136,7 +112,7 @@ def reduce_units(
     models: dict[str, ErrorModel] = {}
     failed: dict[str, str] = {}
     for number, unit in enumerate(units, start=1):
-        told(f"reading {unit} ({number} of {len(units)})")
+        on_progress(f"reading {unit} ({number} of {len(units)})")
         try:
             found = reducer.reduce(unit)
             runs, left_out = _with_channels_of(question, found.runs)
@@ -158,7 +134,7 @@ def reduce_units(
 
 
 def _check_values(runs: Sequence[RunBlocks]) -> None:
-    """Refuse numbers whose squares are none, which only a fill value or a damaged reading has."""
+    """Refuse numbers whose squares overflow, which only a fill value or a damaged reading has."""
     for run in runs:
         means = {run.signal: run.value, **{name: channel.mean for name, channel in run.channels.items()}}
         for name, mean in means.items():
@@ -171,7 +147,7 @@ def _check_values(runs: Sequence[RunBlocks]) -> None:
 
 
 def _with_channels_of(question: Question, runs: Sequence[RunBlocks]) -> tuple[tuple[RunBlocks, ...], tuple[Note, ...]]:
-    """Runs that have the channels that the model needs, and a note on the others; all where none has them."""
+    """Runs that have the channels of the model, and a note on the others; all runs where none has them."""
     known = set[str]().union(*(run.channels for run in runs))
     needed = {channel for name in ErrorModel.parse(question.model, known).effects for channel in effect(name).needs}
     kept = tuple(run for run in runs if needed <= set(run.channels))
@@ -179,7 +155,10 @@ def _with_channels_of(question: Question, runs: Sequence[RunBlocks]) -> tuple[tu
     if not kept or not others:
         return tuple(runs), ()
     lacking = sorted(channel for channel in needed if any(channel not in run.channels for run in runs))
-    text = f"{in_runs(others, len(runs))} {', '.join(lacking)} is missing, which the model needs: left out"
+    where, names = in_runs(others, len(runs)), ", ".join(lacking)
+    text = Bilingual(
+        f"{where} {names} is missing, which the model needs: left out", f"{where.zh}缺少模型所需的{names}：已略去"
+    )
     return kept, (Note("without_channel", text, lacking[0], tuple(others)),)
 
 
@@ -194,25 +173,23 @@ def _noise(
 ) -> tuple[NoiseCoefficients | None, str, bool]:
     """Declared noise, where it comes from, and whether its turn-on scatter is declared."""
     if isinstance(question.noise, NoiseCoefficients):
-        return question.noise, "as given", True
+        return question.noise, GIVEN, True
     if question.noise is not None:
         is_given = question.noise.turn_on is not None
-        source = "as given" if is_given else "as given; turn-on scatter estimated from these runs"
+        source = GIVEN if is_given else _with_estimated_turn_on(GIVEN)
         return with_turn_on(question.noise, runs, model), source, is_given
     found = declared_noise(catalog, runs, model)
     if isinstance(found, NoEstimate):
         return None, found.reason, False
-    several = "; turn-on scatter estimated from these runs" if len(runs) > 1 else ""
-    return found, f"the unit's own Allan fits{several}", False
+    return found, OWN_FITS if len(runs) == 1 else _with_estimated_turn_on(OWN_FITS), False
+
+
+def _with_estimated_turn_on(source: Bilingual) -> Bilingual:
+    return Bilingual(f"{source}; turn-on scatter estimated from these runs", f"{source.zh}；逐次启动散布由这些试验估计")
 
 
 def units_with(catalog: Catalog, signal: str) -> list[str]:
-    """All units of a store that have a signal.
-
-    Raises
-    ------
-    NotFound: If there is none.
-    """
+    """All units of a store that have a signal; NotFound if there is none."""
     sql = "select distinct unit from signals where signal = $signal order by unit"
     units = [str(unit) for (unit,) in catalog.rows(sql, {"signal": signal})]
     if not units:

@@ -3,8 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from analytics.calibration.separation import AccelerometerReading, Separation, accelerometer_separation
-from analytics.calibration.separation_steps import separation_rows
+from analytics.methods.separation import AccelerometerReading, Separation, accelerometer_separation, separation_rows
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput, UnknownUnit
 from stream.quantities import conversion
@@ -44,15 +43,7 @@ order by s.run, s.unit, s.signal, s."procedure", s."index"
 
 def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     """Rows of the metric: y2, z2 and gamma."""
-    yield from separation_rows(catalog, _STEPS, _POSITIONS, _lack, _separated)
-
-
-def _lack(rows: Sequence[Mapping[str, Any]]) -> str | None:
-    try:
-        _per_g(rows[0])
-    except BadInput as error:
-        return str(error)
-    return None
+    yield from separation_rows(catalog, _STEPS, _POSITIONS, lambda _: None, _separated)
 
 
 def _separated(rows: Sequence[Mapping[str, Any]]) -> Separation:
@@ -60,7 +51,7 @@ def _separated(rows: Sequence[Mapping[str, Any]]) -> Separation:
 
 
 def _per_g(row: Mapping[str, Any]) -> float:
-    """Scale factor, output per local g; where that is not known, per standard g."""
+    """Scale factor, output per local g; where the local g is unknown, per standard g."""
     measure, gravity = row["unit_of_measure"], row["gravity_m_per_s2"]
     try:
         per_standard_g = 1 / conversion(measure, "g_0")[0]

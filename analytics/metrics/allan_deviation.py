@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from analytics.metrics.largest_magnitude import json_text
+from analytics.metric_registry.registry import parameters_text
 from storage.sql.catalog import Catalog
 from storage.sql.reading import find_signal, read_signal
 from stream.batch import SampleBatch
@@ -58,7 +58,7 @@ def _row(row: Mapping[str, Any]) -> dict[str, Any]:
     parameters = {name: row[name] for name in ("tau_s", "position", "repeat")}
     parameters |= {"scale_factor": row["scale_source"], "remark": row["remark"]}
     head = {name: row[name] for name in ("unit", "signal", "run", "n")}
-    return head | {"runs": [row["run"]], "steps": [row["index"]], "parameters": json_text(parameters)}
+    return head | {"runs": [row["run"]], "steps": [row["index"]], "parameters": parameters_text(parameters)}
 
 
 def _deviation(catalog: Catalog, row: Mapping[str, Any]) -> dict[str, Any]:

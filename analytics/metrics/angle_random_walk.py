@@ -7,8 +7,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from analytics.metrics.largest_magnitude import json_text
-from analytics.metrics.limits_of_value import chi_square_limits, deviation_uncertainty
+from analytics.methods.confidence_bounds import TWO_SIDED, chi_square_bounds, deviation_uncertainty
+from analytics.metric_registry.registry import parameters_text
 from storage.sql.catalog import Catalog
 from storage.sql.reading import stored_between
 from stream.batch import FloatArray
@@ -30,13 +30,13 @@ HEADER = """\
 -- equation:  RWC = sqrt(A_-1), sigma^2(tau) = sum A_m tau^m; normalised RWC = Bs(1 s) sqrt(1 s)
 """
 
-# The fit of the whole run's Allan curve, else the white part of the step's own, whose limits come after.
+# The fit of the whole run's Allan curve, else the white part of the step's own curve, whose bounds are added below.
 _ALLAN = """
 select s.unit, s.signal, s.run, s.n, [s.run] as runs, [s."index"] as steps,
   case when s.lack is null then
     case when c.run is not null then c.value else sqrt(nullif(s.white, 0)) * abs(s.deg_per_h) / 60 end end as value,
   c.lo, c.hi, c.standard_uncertainty,
-  -- white noise is told by the shortest averaging times; long steps are reduced from means of 1 s
+  -- the shortest averaging times determine white noise; long steps are reduced from means of 1 s
   case when c.run is null then greatest(case when s.n > 20000 then s.duration_s else s.n end / 1.5, 1) end as freedom,
   to_json({
     method: 'allan', duration_s: round(s.duration_s), record: case when c.run is not null then 'run' else 'step' end,
@@ -51,8 +51,6 @@ left join internal.noise_coefficients c
 order by s.unit, s.signal, s.run, s."index"
 """
 
-_LIMITS = ("lo", "hi", "standard_uncertainty")
-
 _SHORT = """
 select s.unit, s.signal, s.run, s."index", s.n, s.duration_s, s.t_from_ns, s.t_to_ns, abs(s.deg_per_h) as deg_per_h,
   s.unit_of_measure, g.sample_interval_s, g.irregular
@@ -66,22 +64,23 @@ def compute(catalog: Catalog) -> pa.Table:
     """Rows of the metric; the normalised method reads the samples of its steps, which are short."""
     table = catalog.reader(_ALLAN).read_all()
     value, freedom = table["value"].to_numpy(), np.nan_to_num(table["freedom"].to_numpy(), nan=1.0)
-    own = (*chi_square_limits(value, freedom), deviation_uncertainty(value, freedom))
-    for name, numbers in zip(_LIMITS, own, strict=True):
+    lo, hi = chi_square_bounds(value, freedom)
+    own = {"lo": lo, "hi": hi, "standard_uncertainty": deviation_uncertainty(value, freedom)}
+    for name, numbers in own.items():
         of_step = pa.array(numbers, pa.float64(), mask=np.isnan(numbers))
         column = pc.if_else(pc.is_null(table["freedom"]), table[name], of_step)
         table = table.set_column(table.schema.get_field_index(name), name, column)
     clause = {"standard": "GJB2426A", "clause": "5.12.5.4.1 (23)(24)"}
-    short = [_told(row) | clause | _short(catalog, row) for row in catalog.reader(_SHORT).read_all().to_pylist()]
+    short = [_described(row) | clause | _short(catalog, row) for row in catalog.reader(_SHORT).read_all().to_pylist()]
     schema = pa.schema([*table.schema, *((name, pa.string()) for name in clause)])
     return pa.concat_tables([table, pa.Table.from_pylist(short, schema=schema)], promote_options="default")
 
 
-def _told(row: Mapping[str, Any]) -> dict[str, Any]:
-    told = {name: row[name] for name in ("unit", "signal", "run", "n")}
+def _described(row: Mapping[str, Any]) -> dict[str, Any]:
+    described = {name: row[name] for name in ("unit", "signal", "run", "n")}
     parameters = {"method": "normalised", "duration_s": round(row["duration_s"])}
     parameters |= {"sample_interval_s": row["sample_interval_s"]}
-    return told | {"runs": [row["run"]], "steps": [row["index"]], "parameters": json_text(parameters)}
+    return described | {"runs": [row["run"]], "steps": [row["index"]], "parameters": parameters_text(parameters)}
 
 
 def _short(catalog: Catalog, row: Mapping[str, Any]) -> dict[str, Any]:
@@ -95,16 +94,20 @@ def _short(catalog: Catalog, row: Mapping[str, Any]) -> dict[str, Any]:
     if row["irregular"]:
         return {"reason": "the samples lie on no grid, and means over 1 s of the normalised method need one"}
     try:
-        found = stored_between(catalog, row["unit"], row["signal"], row["run"], row["t_from_ns"], row["t_to_ns"])
+        times_ns, values = stored_between(
+            catalog, row["unit"], row["signal"], row["run"], row["t_from_ns"], row["t_to_ns"]
+        )
     except NotFound as error:
         return {"reason": str(error)}
-    times_ns, values = found
     rates = _on_grid((times_ns - times_ns[0]) / 1e9 / row["sample_interval_s"], values * row["deg_per_h"])
     walk = angle_random_walk_normalised(rates, row["sample_interval_s"])
     if isinstance(walk, NoEstimate):
         return {"reason": walk.reason}
-    limits = {name: getattr(walk.coefficient, name) for name in ("value", "lo", "hi")}
-    return limits | {"standard_uncertainty": (limits["hi"] - limits["lo"]) / (2 * 1.959963984540054)}
+    found = walk.coefficient
+    return {
+        "value": found.value, "lo": found.lo, "hi": found.hi,
+        "standard_uncertainty": (found.hi - found.lo) / (2 * TWO_SIDED),
+    }  # fmt: skip
 
 
 def _on_grid(place: FloatArray, values: FloatArray) -> FloatArray:

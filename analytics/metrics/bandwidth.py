@@ -1,19 +1,17 @@
 """Bandwidth, from the gains on an angular-vibration table."""
 
-import json
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
-from analytics.calibration.dynamics import Found, crossing, first_order_bandwidth
-from analytics.calibration.frequency_response import Response
-from analytics.calibration.vibration_records import (
+from analytics.methods.dynamics import DynamicResult, crossing, first_order_bandwidth
+from analytics.methods.frequency_response import Response
+from analytics.methods.vibration_records import (
     LEAST_RECORDS,
     Vibration,
-    row_of,
-    told,
     too_little_for,
     unmet,
+    vibration_row,
     vibrations,
 )
 from storage.sql.catalog import Catalog
@@ -38,36 +36,23 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     """Rows of the metric: of GJB by the first-order lag and by the crossing of 0.707, of JJF by the crossing."""
     for vibration in vibrations(catalog):
         zero_gain, measured = vibration.scale_factor, f"scale factor measured in run {vibration.scale_run}"
-        for standard, clause, method, gain_1, least_records, find in (
-            ("GJB2426A", "5.13.4 (36)-(41)", "first_order", None, 1, first_order_bandwidth),
-            ("GJB2426A", "5.13.4 (35)", "crossing", "lowest frequency", 1, partial(crossing, of_lowest=True)),
-            (
-                "JJF2014",
-                "7.2.21.2 (40)-(43)",
-                "crossing",
-                "the curve's at zero frequency" if zero_gain is None else measured,
-                LEAST_RECORDS,
-                partial(crossing, zero_gain=zero_gain),
-            ),
+        gain_1 = "the curve's at zero frequency" if zero_gain is None else measured
+        lowest, zero = partial(crossing, of_lowest=True), partial(crossing, zero_gain=zero_gain)
+        for source, method, gain, least_records, find in (
+            (("GJB2426A", "5.13.4 (36)-(41)"), "first_order", None, 1, first_order_bandwidth),
+            (("GJB2426A", "5.13.4 (35)"), "crossing", "lowest frequency", 1, lowest),
+            (("JJF2014", "7.2.21.2 (40)-(43)"), "crossing", gain_1, LEAST_RECORDS, zero),
         ):
             found, reason = _found(vibration, find, least_records)
-            parameters = {"method": method, "gain_1": gain_1} | told(vibration)
+            parameters: dict[str, Any] = {"method": method, "gain_1": gain}
             if found is not None:
                 parameters["misfit"] = float(f"{found.misfit:.3g}")
-            yield row_of(vibration) | {
-                "value": None if found is None or reason else found.value,
-                "standard_uncertainty": None if found is None else found.standard_uncertainty,
-                "freedom": None if found is None else found.freedom,
-                "parameters": json.dumps(parameters, ensure_ascii=False),
-                "standard": standard,
-                "clause": clause,
-                "reason": reason,
-            }
+            yield vibration_row(vibration, source, parameters, found, reason)
 
 
 def _found(
-    vibration: Vibration, find: Callable[[Response], Found], least_records: int
-) -> tuple[Found | None, str | None]:
+    vibration: Vibration, find: Callable[[Response], DynamicResult], least_records: int
+) -> tuple[DynamicResult | None, str | None]:
     reason = unmet(vibration, least_records=least_records)
     if reason is not None:
         return None, reason

@@ -10,6 +10,8 @@
 -- limits:    t
 -- equation:  B0 = mean(F)/K
 -- The Earth's rate is removed where the position says how it enters; both the raw and the corrected value are reported.
+-- The interval is value -+ t(freedom) u with u = sd/sqrt(n_effective): where flicker or random walk leaves few degrees of
+-- freedom, t is larger than 1.96 and the interval wider than n_effective alone suggests.
 with corrected as (
   select *, unnest(case when is_attitude_known then ['none', 'removed'] else ['none'] end) as earth_rate
   from internal.bias_steps

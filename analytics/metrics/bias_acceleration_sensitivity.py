@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from analytics.metrics.largest_magnitude import largest_magnitudes
+from analytics.methods.largest_magnitude import largest_magnitudes
 from storage.sql.catalog import Catalog
 
 HEADER = """\
@@ -26,7 +26,7 @@ with shown as (
   where earth_rate = 'none' or not coalesce(list_contains(level, axis), false)
   union all
   select *, 'largest' from internal.bias_flips
-), told as (
+), counted as (
   select *, list_filter(['X', 'Y', 'Z'], lambda each: not list_contains(axes, each)) as absent from shown
 )
 select unit, signal, run, "procedure", repeat, shown, earth_rate, axis, half as difference, u, freedom,
@@ -40,7 +40,7 @@ select unit, signal, run, "procedure", repeat, shown, earth_rate, axis, half as 
     axis: shown, earth_rate: earth_rate, repeat: repeat, scale_factor: scale_source,
     earth_rate_unknown: case when shown = 'largest' and earth_rate = 'removed' then level end
   } as parameters
-from told
+from counted
 window test as (partition by unit, signal, run, "procedure", repeat, shown, earth_rate)
 order by run, unit, signal, "procedure", repeat, shown, earth_rate, axis
 """

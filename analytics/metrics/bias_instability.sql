@@ -10,10 +10,5 @@
 -- limits:    given
 -- equation:  B = sqrt(A_0/(2 ln2/pi)), sigma^2(tau) = sum A_m tau^m
 -- Erratum: the print's polynomial by plain least squares gives negative variances; here coefficients are not negative,
--- weighted by the degrees of freedom of the Allan variance, and said to be not observable where the record shows none.
-select unit, signal, run, value, lo, hi, standard_uncertainty, null::double as freedom, n,
-  {method: 'allan', duration_s: round(duration_s), misfit: misfit, markov_correlation_s: markov_correlation_s}
-    as parameters,
-  [run] as runs, ["index"] as steps, reason
-from internal.noise_coefficients
-where coefficient = 'bias_instability'
+-- weighted by the degrees of freedom of the Allan variance, and reported as not observable where the record shows none.
+from fitted_coefficient('bias_instability')

@@ -3,9 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from analytics.metrics.largest_magnitude import json_text
-from analytics.metrics.repeatability import KINDS, Noise, deviation_of, scatters
-from analytics.metrics.variance_components import means_noise, pooled, scatter
+from analytics.methods.repeatability import KINDS, ValuesNoise, deviation_of, means_noise, pooled, scatter, scatters
 from storage.sql.catalog import Catalog
 
 HEADER = """\
@@ -29,15 +27,15 @@ _NOT_KNOWN: Mapping[str, float | None] = {"scatter": None, "uncertainty_of_means
 
 # A run is a test if its procedure is one or it has several power-ons; all runs of a unit together are another test.
 _SQL = """
-with told as (
+with counted as (
   select *,
     count(*) over (partition by unit, signal, position, earth_rate, run) as in_run,
     bool_or(is_repeated) over (partition by unit, signal, position, earth_rate, run) as is_test
   from internal.bias_power_ons
 ), scoped as (
-  select *, run as scope from told where is_test or in_run > 1
+  select *, run as scope from counted where is_test or in_run > 1
   union all
-  select *, null as scope from told
+  select *, null as scope from counted
 )
 select unit, signal, position, earth_rate, scope as run, min(lack) as lack,
   list(bias order by t_from_ns, run, power_on) as biases,
@@ -62,9 +60,9 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
 
     Notes
     -----
-    Values are what is left of a scatter when the uncertainty of the biases themselves, as a component of its variance,
-    is taken off; ``scatter`` in the parameters is that of the clause's equation, ``uncertainty_of_means`` what is taken
-    off. Of records of a minute the noise is most of the scatter, of those of an hour hardly a part of it.
+    The uncertainty of the biases, a component of the variance of their scatter, is subtracted; in the parameters
+    ``scatter`` is that of the clause's equation, ``uncertainty_of_means`` the part subtracted. In records of a minute
+    noise is most of the scatter, in those of an hour hardly any of it.
 
     ``run_to_run`` is the deviation within a day, pooled over days; ``day_to_day`` that of the means of days, in which
     the scatter within the days is also. ``between_day_component`` is what is left of it without that, and
@@ -90,19 +88,19 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
             yield from _standards(row, kind, n, value, scatters(found, noise, kind))
 
 
-def _noise(row: Mapping[str, Any]) -> Noise:
-    """What the records' own noise adds to their scatter; records of one length are taken for alike."""
+def _noise(row: Mapping[str, Any]) -> ValuesNoise:
+    """What the records' own noise adds to their scatter; records of one length count as equivalent."""
     uncertainties, freedoms, durations = row["uncertainties"], row["freedoms"], row["durations"]
     if max(durations) <= _LIKE * min(durations):
         uncertainties = pooled(uncertainties, freedoms)
-    return Noise(
+    return ValuesNoise(
         likely=means_noise(uncertainties, freedoms, row["days"]),
         least=means_noise(row["of_white_noise"], freedoms, row["days"]),
     )
 
 
 def _remark(row: Mapping[str, Any]) -> str | None:
-    """What is to be known of the records and power-ons that a value rests on."""
+    """Remark on short records and on power-ons that were not recorded."""
     remarks = []
     short = [each for each in row["durations"] if each < LEAST_S]
     if short:
@@ -120,20 +118,20 @@ def _remark(row: Mapping[str, Any]) -> str | None:
 def _standards(
     row: Mapping[str, Any], kind: str, n: int, value: dict[str, Any], made_of: Mapping[str, float | None] = _NOT_KNOWN
 ) -> Iterator[dict[str, Any]]:
-    """The row, or one for each standard where only one of them is content with the number of power-ons."""
+    """The row, or one for each standard where the number of power-ons satisfies only one of them."""
     parameters = {"kind": kind, "position": row["position"], "earth_rate": row["earth_rate"]}
     parameters |= {"power_ons": len(row["biases"]), "power_ons_recorded": row["counted_by"].count("power-on")}
     parameters |= {"days": len(set(row["days"])) if row["is_dated"] else None, "remark": _remark(row)}
     parameters |= made_of
-    told = {name: row[name] for name in ("unit", "signal", "run", "runs", "steps")}
-    told |= {"n": n, "parameters": json_text(parameters)}
+    common = {name: row[name] for name in ("unit", "signal", "run", "runs", "steps")}
+    common |= {"n": n, "parameters": parameters}
     if "component" in kind or n >= LEAST_GJB or "reason" in value:
-        yield told | value
+        yield common | value
         return
     what = "days" if kind == "day_to_day" else "power-ons"
-    yield told | {
+    yield common | {
         "reason": f"{n} {what} measured, the clause asks for {LEAST_GJB} or more",
         "standard": "GJB2426A",
         "clause": "5.12.3 (21)",
     }
-    yield told | value | {"standard": "JJF2014", "clause": "7.2.15 (30)"}
+    yield common | value | {"standard": "JJF2014", "clause": "7.2.15 (30)"}

@@ -56,7 +56,7 @@ where s.lack is null and p.average_s is not null and not list_contains($usual, p
 order by s.unit, s.signal, s.run, s."index"
 """
 
-# Means of what the store keeps make up means over the product's time, on the grid of the source's clock.
+# The stored means are combined into means over the product's averaging time, on the grid of the source's clock.
 _MEANS = """
 with mean as (
   select w.which, b.t_ns // w.average_ns as number, sum(b.n) as n,
@@ -84,13 +84,13 @@ _SOURCES = {10 * 10**9: "rollup_10s", 10**9: "rollup_1s", 1: _SAMPLES}
 
 
 def compute(catalog: Catalog) -> pa.Table:
-    """Rows of the metric; degrees of freedom are fewer than N/P - 1 as far as neighbouring averages correlate."""
+    """Rows of the metric; correlation of neighbouring averages lowers the degrees of freedom below N/P - 1."""
     catalog.put("product_averages", _products_averages(catalog))
     return catalog.reader(_SQL).read_all()
 
 
 def _products_averages(catalog: Catalog) -> pa.Table:
-    """Averages over the time that a step's product asks for: how many, their deviation, its degrees of freedom."""
+    """Averages over the product's averaging time: how many, their deviation, its degrees of freedom."""
     steps = catalog.reader(_ASKED, {"usual": list(AVERAGES_S)}).read_all().to_pylist()
     for which, step in enumerate(steps):
         average_ns = round(step["average_s"] * 1e9)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from analytics.metrics.largest_magnitude import largest_magnitudes
+from analytics.methods.largest_magnitude import largest_magnitudes
 from storage.sql.catalog import Catalog
 
 HEADER = """\

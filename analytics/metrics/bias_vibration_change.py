@@ -1,10 +1,8 @@
 """Change of the bias by vibration, along each axis and the largest."""
 
-from collections.abc import Iterator
-from typing import Any
+from functools import partial
 
-from analytics.metrics.axis_changes import largest_changes
-from storage.sql.catalog import Catalog
+from analytics.methods.largest_magnitude import bias_changes
 
 HEADER = """\
 -- id:        bias_vibration_change
@@ -20,7 +18,4 @@ HEADER = """\
 -- equation:  abs(B_after - B_before) along each axis; of the unit the largest
 """
 
-
-def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
-    """Rows of the metric."""
-    yield from largest_changes(catalog, "select * from internal.bias_changes where cause = 'vibration'")
+compute = partial(bias_changes, cause="vibration")

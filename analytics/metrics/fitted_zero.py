@@ -1,4 +1,4 @@
-"""Fitted zero: where the least-squares line of a scale factor crosses the rate 0, while the zero drifts."""
+"""Fitted zero: where the least-squares line of a scale factor crosses the rate 0; the zero may drift."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from analytics.metrics.largest_magnitude import json_text
-from analytics.metrics.zero_drift import Sequence, Uncertainty, zero_uncertainty
+from analytics.methods.zero_drift import Sequence, Uncertainty, zero_uncertainty
 from storage.sql.catalog import Catalog
 
 HEADER = """\
@@ -37,21 +36,19 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
 
     Notes
     -----
-    JJF 2014 subtracts no rest, so its F0 is the bias; of GJB and JJF 1536, which subtract F_r = (F_s + F_e)/2, it is
-    what is left. F0/K is a weighted sum of the outputs but for its own small change with K: weights
-    (d_j - c_j F0/K)/K. Its uncertainty allows for a zero that drifts through the test (`zero_uncertainty`).
+    JJF 2014 subtracts no rest, so its F0 is the bias; GJB and JJF 1536 subtract F_r = (F_s + F_e)/2. F0/K is, to first
+    order, a weighted sum of the outputs with the weights (d_j - c_j F0/K)/K. Its uncertainty allows for a zero that
+    drifts during the test (`zero_uncertainty`).
     """
     for row in catalog.reader(_SQL).read_all().to_pylist():
         subtracts = row["standard"] != "JJF2014"
         zero = _zero(row, subtracts=subtracts)
         found = None if zero is None or not math.isfinite(zero) else _uncertainty(row, zero, subtracts=subtracts)
-        told = {name: row[name] for name in ("unit", "signal", "run", "n", "steps", "standard")}
-        yield told | {
+        yield {name: row[name] for name in ("unit", "signal", "run", "n", "steps", "standard")} | {
             "value": None if zero is None else zero * 3600,
             "standard_uncertainty": None if found is None else found.value * 3600,
             "freedom": None if found is None else found.freedom,
-            "parameters": json_text(_parameters(row, zero)),
-            "runs": [row["run"]],
+            "parameters": _parameters(row, zero),
             "clause": _CLAUSES[row["standard"]],
             "reason": row["lack"],
         }

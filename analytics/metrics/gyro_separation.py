@@ -3,8 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from analytics.calibration.separation import GyroReading, Separation, gyro_separation
-from analytics.calibration.separation_steps import separation_rows
+from analytics.methods.separation import GyroReading, Separation, gyro_separation, separation_rows
 from storage.sql.catalog import Catalog
 
 HEADER = """\

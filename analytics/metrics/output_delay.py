@@ -1,19 +1,10 @@
 """Output delay, from the phases on an angular-vibration table."""
 
-import json
 from collections.abc import Iterator
 from typing import Any
 
-from analytics.calibration.dynamics import Found, first_order_bandwidth, output_delay
-from analytics.calibration.vibration_records import (
-    LEAST_RECORDS,
-    Vibration,
-    row_of,
-    told,
-    too_little_for,
-    unmet,
-    vibrations,
-)
+from analytics.methods.dynamics import first_order_bandwidth, output_delay
+from analytics.methods.vibration_records import LEAST_RECORDS, too_little_for, unmet, vibration_row, vibrations
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput
 
@@ -36,31 +27,21 @@ _MS = 1e3
 def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     """Rows of the metric: the standards differ in how many records they ask for."""
     for vibration in vibrations(catalog):
-        for standard, clause, least_records in (
-            ("GJB2426A", "5.14.4 (42)-(46)", 1),
-            ("JJF2014", "7.2.22.2 (44)-(50)", LEAST_RECORDS),
+        for source, least_records in (
+            (("GJB2426A", "5.14.4 (42)-(46)"), 1),
+            (("JJF2014", "7.2.22.2 (44)-(50)"), LEAST_RECORDS),
         ):
-            parameters = told(vibration)
+            parameters: dict[str, Any] = {}
             found, reason = None, unmet(vibration, least_records=least_records)
             if reason is None:
+                assert vibration.response is not None
                 try:
-                    found, bandwidth_hz = _found(vibration)
-                    reason = too_little_for(bandwidth_hz, vibration)
-                    parameters["bandwidth_hz"] = float(f"{bandwidth_hz:.6g}")
-                    parameters["misfit_rad"] = float(f"{found.misfit:.3g}")
+                    found = output_delay(vibration.response)
+                    bandwidth_hz = first_order_bandwidth(vibration.response).value
                 except BadInput as error:
-                    reason = str(error)
-            yield row_of(vibration) | {
-                "value": None if found is None or reason else found.value * _MS,
-                "standard_uncertainty": None if found is None else found.standard_uncertainty * _MS,
-                "freedom": None if found is None else found.freedom,
-                "parameters": json.dumps(parameters, ensure_ascii=False),
-                "standard": standard,
-                "clause": clause,
-                "reason": reason,
-            }
-
-
-def _found(vibration: Vibration) -> tuple[Found, float]:
-    assert vibration.response is not None
-    return output_delay(vibration.response), first_order_bandwidth(vibration.response).value
+                    found, reason = None, str(error)
+                else:
+                    reason = too_little_for(bandwidth_hz, vibration)
+                    parameters = {"bandwidth_hz": float(f"{bandwidth_hz:.6g}")}
+                    parameters["misfit_rad"] = float(f"{found.misfit:.3g}")
+            yield vibration_row(vibration, source, parameters, found, reason, scale=_MS)

@@ -1,4 +1,4 @@
-"""Power that a unit takes from each of its supplies."""
+"""Power consumption of a unit from each of its supplies."""
 
 from collections.abc import Iterator, Mapping
 from itertools import groupby
@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from analytics.metrics.largest_magnitude import json_text
-from analytics.step_records.series_statistics import series_statistics
+from analytics.step_records.series_statistics import samples_statistics
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 
@@ -42,7 +41,7 @@ with step as (
 ), fed as (
   select s.*, p.supply, p.has_voltage, p.has_current, t.units,
     bool_or(p.supply = s.unit) over (partition by s.run, s.unit) as has_own,
-    -- which supply feeds a unit is told by the word `power` of its mounting
+    -- the word `power` of its mounting names the supply of a unit
     json_extract_string(m.details, '$.power') as named
   from step s join tested t using (run) left join supply p on p.run = s.run
   left join units m on m.run = s.run and m.unit = s.unit
@@ -66,13 +65,7 @@ _Readings = Mapping[str, tuple[IntArray, FloatArray]]
 
 
 def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
-    """Rows of the metric.
-
-    Notes
-    -----
-    An instrument reads voltage and current one after the other: each voltage is multiplied with the current that was
-    read nearest to it, at most one interval away.
-    """
+    """Rows of the metric; an instrument reads voltage and current in turn, see `watts`."""
     steps = catalog.reader(_STEPS).read_all().to_pylist()
     for run, group in groupby(steps, key=lambda step: step["run"]):
         of_run = list(group)
@@ -88,9 +81,8 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
 
 
 def _row(step: Mapping[str, Any], readings: _Readings) -> dict[str, Any]:
-    row = {"unit": step["unit"], "signal": "supply_power", "run": step["run"], "runs": [step["run"]], "n": 0} | {
-        "steps": [step["index"]],
-        "parameters": json_text({"supply": step["supply"], "step": step["step"]}),
+    row = {"unit": step["unit"], "signal": "supply_power", "run": step["run"], "n": 0, "steps": [step["index"]]} | {
+        "parameters": {"supply": step["supply"], "step": step["step"]}
     }
     reason = _lack(step, readings)
     if reason is not None:
@@ -98,16 +90,7 @@ def _row(step: Mapping[str, Any], readings: _Readings) -> dict[str, Any]:
     power, t_ns = watts(*readings["supply_voltage"], *readings["supply_current"])
     if not len(power):
         return row | {"reason": f"supply {step['supply']}: no current was read within an interval of a voltage"}
-    interval_ns = int(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 1
-    found = series_statistics(
-        t_ns,
-        np.ones(len(t_ns), np.int64),
-        power,
-        np.zeros(len(t_ns)),
-        base_ns=max(interval_ns, 1),
-        samples_per_block=1.0,
-        window_ns=(step["t_from_ns"], step["t_to_ns"]),
-    )
+    found = samples_statistics(t_ns, power, (step["t_from_ns"], step["t_to_ns"]))
     u = None if np.isnan(found.standard_uncertainty) else found.standard_uncertainty
     return row | {"n": found.n, "value": found.mean, "standard_uncertainty": u, "freedom": found.freedom}
 
@@ -131,7 +114,7 @@ def _lack(step: Mapping[str, Any], readings: _Readings) -> str | None:
 def watts(
     voltage_ns: IntArray, voltage: FloatArray, current_ns: IntArray, current: FloatArray
 ) -> tuple[FloatArray, IntArray]:
-    """Each voltage times the current read nearest to it, at most an interval of the currents away, and when.
+    """Each voltage times the current read nearest to it, at most an interval of the currents away; with the times.
 
     Examples
     --------

@@ -3,8 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from analytics.metrics.half_error import direction_of, smallest_within_half
-from analytics.metrics.largest_magnitude import json_text
+from analytics.methods.half_error import within_half_both_ways
 from storage.sql.catalog import Catalog
 
 HEADER = """\
@@ -30,7 +29,7 @@ with turning as (
   where n > 0 and rate_command <> 0 and frequency is null and regexp_matches("procedure", '^resolution|分辨率')
     and coalesce(step, '') <> 'rate'
   window side as (partition by run, unit, signal, repeat, rate_command > 0)
-), gathered as (
+), grouped as (
   select run, unit, signal, repeat, is_forward,
     list_avg(list(output order by "index") filter (is_base)) as base_output,
     list_avg(list(input_rate * 3600 order by "index") filter (is_base)) as base_rate,
@@ -50,11 +49,11 @@ select g.run, g.unit, g.signal, g.repeat,
       error: abs((p.input - base_rate) - (p.output - base_output)), u: sqrt(p.u ** 2 + u_base ** 2), freedom: p.freedom}
     for p in points if p.input <> base_rate] order by is_forward)) as compared,
   sum(n)::bigint as n, list_sort(flatten(list(steps order by is_forward))) as steps
-from gathered g left join internal.run_products p on p.unit = g.unit and p.run = g.run
+from grouped g left join internal.run_products p on p.unit = g.unit and p.run = g.run
 group by g.run, g.unit, g.signal, g.repeat order by g.run, g.unit, g.signal, g.repeat
 """
 
-# Base rate over the expected threshold: from, to, in the words of the clause.
+# Clause, and the base rate over the expected threshold: from, to, in the words of the clause.
 _BASES = {
     "GJB2426A": ("5.11 (18)", 100.0, float("inf"), "more than 100 times"),
     "JJF2014": ("7.2.10 (18)", 20.0, 50.0, "20 to 50 times"),
@@ -62,21 +61,14 @@ _BASES = {
 
 
 def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
-    """Rows of the metric, one for each standard: they differ in the base rate they ask for.
-
-    It is judged where the product's expected threshold is known.
-    """
+    """Rows of the metric, one for each standard: they differ in the base rate, checked where the threshold is known."""
     for row in catalog.reader(_SQL).read_all().to_pylist():
         found = _value(row)
-        told = {name: row[name] for name in ("unit", "signal", "run", "n", "steps")}
+        common = {name: row[name] for name in ("unit", "signal", "run", "n", "steps")}
         parameters = {"repeat": row["repeat"], "base_rate_deg_per_h": row["base_rate"]}
-        parameters |= {"scale_factor": row["scale_source"]}
-        for standard, (clause, _, _, _) in _BASES.items():
-            yield (
-                told
-                | {"runs": [row["run"]], "parameters": json_text(parameters), "standard": standard, "clause": clause}
-                | (_unsuitable(row, standard) or found)
-            )
+        common["parameters"] = parameters | {"scale_factor": row["scale_source"]}
+        for standard, (clause, *_) in _BASES.items():
+            yield common | {"standard": standard, "clause": clause} | (_unsuitable(row, standard) or found)
 
 
 def _unsuitable(row: Mapping[str, Any], standard: str) -> dict[str, Any] | None:
@@ -96,11 +88,4 @@ def _unsuitable(row: Mapping[str, Any], standard: str) -> dict[str, Any] | None:
 def _value(row: Mapping[str, Any]) -> dict[str, Any]:
     if not row["is_scaled"]:
         return {"reason": f"no scale factor for an output in {row['unit_of_measure']}: measure it before"}
-    directions = {
-        name: direction_of([each for each in row["compared"] if each["is_forward"] == is_forward])
-        for name, is_forward in (("forwards", True), ("backwards", False))
-    }
-    missing = " and ".join(name for name, each in directions.items() if not each.size.size)
-    if missing:
-        return {"reason": f"no increment {missing} was measured, the clause asks for both directions"}
-    return smallest_within_half(directions)
+    return within_half_both_ways(row["compared"], "increment")

@@ -1,7 +1,6 @@
-"""Scale factors: the least-squares lines of every measurement, made once for all metrics that stand on them."""
+"""Scale factors: the least-squares lines of every measurement, computed once for all metrics that use them."""
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+import pyarrow as pa
 
 from storage.sql.catalog import Catalog
 
@@ -23,8 +22,8 @@ HEADER = """\
 _LINES = "create or replace table internal.scale_fits as select * from scale_lines('internal.scale_sides')"
 _USABLE = "select * from measured_scale_factors('internal.scale_fits')"
 
-# What is subtracted at rest moves F0 and not K: the standards differ only in what they ask for.
-# A measurement that no standard is content with has a value too, under no clause's name.
+# Subtracting the rests changes F0 and not K: the standards differ only in what they ask for.
+# A measurement that satisfies no standard has an informative value, without a clause.
 _SQL = """
 with formed as (
   select * exclude (words), words, null::varchar as remark,
@@ -55,21 +54,17 @@ from every
 """
 
 
-def compute(catalog: Catalog) -> Iterable[Mapping[str, Any]]:
+def compute(catalog: Catalog) -> pa.Table:
     """Rows of the metric, a row for each measurement and standard.
 
-    The unit of a value is that of the output over deg/s, and 1 where the output is a rate. Where no standard is content
-    with the measurement, a row of the standard ``informative`` has the value of the line, and its `remark` says why.
+    The unit of a value is that of the output over deg/s, and 1 where the output is a rate. Where the measurement
+    satisfies no standard, a row of the standard ``informative`` has the value of the line, and its `remark` says why.
     """
     keep_scale_fits(catalog)
-    rows: list[dict[str, Any]] = catalog.reader(_SQL).read_all().to_pylist()
-    return rows
+    return catalog.reader(_SQL).read_all()
 
 
 def keep_scale_fits(catalog: Catalog) -> None:
-    """Make the tables on which other metrics stand, from the ``step_means`` that are in the catalogue.
-
-    They are the lines ``scale_fits``, and the ``scale_factors`` that may be used from then on.
-    """
+    """Put the tables ``scale_fits``, the lines, and ``scale_factors``, those that other metrics may use."""
     catalog.define(_LINES)
     catalog.put("scale_factors", catalog.reader(_USABLE).read_all())

@@ -3,9 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from analytics.metrics.largest_magnitude import json_text
-from analytics.metrics.repeatability import KINDS, deviation_of
-from analytics.metrics.variance_components import Scatter, scatter
+from analytics.methods.repeatability import KINDS, Scatter, deviation_of, scatter
 from storage.sql.catalog import Catalog
 
 HEADER = """\
@@ -38,16 +36,16 @@ with conditioned as (
   where standard <> 'JJF1536' and phase is null and axis is null
     and not regexp_matches(coalesce("procedure", ''), '^(scale_factor_(temp|acc|shock|vib)|threshold|resolution)')
   window test as (partition by run, unit, signal, "procedure", standard)
-), told as (
+), counted as (
   select *,
     count(*) over own as in_run,
     bool_or(starts_with("procedure", 'scale_factor_repeatability')) over own as is_test
   from conditioned where temperatures = 1 and positions = 1
   window own as (partition by unit, signal, output_unit, standard, run)
 ), scoped as (
-  select *, run as scope from told where is_test or in_run > 1
+  select *, run as scope from counted where is_test or in_run > 1
   union all
-  select *, null as scope from told
+  select *, null as scope from counted
 )
 select unit, signal, scope as run, standard,
   list(k order by t_from_ns, run, steps) filter (lack is null) as scales,
@@ -70,7 +68,7 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     -----
     The kinds are those of the bias repeatability, of the relative scale factors K_i/mean(K). ``run_to_run`` is the
     deviation within a day, pooled over days; ``day_to_day`` that of the means of days. The uncertainty of the K_i is
-    not taken off: most of it is nonlinearity, which is the same in all.
+    not subtracted: most of it is nonlinearity, which is the same in all.
     """
     for row in catalog.reader(_SQL).read_all().to_pylist():
         scales, days = row["scales"] or [], row["days"] or []
@@ -78,10 +76,10 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
         found = scatter([each / mean * 1e6 for each in scales] if mean else [], days if mean else [])
         parameters = {"scale_factors": len(scales), "mean": mean if scales else None}
         parameters["days"] = len(set(days)) if row["is_dated"] else None
-        told = {name: row[name] for name in ("unit", "signal", "run", "standard", "runs", "steps")}
-        told |= {"n": len(scales), "clause": _CLAUSES[row["standard"]]}
+        common = {name: row[name] for name in ("unit", "signal", "run", "standard", "runs", "steps")}
+        common |= {"n": len(scales), "clause": _CLAUSES[row["standard"]]}
         for kind in KINDS:
-            yield told | {"parameters": json_text({"kind": kind} | parameters)} | _value(row, found, kind)
+            yield common | {"parameters": {"kind": kind} | parameters} | _value(row, found, kind)
 
 
 def _lack_of_repeats(days: Sequence[str], kind: str, least: int, *, is_dated: bool) -> str | None:

@@ -1,10 +1,8 @@
 """Start-up time: from power-on until the output stays within the product's error band."""
 
-from collections.abc import Iterator
-from typing import Any
+from functools import partial
 
-from analytics.metrics.settling_time import settling_times
-from storage.sql.catalog import Catalog
+from analytics.methods.settling_time import settling_times
 
 HEADER = """\
 -- id:        startup_time
@@ -20,7 +18,4 @@ HEADER = """\
 -- equation:  max(t_r1, ..., t_rm, t_p1, ..., t_pn)
 """
 
-
-def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
-    """Rows of the metric."""
-    yield from settling_times(catalog, "^startup_time|^start_up|启动时间")
+compute = partial(settling_times, procedure="^startup_time|^start_up|启动时间")

@@ -3,9 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from analytics.metrics.half_error import direction_of, smallest_within_half
-from analytics.metrics.largest_magnitude import json_text
-from analytics.metrics.slow_turn import turns
+from analytics.methods.half_error import within_half_both_ways
+from analytics.methods.slow_turn import turns
 from storage.sql.catalog import Catalog
 
 HEADER = """\
@@ -44,7 +43,7 @@ with small as (
         = count(*) filter ((angle_deg + 720) % 360 >= 180) over line end as is_zero
   from small
   window line as (partition by run, unit, signal, repeat, method, round((angle_deg + 720) % 180, 6))
-), gathered as (
+), grouped as (
   select run, unit, signal, repeat, method,
     list_avg(list(output order by "index") filter (is_zero)) as zero,
     sqrt(list_sum(list(u ** 2 order by "index") filter (is_zero))) / count(*) filter (is_zero) as u_zero,
@@ -59,7 +58,7 @@ select *, [
     {is_forward: p.input > 0, size: abs(p.input), error: abs(p.input - (p.output - zero)),
       u: sqrt(p.u ** 2 + u_zero ** 2), freedom: p.freedom}
     for p in points] as compared
-from gathered order by run, unit, signal, repeat, method
+from grouped order by run, unit, signal, repeat, method
 """
 
 _CLAUSES = {"indexing_head": "5.10.4.2 (16)", "slow_turn": "5.10.4.3 (17)"}
@@ -76,18 +75,17 @@ def compute(catalog: Catalog) -> Iterator[dict[str, Any]]:
     output of 0 would be no error at all.
     """
     for row in catalog.reader(_SQL).read_all().to_pylist():
-        yield _told(row, row["method"], _value(row))
+        yield _row(row, row["method"], _value(row))
     for turn in turns(catalog):
-        yield _told(turn, "slow_turn", turn["found"])
+        yield _row(turn, "slow_turn", turn["found"])
 
 
-def _told(row: Mapping[str, Any], method: str, found: dict[str, Any]) -> dict[str, Any]:
+def _row(row: Mapping[str, Any], method: str, found: dict[str, Any]) -> dict[str, Any]:
     parameters = {"method": method, "repeat": row["repeat"], "scale_factor": row["scale_source"]}
-    told = {name: row[name] for name in ("unit", "signal", "run", "n", "steps")}
-    told |= {"runs": [row["run"]], "parameters": json_text(parameters)}
+    common = {name: row[name] for name in ("unit", "signal", "run", "n", "steps")} | {"parameters": parameters}
     if method in _CLAUSES:
-        told |= {"standard": "GJB2426A", "clause": _CLAUSES[method]}
-    return told | found
+        common |= {"standard": "GJB2426A", "clause": _CLAUSES[method]}
+    return common | found
 
 
 def _value(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -97,13 +95,5 @@ def _value(row: Mapping[str, Any]) -> dict[str, Any]:
         return {"reason": "no latitude, so the Earth's rate on the axis is unknown: give the station's latitude_deg"}
     if row["zero"] is None:
         missing = "opposite directions" if row["method"] == "indexing_head" else "the table at rest"
-        return {"reason": f"no record of {missing}: what is compared with the line is the output less its zero"}
-    points = row["compared"] or []
-    directions = {
-        name: direction_of([each for each in points if each["is_forward"] == is_forward])
-        for name, is_forward in (("forwards", True), ("backwards", False))
-    }
-    missing = " and ".join(name for name, each in directions.items() if not each.size.size)
-    if missing:
-        return {"reason": f"no rate {missing} was measured, the clause asks for both directions"}
-    return smallest_within_half(directions)
+        return {"reason": f"no record of {missing}: the output less its zero is compared with the line"}
+    return within_half_both_ways(row["compared"] or [], "rate")

@@ -1,4 +1,4 @@
-"""The fitted noise model on a plot of Allan deviations: its sum, its terms, and what they amount to."""
+"""The fitted noise model on a plot of Allan deviations: its sum and its terms with their coefficients."""
 
 import math
 
@@ -29,17 +29,16 @@ def draw_fit(axes: Axes, found: NoiseCoefficients, taus_s: tuple[float, ...], la
 
     Parameters
     ----------
-    axes: Logarithmic axes in seconds and deg/h, their limits set and everything else drawn.
-    found: The fitted model.
-    taus_s: Averaging times of the curve, rising: the sum of all terms is drawn between the first and the last.
+    axes: Logarithmic axes in seconds and deg/h, with their limits set and everything else drawn.
+    taus_s: Averaging times of the curve, increasing: the sum of all terms is drawn between the first and the last.
     language: Of the terms' names, ``en`` or ``zh``.
-    word: What the sum of all terms is called.
+    word: Name of the sum of all terms.
     """
     along = np.geomspace(taus_s[0], taus_s[-1], _PLACES)
     lines = axes.plot(along, found.deviation(along), color=INK, linewidth=0.9, zorder=4, label=word)
     whole = np.geomspace(*axes.get_xlim(), _PLACES)
     for fitted in found.terms:
-        # what the curve may do without bends the sum all the same where it is not zero
+        # a term that is not observable changes the sum where it is not zero
         if fitted.coefficient.observable or _is_felt(fitted, found, along):
             lines.append(_term(axes, whole, fitted, language))
     legend = axes.legend(
@@ -78,7 +77,7 @@ def _term(axes: Axes, taus_s: FloatArray, fitted: FittedTerm, language: str) -> 
 
 
 def _amount(fitted: FittedTerm) -> str:
-    """Value and limits with as many digits as tell the limits from the value, three at least."""
+    """Value and bounds with enough digits to distinguish them, three at least."""
     coefficient = fitted.coefficient
     value, lo, hi = coefficient.value, coefficient.lo, coefficient.hi
     width = max(hi - lo, 1e-5 * value)

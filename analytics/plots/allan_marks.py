@@ -1,4 +1,4 @@
-"""What is written on a plot of Allan deviations: limits, slopes, names beside the curves' ends."""
+"""Marks on a plot of Allan deviations: limits, slopes, names beside the curves' ends."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -42,12 +42,7 @@ class EndName(NamedTuple):
 
 
 def limit_marks(limits: Iterable[Limit], signals: set[str], unit_of_measure: str) -> list[LimitMark]:
-    """Those limits on `signals` that are points of an Allan curve, in its unit of measure.
-
-    Raises
-    ------
-    BadInput: If a limit cannot be turned into that unit.
-    """
+    """Those limits on `signals` that are points of an Allan curve, in its unit of measure."""
     marks = []
     for limit in limits:
         if limit.signal not in signals or limit.characteristic not in {ALLAN_DEVIATION, ANGLE_RANDOM_WALK}:

@@ -82,18 +82,12 @@ def plot_allan(
     Parameters
     ----------
     curves: One or several, all in one unit of measure.
-    path: Where to, ``.png`` or ``.svg``.
     title: Title; by default the unit (or how many), signal and run.
     limits: Those on the Allan deviation and on the angle random walk (at 1 s) are marked, for the signal of the curves;
         others, such as on the bias stability, are no points of this plot and are left out.
-    chosen: The unit to draw boldly, with the rest as a grey fleet behind it.
+    chosen: The unit to emphasise, the others in grey behind it.
     found: Noise fitted to the curve of `chosen`, or to the only one: drawn over it, with its terms and a legend.
     language: Of the labels. Chinese needs a font for it; where none is installed, labels are English.
-
-    Raises
-    ------
-    BadInput: If there is nothing to draw, the curves differ in unit of measure, no curve is of the chosen unit, the
-        suffix is another one, or the file cannot be written.
 
     Notes
     -----
@@ -105,7 +99,7 @@ def plot_allan(
 
 
 def _checked(curves: Sequence[AllanCurve], chosen: str | None) -> list[AllanCurve]:
-    """Return the curves that can be drawn, the chosen ones last so that they lie on top."""
+    """The drawable curves, the chosen ones last so that they lie on top."""
     if len({curve.deviation for curve in curves}) > 1:
         kinds = ", ".join(sorted({curve.deviation for curve in curves}))
         raise BadInput(f"curves of {kinds} cannot share one axis: plot them apart")
@@ -168,7 +162,7 @@ def _figure(
 
 
 def _crowd(curves: list[AllanCurve], marks: list[LimitMark]) -> list[tuple[float, float]]:
-    """Points that other things keep clear of; a limit with its text weighs as much as many of a curve."""
+    """Points to keep clear of; a limit with its text weighs as much as many points of a curve."""
     points = [
         (tau_s, y)
         for curve in curves
@@ -179,7 +173,7 @@ def _crowd(curves: list[AllanCurve], marks: list[LimitMark]) -> list[tuple[float
 
 
 def _scales(axes: Axes, curves: list[AllanCurve], marks: list[LimitMark]) -> None:
-    """Logarithmic axes around all there is to see, one line of the grid a decade."""
+    """Logarithmic axes around all curves and limits, one grid line a decade."""
     tau_s = [t for curve in curves for t in curve.tau_s] + [t for t, _, _ in marks]
     low = [y for curve in curves for y in curve.lo] + [y for _, y, _ in marks]
     # an upper limit at one or two degrees of freedom is ten times the value and would press the rest flat
@@ -225,7 +219,7 @@ def _curve(axes: Axes, curve: AllanCurve, i: int, total: int, chosen: str | None
 
 
 def _name(curve: AllanCurve, curves: list[AllanCurve]) -> str:
-    """Name by what tells the curves apart."""
+    """Name by what distinguishes the curves."""
     parts = [curve.unit]
     parts += [curve.signal] if len({other.signal for other in curves}) > 1 else []
     parts += [curve.run] if len({other.run for other in curves}) > 1 else []
@@ -244,7 +238,7 @@ def _title(curves: list[AllanCurve], chosen: str | None) -> str:
 
 
 def _record(curves: list[AllanCurve], words: dict[str, str]) -> str:
-    """How long the records are and what they lack."""
+    """Lengths of the records and missing samples."""
     hours = sorted(curve.samples * curve.sample_interval_s / SECONDS_PER_HOUR for curve in curves)
     least, most = f"{hours[0]:.3g}", f"{hours[-1]:.3g}"
     return words["record"].format(

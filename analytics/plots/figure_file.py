@@ -18,23 +18,13 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def check_suffix(path: Path) -> None:
-    """Refuse a file that is to be neither PNG nor SVG.
-
-    Raises
-    ------
-    BadInput: If it is.
-    """
+    """Refuse a file that is to be neither PNG nor SVG."""
     if path.suffix.lower() not in _SUFFIXES:
         raise BadInput(f"plot {path}: plots are written as .png or .svg, choose one of the two")
 
 
 def write_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as its suffix says; the same figure gives the same bytes.
-
-    Raises
-    ------
-    BadInput: If the file cannot be written.
-    """
+    """Write a figure as its suffix says; the same figure gives the same bytes."""
     image = io.BytesIO()
     kind = path.suffix.lower()[1:]
     with rc_context({"svg.hashsalt": "gyrofleet"}):  # else the names in an SVG differ from time to time

@@ -20,12 +20,7 @@ _LEAST_SPREAD = 1.5
 
 
 def plot_rolling(surface: RollingAllan, path: Path) -> None:
-    """Draw a rolling Allan deviation into a file, PNG or SVG.
-
-    Raises
-    ------
-    BadInput: If the suffix is another one, no deviation is above 0, or the file cannot be written.
-    """
+    """Draw a rolling Allan deviation into a file, PNG or SVG."""
     check_suffix(path)
     values = np.array([[np.nan if cell is None or cell <= 0.0 else cell for cell in row] for row in surface.adev])
     if np.isnan(values).all():

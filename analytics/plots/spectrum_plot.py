@@ -34,10 +34,6 @@ _SECONDS_PER_HOUR = 3600.0
 def plot_spectrum(spectrum: SignalSpectrum, path: Path) -> None:
     """Draw a power spectral density into a file, PNG or SVG.
 
-    Raises
-    ------
-    BadInput: If the suffix is another one, no density is above 0, or the file cannot be written.
-
     Notes
     -----
     Every bin is drawn lightly; boldly the mean over a twentieth of a decade without the bins of lines, with its limits.
@@ -71,6 +67,8 @@ def _figure(spectrum: SignalSpectrum) -> Figure:
     strongest = sorted(spectrum.lines, key=lambda line: line.background_ratio)[-_NAMED_AT_MOST:]
     named = sorted(strongest, key=lambda line: line.frequency_hz)
     _mark(axes, spectrum, named)
+    for hump in spectrum.humps:
+        axes.axvspan(hump.frequency_lo_hz, hump.frequency_hi_hz, color=_LINE, alpha=0.12, linewidth=0, zorder=0.5)
     _write(figure, axes, spectrum)
     if named:
         _list_lines(axes, spectrum, named)
@@ -79,7 +77,7 @@ def _figure(spectrum: SignalSpectrum) -> Figure:
 
 
 def _scales(axes: Axes, spectrum: SignalSpectrum, levels: list[Level]) -> None:
-    """Logarithmic axes around all there is to see, one line of the grid a decade."""
+    """Logarithmic axes around all densities, one grid line a decade."""
     # a band of one bin of few segments has limits far apart, which would press the rest flat
     highs = [min(level.hi, _MOST_OVER * level.psd) for level in levels]
     high = max(*highs, *spectrum.psd)
@@ -92,7 +90,7 @@ def _scales(axes: Axes, spectrum: SignalSpectrum, levels: list[Level]) -> None:
 
 
 def _mark(axes: Axes, spectrum: SignalSpectrum, named: list[SpectralLine]) -> None:
-    """A caret on every line, with its number where it has one, above whatever else is there."""
+    """A caret on every line, with its number, if any, above other marks."""
     peaks = [spectrum.psd[round(line.frequency_hz / spectrum.bin_width_hz) - FIRST_BIN] for line in spectrum.lines]
     points = [(line.frequency_hz, peak) for line, peak in zip(spectrum.lines, peaks, strict=True)]
     taken = (axes.transData.transform(points) * _POINTS_PER_INCH / axes.figure.dpi).tolist()
@@ -138,7 +136,7 @@ def _list_lines(axes: Axes, spectrum: SignalSpectrum, named: list[SpectralLine])
 
 
 def _write(figure: Figure, axes: Axes, spectrum: SignalSpectrum) -> None:
-    """Axis labels, title, what is drawn, and what it was made of."""
+    """Axis labels, title, legend line and record."""
     is_chinese = chinese_font() is not None
     unit = spectrum.psd_unit.replace("^2", "\N{SUPERSCRIPT TWO}")
     axes.set_xlabel("Frequency (Hz)" + ("  频率" if is_chinese else ""), color=INK, fontsize=10)
@@ -159,6 +157,8 @@ def _write(figure: Figure, axes: Axes, spectrum: SignalSpectrum) -> None:
     if not spectrum.lines:
         band = f"{spectrum.searched_lo_hz:.3g} to {spectrum.searched_hi_hz:.3g} Hz"
         record += f"; no line stands out from {band}"
+    if spectrum.humps:
+        record += "; shaded: humps"
     figure.text(_LEFT, 0.022, record, fontsize=7.5, color=SOFT)
 
 

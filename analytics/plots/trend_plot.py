@@ -9,13 +9,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from analytics.plots.allan_marks import FLEET, INK, SOFT
 from analytics.plots.figure_file import check_suffix, write_figure
 from analytics.plots.plot_fonts import chinese_font, set_fonts
 from analytics.trends.change_points import Changes
 from analytics.trends.control_chart import IndividualsChart
-from analytics.trends.series import Series
+from analytics.trends.series import MetricSeries
 from analytics.trends.trend import NS_PER_DAY, Chart, Trend
 
 _MOST_CHARTS = 8
@@ -24,12 +24,7 @@ _COLOURS = ("#1f4e79", "#b3541e", "#4b7f52", "#7a4988", "#8a6d1d", "#3f7f93")
 
 
 def plot_trend(trend: Trend, path: Path) -> None:
-    """Draw the charts of a trend into a file, PNG or SVG; of many those that stand out most.
-
-    Raises
-    ------
-    BadInput: If the suffix is another one, or the file cannot be written.
-    """
+    """Draw the charts of a trend into a file, PNG or SVG; of many, the significant ones."""
     check_suffix(path)
     is_chinese = chinese_font() is not None
     order = sorted(trend.charts, key=lambda chart: (chart.in_control is not False, chart.in_control is None))
@@ -57,8 +52,8 @@ def plot_trend(trend: Trend, path: Path) -> None:
     write_figure(figure, path)
 
 
-def _end_with_the_data(figure: Figure, series: Series) -> None:
-    """Every value of the series lies within the picture, and little besides."""
+def _end_with_the_data(figure: Figure, series: MetricSeries) -> None:
+    """Limit the time axes to the values of the series."""
     t = _times(series)
     margin = 0.02 * float(np.ptp(t)) or 0.5
     for axes in figure.axes:
@@ -71,10 +66,10 @@ def _write_title(figure: Figure, trend: Trend, more: int, *, is_chinese: bool) -
     name = series.metric if header is None else header.en + (f"  ·  {header.zh}" if is_chinese else "")
     height = figure.get_figheight()
     figure.text(0.1, 1 - 0.3 / height, f"{name}, {series.unit_of_measure}", fontsize=13, fontweight="bold", color=INK)
-    told = f"{series.variant}; {series.value.size} values of {len(set(series.unit))} units"
+    subtitle = f"{series.variant}; {series.value.size} values of {len(set(series.unit))} units"
     if more > 0:
-        told += f"; {more} charts are not drawn"
-    figure.text(0.1, 1 - 0.52 / height, told, fontsize=8.5, color=SOFT)
+        subtitle += f"; {more} charts are not drawn"
+    figure.text(0.1, 1 - 0.52 / height, subtitle, fontsize=8.5, color=SOFT)
     marks = "Bars: standard uncertainty. Circles: points that meet rules of Nelson, with their numbers."
     if any(chart.has_changed or chart.shifts for chart in trend.charts):
         marks += " Shaded: where a change of level lies (95 %)."
@@ -83,14 +78,14 @@ def _write_title(figure: Figure, trend: Trend, more: int, *, is_chinese: bool) -
     figure.text(0.87, 0.1 / height, marks, fontsize=7, color=SOFT, ha="right")
 
 
-def _times(series: Series) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _times(series: MetricSeries) -> np.ndarray[Any, np.dtype[np.float64]]:
     if not series.dated:
         return np.arange(1, series.value.size + 1, dtype=np.float64)
     # matplotlib counts days from the same moment
     return np.asarray(series.t_ns / NS_PER_DAY, np.float64)
 
 
-def _name_axis(axes: Axes, series: Series, *, is_chinese: bool) -> None:
+def _name_axis(axes: Axes, series: MetricSeries, *, is_chinese: bool) -> None:
     if series.dated:
         locator = AutoDateLocator()  # type: ignore[no-untyped-call]
         axes.xaxis.set_major_locator(locator)
@@ -143,17 +138,17 @@ def _draw_limits(axes: Axes, chart: Chart, limits: IndividualsChart, t: np.ndarr
     _write_at(axes, limits.centre, f"{limits.centre:.4g}", _CENTRE)
     if limits.baseline < chart.series.value.size:
         axes.axvline(t[limits.baseline - 1], color=_CENTRE, linewidth=0.7, linestyle=(0, (2, 2)))
-    told: dict[int, list[str]] = {}
+    rules: dict[int, list[str]] = {}
     for rule, points in chart.signals.items():
         for point in points:
-            told.setdefault(point, []).append(str(rule))
-    if told:
-        at = sorted(told)
+            rules.setdefault(point, []).append(str(rule))
+    if rules:
+        at = sorted(rules)
         values = chart.charted
         axes.plot(t[at], values[at], "o", ms=6.5, mfc="none", mec=_ALARM, mew=0.9, zorder=4)
         for point in at if len(at) <= 40 else []:
             where = (t[point], values[point])
-            axes.annotate("·".join(told[point]), where, (3, 4), textcoords="offset points", fontsize=6, color=_ALARM)
+            axes.annotate("·".join(rules[point]), where, (3, 4), textcoords="offset points", fontsize=6, color=_ALARM)
 
 
 def _write_at(axes: Axes, height: float, text: str, colour: str) -> None:

@@ -4,8 +4,7 @@ import math
 import re
 from contextlib import suppress
 
-from analytics.metrics.names import alike, check_metrics
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import alike, check_metrics, metrics
 from storage.specifications.specification import Specification, SpecificationLimit, check_names, parse_specification
 from stream.errors import BadInput, UnknownUnit
 from stream.quantities import check_result_unit, result_factor

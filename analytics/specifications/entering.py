@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from analytics.metrics.names import alike
+from analytics.metric_registry.registry import alike
 from analytics.specifications.checks import checked_specification
 from storage.specifications.chain import Chain, Link, append_document, read_chain
 from storage.specifications.copies import FOLDER, write_copy

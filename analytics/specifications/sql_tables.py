@@ -7,7 +7,7 @@ from contextlib import suppress
 import msgspec
 import pyarrow as pa
 
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from storage.specifications.chain import Chain, read_chain
 from storage.specifications.specification import Parameter, Product, SpecificationLimit, format_parameter
 from storage.specifications.validity import NEVER, Edition, editions_of

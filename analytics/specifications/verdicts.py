@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
-from analytics.metrics.names import alike
+from analytics.metric_registry.registry import alike
 from storage.sql.catalog import Catalog
 from stream.errors import NotFound
 

@@ -1,4 +1,4 @@
-"""What every metric stands on: one record for each signal of each step of each unit."""
+"""Step records, the input of every metric: one for each signal of each step of each unit."""
 
 FOLDER = "metrics"
 """Folder in a store in which records and metrics are kept."""

@@ -1,7 +1,4 @@
-"""Tables that are computed from the lake and kept in the store: written with a hash of the file beside it.
-
-They are derived: what is missing, damaged or of another version is computed anew.
-"""
+"""Derived tables kept in the store, each with a hash beside it; a missing or damaged one is recomputed."""
 
 import hashlib
 import os
@@ -22,7 +19,7 @@ def hash_path(path: Path) -> Path:
 
 
 def read_kept(path: Path) -> pa.Table | None:
-    """A table as it was kept, with its metadata; None where there is none, or it is not what was written."""
+    """A kept table with its metadata; None where there is none, or it disagrees with its hash."""
     with suppress(OSError, pa.ArrowException):
         content = path.read_bytes()
         if hash_path(path).read_text() == hashlib.sha256(content).hexdigest():
@@ -31,13 +28,13 @@ def read_kept(path: Path) -> pa.Table | None:
 
 
 def write_kept(path: Path, table: pa.Table) -> None:
-    """Keep a table; where that fails it is computed anew the next time."""
+    """Keep a table; if that fails it is recomputed the next time."""
     with suppress(OSError):
         path.parent.mkdir(exist_ok=True)
         sink = pa.BufferOutputStream()
         pq.write_table(table, sink, compression="zstd")
         content = sink.getvalue().to_pybytes()
-        # a reader in between finds a hash of another file, and computes
+        # a reader in between finds the hash of another file, and recomputes
         _write(path, content)
         _write(hash_path(path), hashlib.sha256(content).hexdigest().encode())
 

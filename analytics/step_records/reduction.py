@@ -1,4 +1,4 @@
-"""One run's steps reduced: for each step and signal the samples of the evaluated stretch become one row of numbers."""
+"""Reduction of one run: the samples of each step and signal become one row of statistics."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -10,32 +10,23 @@ from analytics.step_records.series_statistics import SeriesStatistics, series_st
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 
-# A stretch of more samples is reduced from the store's means of 1 s, over the whole seconds within it: the pass over
-# months of raw samples is not made, and it works when raw samples were let go of.
+# A stretch of more samples is reduced from the store's means of 1 s, over the whole seconds within it: fast for months
+# of samples, and possible where raw samples were dropped.
 MOST_RAW = 20_000
 SECOND_NS = 1_000_000_000
-# Of a stretch so short the whole seconds are too small a part, or none; then irregular samples are taken as they are.
+# In a shorter stretch the whole seconds are too small a part, or none: irregular samples are used as they are.
 SHORT_NS = 10 * SECOND_NS
 _ROWS_AT_ONCE = 5_000_000
 
 COLUMNS = pa.schema(
     [
-        ("run", pa.string()),
-        ("unit", pa.string()),
-        ("signal", pa.string()),
+        *((name, pa.string()) for name in ("run", "unit", "signal")),
         ("t_from_ns", pa.int64()),
         ("t_to_ns", pa.int64()),
         ("unit_of_measure", pa.string()),
         ("n", pa.int64()),
-        ("mean", pa.float64()),
-        ("sd", pa.float64()),
-        ("sd_freedom", pa.float64()),
-        ("standard_uncertainty", pa.float64()),
-        ("freedom", pa.float64()),
-        ("n_effective", pa.float64()),
-        ("white", pa.float64()),
-        ("flicker", pa.float64()),
-        ("walk", pa.float64()),
+        *((name, pa.float64()) for name in ("mean", "sd", "sd_freedom", "standard_uncertainty", "freedom")),
+        *((name, pa.float64()) for name in ("n_effective", "white", "flicker", "walk")),
         *(
             (f"{name}_{average}s", pa.int64() if name == "n" else pa.float64())
             for average in (1, 10, 100)
@@ -46,8 +37,8 @@ COLUMNS = pa.schema(
 )
 
 
-class _Signal(NamedTuple):
-    """A signal of the run, and the stretches of it that are evaluated."""
+class _EvaluatedSignal(NamedTuple):
+    """A signal of the run, and its evaluated stretches."""
 
     unit: str
     signal: str
@@ -71,13 +62,8 @@ def reduce_run(catalog: Catalog, run: str) -> pa.Table:
 
     A step's own signals are those of its unit; signals of units without steps (chamber, table, supply) are reduced over
     the stretches of all steps of the run. A stretch of more than `MOST_RAW` samples, or of irregular ones over at least
-    `SHORT_NS`, counts from its first to its last whole second of the source's clock; what is before and after them is
-    left out.
-
-    Returns
-    -------
-    Table
-        `COLUMNS`, one row for each signal and stretch; `reason` where a stretch holds no sample.
+    `SHORT_NS`, is evaluated from its first to its last whole second of the source's clock. One row of `COLUMNS` for
+    each signal and stretch; `reason` where a stretch holds no sample.
     """
     signals = list(_signals(catalog, run))
     rows: list[dict[str, Any]] = []
@@ -87,16 +73,16 @@ def reduce_run(catalog: Catalog, run: str) -> pa.Table:
             for each in signals
             if (chosen := tuple(window for window in each.windows if each.is_raw(window) == is_raw))
         ]
-        fetch = _raw if is_raw else _seconds
         for group in _groups(wanted, is_raw=is_raw):
-            found = fetch(catalog, run, group)
+            sql, margin_ns = (_RAW, 0) if is_raw else (_SECONDS, SECOND_NS)
+            found = _fetched(catalog, sql, run, group, margin_ns)
             for each in group:
                 rows.extend(_reduced(run, each, found.get((each.unit, each.signal)), is_raw=is_raw))
     rows.sort(key=lambda row: (row["unit"], row["signal"], row["t_from_ns"], row["t_to_ns"]))
     return pa.Table.from_pylist(rows, schema=COLUMNS)
 
 
-def _signals(catalog: Catalog, run: str) -> Iterator[_Signal]:
+def _signals(catalog: Catalog, run: str) -> Iterator[_EvaluatedSignal]:
     windows: dict[str, dict[tuple[int, int], None]] = {}  # in order, and each once: steps may be alike
     for unit, start, end in catalog.rows(
         "select unit, t_start_ns + round(coalesce(settle, 0) * 1e9)::bigint, t_end_ns from steps "
@@ -110,7 +96,7 @@ def _signals(catalog: Catalog, run: str) -> Iterator[_Signal]:
         "from signals where run = $run order by unit, signal",
         {"run": run},
     ):
-        yield _Signal(
+        yield _EvaluatedSignal(
             unit,
             signal,
             unit_of_measure,
@@ -123,9 +109,9 @@ def _signals(catalog: Catalog, run: str) -> Iterator[_Signal]:
         )
 
 
-def _groups(signals: list[_Signal], *, is_raw: bool) -> Iterator[list[_Signal]]:
+def _groups(signals: list[_EvaluatedSignal], *, is_raw: bool) -> Iterator[list[_EvaluatedSignal]]:
     """Groups that fit into memory, whole units where they do."""
-    group: list[_Signal] = []
+    group: list[_EvaluatedSignal] = []
     rows = 0.0
     for each in signals:
         spanned_s = sum(max(end - start, 0) for start, end in each.windows) / 1e9
@@ -142,24 +128,15 @@ def _groups(signals: list[_Signal], *, is_raw: bool) -> Iterator[list[_Signal]]:
 _Blocks = tuple[IntArray, IntArray, FloatArray, FloatArray]
 
 
-def _raw(catalog: Catalog, run: str, group: list[_Signal]) -> dict[tuple[str, str], _Blocks]:
-    sql = """
-        select unit, signal, t_ns, 1::bigint as n, value as mean, 0.0::double as m2 from samples
-        where run = $run and unit in (select unnest($units)) and signal in (select unnest($signals))
-          and t_ns between $first and $last order by unit, signal, t_ns, seq"""
-    return _fetched(catalog, sql, run, group, 0)
-
-
-def _seconds(catalog: Catalog, run: str, group: list[_Signal]) -> dict[tuple[str, str], _Blocks]:
-    sql = """
-        select unit, signal, t_ns, n, mean, m2 from rollup_1s
-        where run = $run and unit in (select unnest($units)) and signal in (select unnest($signals))
-          and t_ns between $first and $last order by unit, signal, t_ns"""
-    return _fetched(catalog, sql, run, group, SECOND_NS)
+_WITHIN = """
+where run = $run and unit in (select unnest($units)) and signal in (select unnest($signals))
+  and t_ns between $first and $last order by unit, signal, t_ns"""
+_RAW = f"select unit, signal, t_ns, 1::bigint as n, value as mean, 0.0::double as m2 from samples {_WITHIN}, seq"  # noqa: S608
+_SECONDS = f"select unit, signal, t_ns, n, mean, m2 from rollup_1s {_WITHIN}"  # noqa: S608
 
 
 def _fetched(
-    catalog: Catalog, sql: str, run: str, group: list[_Signal], margin_ns: int
+    catalog: Catalog, sql: str, run: str, group: list[_EvaluatedSignal], margin_ns: int
 ) -> dict[tuple[str, str], _Blocks]:
     parameters = {
         "run": run,
@@ -182,20 +159,13 @@ def _fetched(
     return found
 
 
-def _reduced(run: str, signal: _Signal, blocks: _Blocks | None, *, is_raw: bool) -> Iterator[dict[str, Any]]:
+def _reduced(run: str, signal: _EvaluatedSignal, blocks: _Blocks | None, *, is_raw: bool) -> Iterator[dict[str, Any]]:
     base_ns = max(signal.dt_ns, 1) if is_raw else SECOND_NS
     per_block = 1.0 if is_raw else SECOND_NS / max(signal.dt_ns, 1)
     for window in signal.windows:
-        row: dict[str, Any] = {
-            "run": run,
-            "unit": signal.unit,
-            "signal": signal.signal,
-            "t_from_ns": window[0],
-            "t_to_ns": window[1],
-            "unit_of_measure": signal.unit_of_measure,
-            "n": 0,
-        }
-        # a block stands at its beginning: the last whole one begins so much before the last sample that may be in it
+        row: dict[str, Any] = {"run": run, "unit": signal.unit, "signal": signal.signal, "n": 0}
+        row |= {"t_from_ns": window[0], "t_to_ns": window[1], "unit_of_measure": signal.unit_of_measure}
+        # a block has the time of its beginning: that of the last whole one, whose last sample may be the window's end
         begins = window if is_raw else (window[0], window[1] + signal.dt_ns - SECOND_NS)
         within = slice(0, 0)
         if blocks is not None:
@@ -206,11 +176,12 @@ def _reduced(run: str, signal: _Signal, blocks: _Blocks | None, *, is_raw: bool)
             settled = "no sample in the evaluated part of the step"
             yield row | {"reason": settled if window[0] <= window[1] else "the step ended before its settle time"}
             continue
+        start_ns, n, mean, m2 = blocks
         found = series_statistics(
-            blocks[0][within],
-            blocks[1][within],
-            blocks[2][within],
-            blocks[3][within],
+            start_ns[within],
+            n[within],
+            mean[within],
+            m2[within],
             base_ns=base_ns,
             samples_per_block=per_block,
             window_ns=begins,

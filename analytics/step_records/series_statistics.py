@@ -13,15 +13,15 @@ LEAST_SHARE = 0.9
 _LEAST_BLOCKS = 8
 _TERMS = 3  # white, flicker, random walk
 _SUBSETS = tuple(np.array(each) for each in ((0,), (1,), (2,), (0, 1), (0, 2), (1, 2), (0, 1, 2)))
-# Three octaves cannot tell three parts apart: the uncertainty of 20 samples was larger than that of 10.
+# Three octaves cannot separate three parts: the uncertainty of 20 samples was larger than that of 10.
 _FEW_OCTAVES = {
     3: tuple(np.array(each) for each in ((0,), (0, 1))),
     4: tuple(np.array(e) for e in ((0,), (0, 1), (0, 2))),
 }
-# What a further part costs in chi-square. A small price makes white noise doubtful, a large one flicker sure. In 95 %
-# of records the uncertainty of white noise is at most 4.6 times the true one at 0.5, 3.3 at 4, 2.5 at 6; means of an
-# hour of clear flicker lie within their limits in 94, 91 and 89 %, and in 85 % where the best subset alone counts.
-_PRICE = 4.0
+# Penalty of a further part, in chi-square. In 95 % of records the uncertainty of white noise is at most 4.6 times the
+# true one at 0.5, 3.3 at 4, 2.5 at 6; means of an hour of clear flicker lie within their bounds in 94, 91 and 89 %, and
+# in 85 % where the best subset alone counts.
+_PENALTY = 4.0
 _LEAST_FREEDOM = 3.0  # of a random walk fitted to a record
 
 
@@ -34,15 +34,14 @@ class Average(NamedTuple):
 
 
 class SeriesStatistics(NamedTuple):
-    """What is known of a stretch of a signal.
+    """Statistics of a stretch of a signal.
 
     Parameters
     ----------
     n: Samples.
     mean, sd: Mean and standard deviation (ddof = 1) of the samples; `sd` is NaN where there is one sample.
     sd_freedom: Degrees of freedom of `sd`.
-    standard_uncertainty: Of the mean; NaN where it cannot be known.
-    freedom: Degrees of freedom of that uncertainty.
+    standard_uncertainty, freedom: Of the mean; NaN where unknown; its degrees of freedom.
     n_effective: Independent samples that would give the same uncertainty: sd**2 over its square.
     white, flicker, walk: Parts of the Allan variance, AVAR(tau) = white/tau + flicker + walk*tau, tau in seconds; NaN
         where unknown.
@@ -60,6 +59,14 @@ class SeriesStatistics(NamedTuple):
     flicker: float
     walk: float
     averages: tuple[Average, ...]
+
+
+def samples_statistics(t_ns: IntArray, values: FloatArray, window_ns: tuple[int, int]) -> SeriesStatistics:
+    """Statistics of the samples of a window; the median interval is that of their grid."""
+    n = len(t_ns)
+    interval_ns = max(int(np.median(np.diff(t_ns))) if n > 1 else 1, 1)
+    ones, zeros = np.ones(n, np.int64), np.zeros(n)
+    return series_statistics(t_ns, ones, values, zeros, base_ns=interval_ns, samples_per_block=1.0, window_ns=window_ns)
 
 
 def series_statistics(
@@ -82,21 +89,20 @@ def series_statistics(
         may be one sample.
     base_ns: Length of a block, ns.
     samples_per_block: Samples in a full block.
-    window_ns: Within which a block may begin, both ends included; averages are taken that lie in the stretch as a
-        whole.
+    window_ns: Within which a block may begin, both ends included; only averages wholly within it count.
     step: Of the quantisation in the samples' unit, 0 if none.
 
     Notes
     -----
     The uncertainty of the mean over T seconds is sqrt(AVAR(T)), AVAR = white/tau + flicker + walk*tau fitted to the
-    overlapping Allan variance of the record (IEEE 952 annex C) with weights by degrees of freedom: 1/sqrt(n) of white
-    noise where there is nothing else. Every subset of the three parts without a negative one counts by its likelihood,
-    exp(-chi-square/2) at a price a part; below 48 blocks only white noise with at most one other part, below 24 with
-    flicker. It says how far the mean of another such record would lie. Its degrees of
-    freedom are those of its parts by Welch and Satterthwaite (JCGM 100:2008 G.4.1), less for subsets that differ. With
-    fewer than 8 blocks it is sd/sqrt(n).
+    overlapping Allan variance of the record (IEEE 952 annex C) with weights by degrees of freedom; of white noise alone
+    it is sd/sqrt(n). Every subset of the three parts without a negative one is weighted by its likelihood,
+    exp(-chi-square/2), with a penalty for each part; below 48 blocks only white noise with at most one other part,
+    below 24 with flicker. It is the standard deviation of the means of further such records, flicker and random walk
+    included. Its degrees of freedom are those of its parts by Welch and Satterthwaite (JCGM 100:2008 G.4.1), less where
+    the subsets differ. With fewer than 8 blocks it is sd/sqrt(n).
 
-    A signal that stands still on one count is known to within its step: step/sqrt(12) is added where sd < step.
+    For a signal constant at one count the quantisation, step/sqrt(12), is added where sd < step.
 
     The standard deviation of P-second means (JJF 2014-2022 7.2.14 (29)) takes means on the grid of the source's clock
     that have 90 % of their samples.
@@ -111,8 +117,7 @@ def series_statistics(
     (6000, 60, True)
     """
     n = int(counts.sum())
-    # numbers near 1, whatever the unit of measure: squares of very large and very small ones have no room. A power of
-    # two leaves every bit as it is.
+    # scaled to near 1: squares of very large or small numbers would overflow; a power of two changes no digit
     exponent = int(np.frexp(np.abs(means).max())[1])
     means, squares = np.ldexp(means, -exponent), np.ldexp(squares, -2 * exponent)
     step = math.ldexp(step, -exponent)
@@ -120,10 +125,8 @@ def series_statistics(
     within = float(squares.sum())
     between = float(np.dot(counts, (means - mean) ** 2))
     sd = math.sqrt((within + between) / (n - 1)) if n > 1 else math.nan
-    averages = tuple(
-        _average(start_ns, counts, means, round(each * 1e9), samples_per_block, base_ns, window_ns)
-        for each in AVERAGES_S
-    )
+    grid = (samples_per_block, base_ns, window_ns)
+    averages = tuple(_average(start_ns, counts, means, round(each * 1e9), *grid) for each in AVERAGES_S)
     dense = _dense((start_ns - start_ns[0] + base_ns // 2) // base_ns, counts, means - mean, samples_per_block)
     variances, factors = _allan(dense)
     if dense.size < _LEAST_BLOCKS or variances.size < _TERMS:
@@ -188,19 +191,18 @@ def _average(
     of_block = number[edges]
     n = np.add.reduceat(counts, edges)
     sums = np.add.reduceat(counts * (means - means[0]), edges)
-    # samples stand at the beginning of what they measure: the last one is a block before the window's end
+    # a sample has the time of its beginning: the last one is a block before the window's end
     whole = (of_block * average_ns >= window_ns[0]) & ((of_block + 1) * average_ns <= window_ns[1] + base_ns)
     full = whole & (n >= LEAST_SHARE * expected)
     return scatter_of_averages(of_block[full], sums[full] / n[full])
 
 
 def scatter_of_averages(number: IntArray, values: FloatArray) -> Average:
-    """Standard deviation of consecutive averages, as good as their neighbours are independent.
+    """Standard deviation of consecutive averages; its degrees of freedom allow for correlated neighbours.
 
     Parameters
     ----------
     number: shape (n,); place of each average on its grid, increasing.
-    values: shape (n,); the averages.
 
     Examples
     --------
@@ -217,7 +219,7 @@ def scatter_of_averages(number: IntArray, values: FloatArray) -> Average:
 
 
 def _sd_freedom(n: int, blocks: int, within: float, between: float, dense: FloatArray) -> float:
-    """Degrees of freedom of the deviation of all samples: those inside blocks are taken for white."""
+    """Degrees of freedom of the deviation of all samples; those within blocks count as white."""
     if n < 2 or within + between == 0:
         return float(max(n - 1, 0))
     known = dense[~np.isnan(dense)]
@@ -316,7 +318,7 @@ def _least_squares(design: FloatArray, target: FloatArray, subsets: tuple[IntArr
             whole = np.zeros(_TERMS)
             whole[subset] = part
             found.append(whole / scale)
-            costs.append(-float(part @ moment[subset]) + _PRICE * len(subset))
+            costs.append(-float(part @ moment[subset]) + _PENALTY * len(subset))
     weights = np.exp((min(costs) - np.array(costs)) / 2)
     return _Fit(np.array(found), weights / weights.sum())
 
@@ -328,9 +330,9 @@ def _of_mean(fit: _Fit, duration_s: float, blocks: int) -> tuple[float, float]:
     mean = float(fit.weights @ totals)
     if mean <= 0:
         return 0.0, float(blocks - 1)
-    # white noise is told by the shortest averaging times, flicker and random walk by the longest
+    # the shortest averaging times determine white noise, the longest flicker and random walk
     freedoms = np.array([max(1.0, blocks / 1.5), max(1.0, blocks / 20.0), _LEAST_FREEDOM])
     freedoms[1:] = np.minimum(freedoms[1:], [12.0, _LEAST_FREEDOM])
-    # what each subset does not know, and how far they are apart
+    # the uncertainty within each subset, and the scatter between them
     spread = 2 * (shares * shares / freedoms).sum(axis=1) + (totals - mean) ** 2
     return mean, max(_LEAST_FREEDOM, 2 * mean * mean / float(fit.weights @ spread))

@@ -1,4 +1,4 @@
-"""The table `step_means`: reduced once for each run, kept in the store, brought up to date where a run has changed."""
+"""The table `step_means`: reduced once for each run, kept in the store, updated where a run has changed."""
 
 import hashlib
 from collections.abc import Callable
@@ -13,26 +13,25 @@ from analytics.step_records.reduction import COLUMNS, reduce_run
 from storage.sql.catalog import Catalog, NotKept
 
 FILE = "steps.parquet"
-# Rises when a record would come out otherwise than it did.
+# Increased when the reduction gives other records than before.
 _VERSION = "7"
 _PRINT = "fingerprint"
 _MARK = b"gyrofleet.written"
 
-Told = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 
-def step_means(catalog: Catalog, told: Told | None = None) -> pa.Table:
-    """Records of all completed steps of a store, from what was kept where nothing has changed.
+def step_means(catalog: Catalog, progress: Progress | None = None) -> pa.Table:
+    """Records of all completed steps of a store; those of unchanged runs are read from the kept file.
 
     Parameters
     ----------
-    catalog: Of the store.
-    told: Hears how many of how many runs have been reduced.
+    progress: Called with how many of how many runs have been reduced.
 
     Returns
     -------
     Table
-        The columns of ``step_means.sql`` and `fingerprint`, which says what a run's records were made from.
+        The columns of ``step_means.sql`` and `fingerprint`, the hash of what a run's records were made from.
     """
     prints = run_fingerprints(catalog)
     kept = kept_steps(catalog.kept)
@@ -47,27 +46,27 @@ def step_means(catalog: Catalog, told: Told | None = None) -> pa.Table:
         of_fresh = pa.compute.is_in(kept["run"], value_set=pa.array(sorted(fresh), pa.string()))
         tables.append(kept.filter(of_fresh))
     if stale:
-        tables.append(_made(catalog, stale, prints, told))
-    table = pa.concat_tables(tables, promote_options="default") if tables else _empty(catalog)
+        tables.append(_reduced(catalog, stale, prints, progress))
+    table = pa.concat_tables(tables, promote_options="default") if tables else _reduced(catalog, [], {}, None)
     table = table.sort_by([(name, "ascending") for name in ("run", "unit", "signal", "index")]).combine_chunks()
     _keep(catalog, table)
     return table
 
 
 def run_fingerprints(catalog: Catalog) -> dict[str, str]:
-    """What the records of each run with a completed step depend on, as a hash: its samples and its documents."""
+    """Hash of what the records of each run with a completed step depend on: its samples and its documents."""
     found = catalog.rows(
         """
         with sampled as (
           select run, string_agg(
               concat_ws('|', channel, samples, kept_raw, t_first_ns, t_last_ns), ';' order by channel) as samples
           from internal.lake_channels group by run
-        ), told as (
+        ), documented as (
           select run, bit_xor(hash(uid)) as documents, count(*) as n,
             count(*) filter (kind = 'StepEnded') as steps
           from internal.lake_documents where kind not in ('EstimatePublished', 'EarlyDecision') group by run
         )
-        select run, samples, documents::varchar, n from told join sampled using (run) where steps > 0 order by run
+        select run, samples, documents::varchar, n from documented join sampled using (run) where steps > 0 order by run
         """
     )
     return {
@@ -82,12 +81,12 @@ def kept_prints(table: pa.Table) -> dict[str, str]:
     return dict(zip(pairs["run"].to_pylist(), pairs[_PRINT].to_pylist(), strict=True))
 
 
-def _made(catalog: Catalog, runs: list[str], prints: dict[str, str], told: Told | None) -> pa.Table:
-    reduced = []
+def _reduced(catalog: Catalog, runs: list[str], prints: dict[str, str], progress: Progress | None) -> pa.Table:
+    reduced = [COLUMNS.empty_table()]
     for done, run in enumerate(runs):
         reduced.append(reduce_run(catalog, run))
-        if told is not None:
-            told(done + 1, len(runs))
+        if progress is not None:
+            progress(done + 1, len(runs))
     catalog.put("reduced", pa.concat_tables(reduced))
     catalog.put("reduced_runs", pa.table({"run": pa.array(runs, pa.string())}))
     table = catalog.reader(_sql()).read_all()
@@ -95,19 +94,12 @@ def _made(catalog: Catalog, runs: list[str], prints: dict[str, str], told: Told 
     return table.append_column(_PRINT, marks)
 
 
-def _empty(catalog: Catalog) -> pa.Table:
-    catalog.put("reduced", COLUMNS.empty_table())
-    catalog.put("reduced_runs", pa.table({"run": pa.array([], pa.string())}))
-    table = catalog.reader(_sql()).read_all()
-    return table.append_column(_PRINT, pa.array([], pa.string()))
-
-
 def _sql() -> str:
     return files("analytics.step_records").joinpath("step_means.sql").read_text()
 
 
 def kept_steps(folder: Path) -> pa.Table | None:
-    """Records as they were kept below a folder; None where there are none of this version."""
+    """Records kept below a folder; None where there are none of this version."""
     table = read_kept(folder / FOLDER / FILE)
     if table is not None and (table.schema.metadata or {}).get(_MARK) == _mark(table.schema):
         return table.replace_schema_metadata(None)
@@ -115,7 +107,7 @@ def kept_steps(folder: Path) -> pa.Table | None:
 
 
 def _mark(schema: pa.Schema) -> bytes:
-    """How the records were written, and which columns they have."""
+    """Hash of the version, the SQL and the columns of the records."""
     parts = (_VERSION, _sql(), schema.remove_metadata().to_string())
     return hashlib.sha256("/".join(parts).encode()).hexdigest().encode()
 

@@ -1,39 +1,42 @@
-"""Whether stations, fixtures or lots differ, by how much, and whether that can be told from what goes with them."""
+"""Differences between stations, fixtures and lots, what they are confounded with, and components of variance."""
 
-from collections import defaultdict
+from collections import Counter
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+import polars as pl
 
-from analytics.trends.mixed_model import Effect, MixedModel, holm, paired_difference
-from analytics.trends.series import GROUPS, Series
-from analytics.trends.words import Refused, Words
+from analytics.trends.mixed_model import ComponentDeviation, ContrastEstimate, MixedModel, holm, paired_difference
+from analytics.trends.series import GROUPS, MetricSeries
+from analytics.trends.words import NotComputed, Words, not_computed
 from stream.batch import FloatArray, IntArray
 
 LEAST_VALUES = 8
 LEAST_PER_LEVEL = 2
 LEAST_PAIRS = 3
+GROUP_NAMES_ZH = {"station": "测试站", "fixture": "夹具", "lot": "批次", "unit": "样品", "product": "产品"}
 _MOST_LEVELS = 200
+_MOST_RANDOM_LEVELS = 60
 _DEPENDENT = 1e-9
 
 
 class Difference(NamedTuple):
-    """By how much one level of a group lies from the others.
+    """Difference of one level of a group from the others.
 
     Parameters
     ----------
-    group, level, against: As ``station``, ``B``, ``A``; `against` is empty where it is the mean of all other levels.
+    group, level, against: As ``station``, ``B``, ``A``; `against` is empty for the mean of all other levels.
     effect: level - against, in the unit of the values.
-    adjusted: Probability of so large a difference by chance, adjusted for all differences looked at.
-    confounded: Groups that cannot be told apart from this one.
+    adjusted: Probability of such a difference by chance, adjusted for all differences that were tested.
+    confounded: Groups whose effects cannot be separated from this one.
     units: Units that were measured there.
     """
 
     group: str
     level: str
     against: str
-    effect: Effect
+    effect: ContrastEstimate
     adjusted: float
     confounded: tuple[str, ...]
     units: int
@@ -46,18 +49,11 @@ class Pairs(NamedTuple):
     level: str
     against: str
     units: int
-    effect: Effect
+    effect: ContrastEstimate
 
 
-class Comparison(NamedTuple):
-    """How groups compare.
-
-    Parameters
-    ----------
-    differences: Of all groups with more than one level.
-    pairs: Of levels with units in common.
-    left_out: Groups that were not compared, and why.
-    """
+class GroupComparison(NamedTuple):
+    """Differences of all groups with more than one level, pairs of levels with common units, and groups left out."""
 
     differences: tuple[Difference, ...]
     pairs: tuple[Pairs, ...]
@@ -72,27 +68,25 @@ class _Group(NamedTuple):
     """Indicators of all levels but the first."""
 
 
-def compare_groups(series: Series, groups: tuple[str, ...] = GROUPS) -> Comparison | Refused:
+def compare_groups(series: MetricSeries, groups: tuple[str, ...] = GROUPS) -> GroupComparison | NotComputed:
     """Compare the levels of groups, units being a random effect.
 
     Parameters
     ----------
-    series: All values, repeated ones too: they tell the scatter of units from that of measurements.
-    groups: Which groups; those with one level only are passed over.
+    series: All values; repeated ones separate the scatter of units from that of measurements.
+    groups: Those with one level only are skipped.
 
     Notes
     -----
-    One linear mixed model for all: value = level of station + of fixture + of lot + unit + residual. What several
-    stations saw of one unit and what they saw of different units are both used, each with its weight. A group whose
-    columns depend on those of others is compared without them, and said to be confounded with them. With two levels the
-    second is compared with the first, with more each against the mean of the others.
+    One linear mixed model for all: value = level of station + of fixture + of lot + unit + residual. Measurements of
+    one unit on several stations and of different units are both used, each with its weight. A group whose columns
+    depend on those of others is compared without them, and reported as confounded with them. With two levels the second
+    is compared with the first, with more each against the mean of the others.
     """
     if series.value.size < LEAST_VALUES:
-        return Refused(
-            Words(
-                f"{series.value.size} values; groups are compared from {LEAST_VALUES} on",
-                f"仅有 {series.value.size} 个数值，分组比较至少需要 {LEAST_VALUES} 个",
-            )
+        return not_computed(
+            f"{series.value.size} values; groups are compared from {LEAST_VALUES} on",
+            f"仅有 {series.value.size} 个数值，分组比较至少需要 {LEAST_VALUES} 个",
         )
     found, left_out = _groups(series, groups)
     unit = _codes(series.unit)[1]
@@ -100,35 +94,18 @@ def compare_groups(series: Series, groups: tuple[str, ...] = GROUPS) -> Comparis
     for group in found:
         confounded = _confounded(group, found)
         others = [each for each in found if each is not group and each.name not in confounded]
-        fit = _Fit.of(series.value, [group, *others], unit)
-        if not fit.has_freedom:
-            left_out.append(
-                Words(
-                    f"{group.name}: too few values for its {len(group.levels)} levels", f"{_zh(group.name)}：数据不足"
-                )
-            )
+        fixed = np.column_stack([np.ones(series.value.size), *(each.columns for each in (group, *others))])
+        model = MixedModel(series.value, fixed[:, _independent(fixed)], unit)
+        if model.y.size - model.fixed.shape[1] < 3 or unit.max() < 1:
+            name = GROUP_NAMES_ZH.get(group.name, group.name)
+            few = Words(f"{group.name}: too few values for its {len(group.levels)} levels", f"{name}：数据不足")
+            left_out.append(few)
             continue
-        differences += [each._replace(confounded=confounded) for each in _differences(group, fit, series)]
+        differences += _differences(group, model, series, confounded)
     adjusted = holm([each.effect.chance for each in differences])
     differences = [each._replace(adjusted=p) for each, p in zip(differences, adjusted, strict=True)]
     pairs = [pair for group in found for pair in _pairs(group, series)]
-    return Comparison(tuple(differences), tuple(pairs), tuple(left_out))
-
-
-class _Fit(NamedTuple):
-    """The model of one group, whose columns come first after the constant, beside others."""
-
-    model: MixedModel
-
-    @classmethod
-    def of(cls, values: FloatArray, groups: list[_Group], unit: IntArray) -> "_Fit":
-        fixed = np.column_stack([np.ones(values.size), *(group.columns for group in groups)])
-        return cls(MixedModel(values, fixed[:, _independent(fixed)], unit))
-
-    @property
-    def has_freedom(self) -> bool:
-        n, columns = self.model.fixed.shape
-        return bool(n - columns >= 3 and int(self.model.unit.max()) + 1 >= 2)
+    return GroupComparison(tuple(differences), tuple(pairs), tuple(left_out))
 
 
 def _codes(levels: list[str]) -> tuple[list[str], IntArray]:
@@ -136,28 +113,23 @@ def _codes(levels: list[str]) -> tuple[list[str], IntArray]:
     return [str(each) for each in names], code.astype(np.int64)
 
 
-def _groups(series: Series, names: tuple[str, ...]) -> tuple[list[_Group], list[Words]]:
+def _groups(series: MetricSeries, names: tuple[str, ...]) -> tuple[list[_Group], list[Words]]:
     found, left_out = [], []
     for name in names:
         levels, code = _codes(series.groups[name])
-        counts = np.bincount(code)
-        few = [level for level, count in zip(levels, counts, strict=True) if count < LEAST_PER_LEVEL]
+        few = int((np.bincount(code) < LEAST_PER_LEVEL).sum())
         if len(levels) < 2:
             continue
-        if len(levels) - len(few) < 2 or len(levels) > _MOST_LEVELS:
+        if len(levels) - few < 2 or len(levels) > _MOST_LEVELS:
             left_out.append(
                 Words(
-                    f"{name}: {len(levels)} levels, {len(few)} of them with a single value",
-                    f"{_zh(name)}：{len(levels)} 个水平，其中 {len(few)} 个仅有 1 个数值",
+                    f"{name}: {len(levels)} levels, {few} of them with a single value",
+                    f"{GROUP_NAMES_ZH.get(name, name)}：{len(levels)} 个水平，其中 {few} 个仅有 1 个数值",
                 )
             )
             continue
         found.append(_Group(name, levels, code, (code[:, None] == np.arange(1, len(levels))).astype(np.float64)))
     return found, left_out
-
-
-def _zh(name: str) -> str:
-    return {"station": "测试站", "fixture": "夹具", "lot": "批次"}.get(name, name)
 
 
 def _independent(columns: FloatArray) -> list[int]:
@@ -180,7 +152,7 @@ def _is_estimable(group: _Group, others: list[_Group]) -> bool:
 
 
 def _confounded(group: _Group, groups: list[_Group]) -> tuple[str, ...]:
-    """Which other groups must be left out for all levels of this one to be estimable."""
+    """Other groups that must be left out for all levels of this one to be estimable."""
     others = [each for each in groups if each is not group]
     if _is_estimable(group, others):
         return ()
@@ -190,9 +162,11 @@ def _confounded(group: _Group, groups: list[_Group]) -> tuple[str, ...]:
     return tuple(each.name for each in left_out)
 
 
-def _differences(group: _Group, fit: _Fit, series: Series) -> list[Difference]:
+def _differences(
+    group: _Group, model: MixedModel, series: MetricSeries, confounded: tuple[str, ...]
+) -> list[Difference]:
     k = len(group.levels)
-    contrasts = np.zeros((1 if k == 2 else k, fit.model.fixed.shape[1]))
+    contrasts = np.zeros((1 if k == 2 else k, model.fixed.shape[1]))
     own = contrasts[:, 1:k]
     if k == 2:
         own[0, 0] = 1.0
@@ -200,29 +174,57 @@ def _differences(group: _Group, fit: _Fit, series: Series) -> list[Difference]:
         # the first level has no column: its own contrast is minus the mean of the others
         own[:] = -1 / (k - 1)
         own[np.arange(1, k), np.arange(k - 1)] = 1.0
-    units: defaultdict[str, set[str]] = defaultdict(set)
-    for level, unit in zip(series.groups[group.name], series.unit, strict=True):
-        units[level].add(unit)
+    units = Counter(level for level, _ in set(zip(series.groups[group.name], series.unit, strict=True)))
     levels = group.levels[1:] if k == 2 else group.levels
     against = group.levels[0] if k == 2 else ""
     return [
-        Difference(group.name, level, against, effect, 1.0, (), len(units[level]))
-        for level, effect in zip(levels, fit.model.effects(contrasts), strict=True)
+        Difference(group.name, level, against, effect, 1.0, confounded, units[level])
+        for level, effect in zip(levels, model.effects(contrasts), strict=True)
     ]
 
 
-def _pairs(group: _Group, series: Series) -> list[Pairs]:
-    """Of each two levels, over the units measured on both; units count once, with their means there."""
-    sums: defaultdict[tuple[str, str], list[float]] = defaultdict(list)
-    for level, unit, value in zip(series.groups[group.name], series.unit, series.value, strict=True):
-        sums[level, unit].append(float(value))
-    by_level: defaultdict[str, dict[str, float]] = defaultdict(dict)
-    for (level, unit), values in sums.items():
-        by_level[level][unit] = float(np.mean(values))
+def _pairs(group: _Group, series: MetricSeries) -> list[Pairs]:
+    """Differences of each two levels over the units measured on both, each by its mean there."""
+    frame = pl.DataFrame({"level": series.groups[group.name], "unit": series.unit, "value": series.value})
+    means = frame.group_by("level", "unit", maintain_order=True).agg(pl.col("value").mean())
     found = []
     for one, two in combinations(group.levels, 2):
-        both = sorted(by_level[one].keys() & by_level[two].keys())
-        if len(both) >= LEAST_PAIRS:
-            differences = np.array([by_level[two][unit] - by_level[one][unit] for unit in both])
-            found.append(Pairs(group.name, two, one, len(both), paired_difference(differences)))
+        of_one, of_two = (means.filter(level=level).select("unit", "value") for level in (one, two))
+        both = of_one.join(of_two, on="unit", suffix="_two").sort("unit")
+        if both.height >= LEAST_PAIRS:
+            differences = (both["value_two"] - both["value"]).to_numpy()
+            found.append(Pairs(group.name, two, one, both.height, paired_difference(differences)))
     return found
+
+
+def components(series: MetricSeries, groups: tuple[str, ...]) -> dict[str, ComponentDeviation]:
+    """Standard deviations of all parts of a series, with 95 % bounds by their profile likelihoods.
+
+    Parameters
+    ----------
+    series: All values, repeated ones too.
+    groups: Those with two levels or more are a random effect each, one at a time.
+
+    Returns
+    -------
+    dict
+        `unit`: between units; `residual`: between measurements of a unit, the first group removed; and each group:
+        between its levels. Where no unit was measured twice `residual` is that and `unit` in one. Empty where there are
+        too few values or units.
+    """
+    unit = _codes(series.unit)[1]
+    if series.value.size < LEAST_VALUES or unit.max() < 1 or not np.ptp(series.value) > 0:
+        return {}
+    ones = np.ones((series.value.size, 1))
+    found: dict[str, ComponentDeviation] = {}
+    for name in groups:
+        levels, code = _codes(series.groups[name])
+        if not 1 < len(levels) <= _MOST_RANDOM_LEVELS:
+            continue
+        model = MixedModel(series.value, ones, unit, np.eye(len(levels))[code])
+        if not found:
+            parts = model.deviations()
+            found |= {part: each for part, each in parts.items() if part != "random"} | {name: parts["random"]}
+        else:
+            found[name] = model.deviation("random")
+    return found or MixedModel(series.value, ones, unit).deviations()

@@ -6,8 +6,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2, norm, shapiro
 
-from analytics.trends.words import Refused, Words
+from analytics.trends.series import MetricSeries, parameter_text
+from analytics.trends.words import NotComputed, Words, not_computed
+from storage.specifications.specification import SpecificationLimit
+from storage.specifications.validity import ordered_periods, stored_specifications
+from storage.store import Store
 from stream.batch import FloatArray
+from stream.quantities import result_factor
 
 LEAST_POINTS = 20
 _CONFIDENCE = 0.95
@@ -15,8 +20,60 @@ _NOT_NORMAL = 0.01
 _MOST_FOR_SHAPIRO = 5000
 
 
+class SpecifiedLimits(NamedTuple):
+    """Specification limits of a series, in its unit; `why_not` where there are none."""
+
+    lower: float | None = None
+    upper: float | None = None
+    source: str = ""
+    why_not: Words | None = None
+
+
+def specified_limits(store: Store, series: MetricSeries) -> SpecifiedLimits:
+    """Specification limits that are valid when the last value was measured, in the unit of the series.
+
+    Values of products, or signals, with different limits have none in common.
+    """
+    moment = int(series.t_ns[-1])
+    found: dict[tuple[float | None, float | None], str] = {}
+    kinds = set(zip(series.groups["product"], series.groups["signal"], strict=True))
+    without = 0
+    periods = [each for each in ordered_periods(stored_specifications(store)) if each.from_ns <= moment < each.until_ns]
+    for product, signal in sorted(kinds):
+        own = [
+            (limit, period.specification.label)
+            for period in periods
+            for limit in period.specification.limits
+            if _applies(limit, series, product, signal)
+        ]
+        without += not own
+        for limit, label in own:
+            factor = result_factor(limit.unit_of_measure, series.unit_of_measure)
+            lower, upper = (None if side is None else side * factor for side in (limit.lower, limit.upper))
+            found[lower, upper] = label
+    if len(found) > 1 or (found and without):
+        return SpecifiedLimits(
+            why_not=Words(
+                "the values are of products or signals with different limits: choose by --product or --signal",
+                "各产品或信号的限值不同：请用 --product 或 --signal 选择",
+            )
+        )
+    return next((SpecifiedLimits(*sides, label) for sides, label in found.items()), SpecifiedLimits())
+
+
+def _applies(limit: SpecificationLimit, series: MetricSeries, product: str, signal: str) -> bool:
+    parameters = dict(series.variant.parameters)
+    return (
+        limit.metric == series.metric
+        and limit.product in {None, product}
+        and limit.signal in {None, signal}
+        and (limit.standard is None or limit.standard in series.variant.standard.split(", "))
+        and all(parameters.get(name) == parameter_text(value) for name, value in limit.parameters.items())
+    )
+
+
 class Index(NamedTuple):
-    """A capability index with 95 % limits."""
+    """A capability index with 95 % bounds."""
 
     value: float
     lo: float
@@ -24,20 +81,18 @@ class Index(NamedTuple):
 
 
 class Capability(NamedTuple):
-    """What a process can keep.
+    """Capability indices of a process.
 
     Parameters
     ----------
-    lower, upper: Limits of the specification, in the unit of the values.
+    lower, upper: Specification limits, in the unit of the values.
     mean, sigma: Of the values; `sigma` is the standard deviation of all of them (n - 1), which in a process in control
-        is also that from point to point.
-    n: Values.
+        equals that from point to point.
     cp: (upper - lower)/(6*sigma); None where there is one limit only.
     cpk: Distance of the mean from the nearer limit over 3*sigma.
-    measurement_share: Part of the variance that the uncertainty of the measurements is; the process itself is better by
-        that.
-    normality_chance: Probability of values at least so far from normal where they are normal (Shapiro and Wilk). Below
-        0.01 the indices do not say how many units lie outside.
+    measurement_share: Share of the measurement uncertainty in the variance.
+    normality_chance: Probability of values at least this far from normal if they are normal (Shapiro and Wilk). Below
+        0.01 the indices do not give the share of units outside the limits.
     """
 
     lower: float | None
@@ -63,19 +118,18 @@ def capability(
     *,
     out_of_control: Words | None = None,
     uncertainty: FloatArray | None = None,
-) -> Capability | Refused:
-    """Capability indices.
+) -> Capability | NotComputed:
+    """Capability indices of one value of each unit.
 
     Parameters
     ----------
-    values: shape (points,); one of each unit.
-    lower, upper: Limits of the specification.
-    out_of_control: What shows that the process is not in control; then it has no capability.
-    uncertainty: shape (points,); standard uncertainties of the values; NaN where unknown.
+    lower, upper: Specification limits.
+    out_of_control: Why the process is not in control; then it has no capability.
+    uncertainty: Standard uncertainties of the values; NaN where unknown.
 
     Notes
     -----
-    Limits of Cp: from chi-square with n - 1 degrees of freedom; of Cpk: Cpk -+ z*sqrt(1/(9n) + Cpk**2/(2(n - 1)))
+    Bounds of Cp: from chi-square with n - 1 degrees of freedom; of Cpk: Cpk -+ z*sqrt(1/(9n) + Cpk**2/(2(n - 1)))
     (Bissell 1990). Both hold for normal values.
 
     Examples
@@ -90,7 +144,7 @@ def capability(
     n = values.size
     mean, sigma = float(values.mean()), float(values.std(ddof=1))
     cp = cp_index((upper - lower) / (6 * sigma), n) if lower is not None and upper is not None else None
-    sides = [side for side in (_side(upper, mean, sigma, 1), _side(lower, mean, sigma, -1)) if side is not None]
+    sides = [sign * (limit - mean) / (3 * sigma) for limit, sign in ((upper, 1), (lower, -1)) if limit is not None]
     share = None
     if uncertainty is not None and np.isfinite(uncertainty).all():
         share = min(1.0, float(np.mean(uncertainty**2)) / sigma**2)
@@ -99,7 +153,7 @@ def capability(
 
 
 def cp_index(cp: float, n: int) -> Index:
-    """Cp with its limits.
+    """Cp with its bounds.
 
     Examples
     --------
@@ -112,7 +166,7 @@ def cp_index(cp: float, n: int) -> Index:
 
 
 def cpk_index(cpk: float, n: int) -> Index:
-    """Cpk with its limits.
+    """Cpk with its bounds.
 
     Examples
     --------
@@ -123,34 +177,22 @@ def cpk_index(cpk: float, n: int) -> Index:
     return Index(cpk, cpk - half, cpk + half)
 
 
-def _side(limit: float | None, mean: float, sigma: float, sign: int) -> float | None:
-    return None if limit is None else sign * (limit - mean) / (3 * sigma)
-
-
 def _why_not(
     values: FloatArray, lower: float | None, upper: float | None, out_of_control: Words | None
-) -> Refused | None:
+) -> NotComputed | None:
     if lower is None and upper is None:
-        return Refused(
-            Words(
-                "no specification limits this characteristic: add one with `gyrofleet limits add`",
-                "产品规范中没有该特性的限值：请用 `gyrofleet limits add` 添加",
-            )
+        return not_computed(
+            "no specification limits this characteristic: add one with `gyrofleet limits add`",
+            "产品规范中没有该特性的限值：请用 `gyrofleet limits add` 添加",
         )
     if values.size < LEAST_POINTS:
-        return Refused(
-            Words(
-                f"{values.size} units, capability is given from {LEAST_POINTS} on",
-                f"仅 {values.size} 个样品，过程能力至少需要 {LEAST_POINTS} 个",
-            )
+        return not_computed(
+            f"{values.size} units, capability is given from {LEAST_POINTS} on",
+            f"仅 {values.size} 个样品，过程能力至少需要 {LEAST_POINTS} 个",
         )
     if out_of_control is not None:
-        return Refused(
-            Words(
-                f"the process is not in control ({out_of_control.en}), so it has no capability: mend that first",
-                f"过程未受控（{out_of_control.zh}），过程能力无意义：请先消除异因",
-            )
+        return not_computed(
+            f"the process is not in control ({out_of_control.en}), so it has no capability: mend that first",
+            f"过程未受控（{out_of_control.zh}），过程能力无意义：请先消除异因",
         )
-    if not values.std() > 0:
-        return Refused(Words("the values do not vary", "各值无变化"))
-    return None
+    return None if values.std() > 0 else not_computed("the values do not vary", "各值无变化")

@@ -1,4 +1,4 @@
-"""Moments at which the level of a series changes: the best division of all, with a price calibrated on noise."""
+"""Changes of the level of a series, by the best segmentation with a calibrated penalty, and its drift."""
 
 import math
 from itertools import pairwise
@@ -6,20 +6,25 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
+from scipy.optimize import brentq
+from scipy.special import stdtr
 from scipy.stats import t as student
 
 from analytics.trends.control_chart import MEDIAN_RANGE
-from analytics.trends.words import Refused, Words
+from analytics.trends.words import NotComputed, not_computed
 from stream.batch import FloatArray, IntArray
 
 LEAST_POINTS = 12
 LEAST_SEGMENT = 4
 MOST_CHANGES = 8
 _CONFIDENCE = 0.95
-_WILD = 5.0
+_OUTLIER = 5.0
 _NEIGHBOURS = 7
 _MOST_POINTS = 5000
 _BLOCK = 256
+LEAST_DRIFT_POINTS = 8
+# denser towards 1, where a series wanders
+_CORRELATIONS = np.array([*np.linspace(0.0, 0.95, 39), 0.97, 0.98, 0.99, 0.995, 0.999])
 
 
 class ChangePoint(NamedTuple):
@@ -28,8 +33,8 @@ class ChangePoint(NamedTuple):
     Parameters
     ----------
     at: First point of the new level.
-    first, last: Between which points it lies with 95 % confidence, both included.
-    size, lo, hi: By how much the level changes, with 95 % limits, in the unit of the values.
+    first, last: Earliest and latest such point with 95 % confidence.
+    size, lo, hi: Change of the level with 95 % bounds, in the unit of the values.
     """
 
     at: int
@@ -41,14 +46,14 @@ class ChangePoint(NamedTuple):
 
 
 class Changes(NamedTuple):
-    """What a search for changes has found.
+    """The changes of level of a series.
 
     Parameters
     ----------
-    points: In order; empty where the level stays.
-    levels: Of the stretches between them.
+    points: In order; empty where the level is constant.
+    levels: Of the segments.
     sigma: Standard deviation about the levels.
-    false_alarm: Probability with which white noise shows any change.
+    false_alarm: Probability that white noise shows any change.
     is_drift: Whether a straight line describes the series as well: then there are no points.
     """
 
@@ -59,22 +64,20 @@ class Changes(NamedTuple):
     is_drift: bool = False
 
 
-def change_points(values: FloatArray, *, false_alarm: float = 0.01) -> Changes | Refused:
+def change_points(values: FloatArray, *, false_alarm: float = 0.01) -> Changes | NotComputed:
     """Find the changes of level in a series of otherwise independent values.
 
     Parameters
     ----------
-    values: shape (points,); in order of time.
-    false_alarm: Probability with which white noise may show any change.
+    false_alarm: Probability that white noise shows any change.
 
     Notes
     -----
-    Of all divisions into k + 1 stretches of at least 4 points that with the least sum of squares S_k is found exactly
-    (Auger and Lawrence 1989); k is the one with the least n*ln(S_k) + k*price(n). Wild points, beyond 5 standard
-    deviations from the median of their neighbours, are drawn in to there first. Where one straight line describes the
-    series at a lower price, it drifts and does not change. The moment's limits hold 95 % of the likelihood of all
-    moments between the neighbouring changes, each at its best levels; the size's limits include that the moment is
-    not known.
+    Of all segmentations into k + 1 segments of at least 4 points that with the least sum of squares S_k is found
+    exactly (Auger and Lawrence 1989); k minimises n*ln(S_k) + k*penalty(n). Outliers, beyond 5 standard deviations from
+    the median of their neighbours, are clipped to there first. Where one straight line describes the series at a lower
+    cost, it drifts and does not change. The bounds of the moment hold 95 % of the likelihood of all moments between the
+    neighbouring changes, each at its best levels; those of the size include the uncertainty of the moment.
 
     Examples
     --------
@@ -85,17 +88,15 @@ def change_points(values: FloatArray, *, false_alarm: float = 0.01) -> Changes |
     """
     n = values.size
     if n < LEAST_POINTS or n > _MOST_POINTS:
-        return Refused(
-            Words(
-                f"{n} points; changes are searched in {LEAST_POINTS} to {_MOST_POINTS} points",
-                f"共 {n} 点；变点检测需要 {LEAST_POINTS} 至 {_MOST_POINTS} 点",
-            )
+        return not_computed(
+            f"{n} points; changes are searched in {LEAST_POINTS} to {_MOST_POINTS} points",
+            f"共 {n} 点；变点检测需要 {LEAST_POINTS} 至 {_MOST_POINTS} 点",
         )
-    tame = drawn_in(values)
+    tame = clipped(values)
     squares, starts = _divisions(tame)
     if squares[0] <= 1e-24 * n * float(values.mean()) ** 2:
         return Changes((), (float(values.mean()),), 0.0, false_alarm)
-    charge = price(n, false_alarm)
+    charge = penalty(n, false_alarm)
     floor = 1e-20 * squares[0]
     costs = n * np.log(np.maximum(squares, floor)) + charge * np.arange(squares.size)
     k = int(costs.argmin())
@@ -109,35 +110,35 @@ def change_points(values: FloatArray, *, false_alarm: float = 0.01) -> Changes |
     return Changes(points, levels, sigma, false_alarm, is_drift)
 
 
-def price(n: int, false_alarm: float) -> float:
-    """What a change must gain in n*ln(S_k).
+def penalty(n: int, false_alarm: float) -> float:
+    """Penalty of a change: the reduction of n*ln(S_k) that it needs.
 
     Fitted from above to the quantiles of `gain` of simulated white noise: 40,000 series of 12 to 30 points to 600 of
     1000, false alarms from 0.05 to 0.0003.
 
     Examples
     --------
-    >>> round(price(100, 0.01), 2), round(price(100, 0.001), 2)
+    >>> round(penalty(100, 0.01), 2), round(penalty(100, 0.001), 2)
     (13.36, 18.77)
     """
     return 10.6 + 0.6 * math.log(n) + 2.35 * (math.log(1 / false_alarm) - math.log(100))
 
 
-def drawn_in(values: FloatArray) -> FloatArray:
-    """Wild points drawn in to 5 standard deviations from the median of their neighbours."""
+def clipped(values: FloatArray) -> FloatArray:
+    """Outliers clipped to 5 standard deviations from the median of their neighbours."""
     middle = median_filter(values, size=_NEIGHBOURS, mode="reflect")
     sigma = np.median(np.abs(np.diff(values))) / MEDIAN_RANGE
-    return np.asarray(np.clip(values, middle - _WILD * sigma, middle + _WILD * sigma))
+    return np.asarray(np.clip(values, middle - _OUTLIER * sigma, middle + _OUTLIER * sigma))
 
 
 def gain(values: FloatArray) -> float:
-    """n*ln(S_0/S_k)/k, the largest over k: a change is seen where it exceeds the price."""
-    squares, _ = _divisions(drawn_in(values))
+    """n*ln(S_0/S_k)/k, the largest over k: a change is found where it exceeds the penalty."""
+    squares, _ = _divisions(clipped(values))
     return float((values.size * np.log(squares[0] / squares[1:]) / np.arange(1, squares.size)).max())
 
 
 def _divisions(values: FloatArray) -> tuple[FloatArray, list[IntArray]]:
-    """Least sums of squares with 0, 1, ... changes, and for each where the last stretch of a beginning starts."""
+    """Least sums of squares with 0, 1, ... changes, and for each the start of the last segment before each point."""
     n = values.size
     centred = values - values.mean()
     sums = np.concatenate([[0.0], np.cumsum(centred)])
@@ -177,14 +178,14 @@ def _line_squares(values: FloatArray) -> float:
 
 
 def _located(values: FloatArray, first: int, at: int, last: int, sigma: float, freedom: int) -> ChangePoint:
-    """The moment and size of one change between two others, with limits."""
+    """The moment and size of one change between two others, with bounds."""
     part = values[first:last] - values[at]
     n = part.size
     before = np.arange(1, n)
     sums = np.cumsum(part)[:-1]
     left, right = sums / before, (part.sum() - sums) / (n - before)
     explained = before * (n - before) / n * (right - left) ** 2
-    # the level on either side is integrated out: a stretch of few points is not preferred for fitting anything
+    # the level on either side is integrated out: else short segments, which fit anything, would be preferred
     weight = np.exp((explained - explained.max()) / (2 * sigma**2)) / np.sqrt(before * (n - before))
     weight /= weight.sum()
     order = np.argsort(-weight, kind="stable")
@@ -193,12 +194,95 @@ def _located(values: FloatArray, first: int, at: int, last: int, sigma: float, f
     mean = float(weight @ sizes)
     variance = float(weight @ (sigma**2 * (1 / before + 1 / (n - before)) + (sizes - mean) ** 2))
     half = float(student.ppf((1 + _CONFIDENCE) / 2, max(freedom, 1))) * math.sqrt(variance)
-    size = float(sizes[at - first - 1])
-    return ChangePoint(
-        at=at,
-        first=first + 1 + int(within.min()),
-        last=first + 1 + int(within.max()),
-        size=size,
-        lo=mean - half,
-        hi=mean + half,
+    earliest, latest = first + 1 + int(within.min()), first + 1 + int(within.max())
+    return ChangePoint(at, earliest, latest, float(sizes[at - first - 1]), mean - half, mean + half)
+
+
+class Drift(NamedTuple):
+    """Slope of a series.
+
+    Parameters
+    ----------
+    slope, lo, hi: With 95 % bounds, in the unit of the values per unit of time.
+    chance: Probability of a slope at least this large, of either sign, if there is none.
+    correlation: Of neighbouring points about the line, the most likely one.
+    """
+
+    slope: float
+    lo: float
+    hi: float
+    chance: float
+    correlation: float
+
+
+def drift(time: FloatArray, values: FloatArray) -> Drift | NotComputed:
+    """Slope of a series whose noise may be correlated from point to point; `time` does not decrease.
+
+    Notes
+    -----
+    values = a + b*time + e, e_i = r*e_(i-1) + white. For each r the generalised-least-squares slope follows Student's
+    t; these are mixed with the restricted likelihood of r over 0 <= r < 1, so that the bounds allow for an unknown r.
+    Of 30 points they hold the slope in 98 % of series at r = 0, 96 % at 0.6, 94 % at 0.9 and 87 % at 0.97, where 30
+    points hardly differ from a random walk.
+
+    Examples
+    --------
+    >>> t = np.arange(50.0)
+    >>> found = drift(t, 0.5 * t + np.random.default_rng(2).standard_normal(50))
+    >>> bool(found.lo < 0.5 < found.hi), found.chance < 1e-6
+    (True, True)
+    """
+    n = values.size
+    if n < LEAST_DRIFT_POINTS or not np.ptp(time) > 0:
+        return not_computed(
+            f"{n} points; a drift needs {LEAST_DRIFT_POINTS} at different times",
+            f"共 {n} 点；漂移估计需要不同时刻的 {LEAST_DRIFT_POINTS} 点",
+        )
+    middle, spread = float(time.mean()), float(np.ptp(time))
+    columns = np.column_stack([np.ones(n), (time - middle) / spread])
+    level = values - values.mean()
+    scale = float(np.abs(level).max())
+    if scale <= 0:
+        return Drift(0.0, 0.0, 0.0, 1.0, 0.0)
+    slopes, errors, likelihood = _fits(columns, level / scale)
+    weight = np.exp(likelihood - likelihood.max())
+    weight /= weight.sum()
+    freedom = n - 2
+
+    def below(slope: float) -> float:
+        return float(weight @ stdtr(freedom, (slope - slopes) / errors))
+
+    tail = (1 - _CONFIDENCE) / 2
+    far = 1e4 * float(errors.max()) + float(np.abs(slopes).max())
+    lo, hi = (brentq(lambda slope, p=p: below(slope) - p, -far, far, xtol=1e-12 * far) for p in (tail, 1 - tail))
+    rising = float(weight @ stdtr(freedom, -slopes / errors))
+    falling = float(weight @ stdtr(freedom, slopes / errors))
+    factor = scale / spread
+    return Drift(
+        slope=float(weight @ slopes) * factor,
+        lo=lo * factor,
+        hi=hi * factor,
+        chance=min(1.0, 2 * min(rising, falling)),
+        correlation=float(_CORRELATIONS[likelihood.argmax()]),
     )
+
+
+def _fits(columns: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """For each correlation: slope, its standard error and the restricted log-likelihood, up to a constant."""
+    r = _CORRELATIONS[:, None]
+    root = np.sqrt(1 - r * r)
+
+    def white(column: FloatArray) -> FloatArray:
+        return np.concatenate([column[:1] * root, column[1:] - r * column[:-1]], axis=1)
+
+    one, time, y = white(columns[:, 0]), white(columns[:, 1]), white(values)
+    ones, cross, times = (np.sum(a * b, axis=1) for a, b in ((one, one), (one, time), (time, time)))
+    determinant = ones * times - cross**2
+    of_one, of_time = np.sum(one * y, axis=1), np.sum(time * y, axis=1)
+    slope = (ones * of_time - cross * of_one) / determinant
+    level = (times * of_one - cross * of_time) / determinant
+    residual = y - level[:, None] * one - slope[:, None] * time
+    freedom = values.size - 2
+    squares = np.maximum(np.sum(residual**2, axis=1), 1e-28)
+    error = np.sqrt(squares / freedom * ones / determinant)
+    return slope, error, np.log(root[:, 0]) - 0.5 * np.log(determinant) - freedom / 2 * np.log(squares)

@@ -1,13 +1,18 @@
-"""Chart of individual values and moving ranges (Shewhart; NIST/SEMATECH e-Handbook 6.3.2.2, ISO 7870-2)."""
+"""Control charts of individual values, and of exponentially weighted moving averages.
+
+Shewhart (NIST/SEMATECH e-Handbook 6.3.2.2, ISO 7870-2); Roberts 1959 (e-Handbook 6.3.2.4).
+"""
 
 import math
 from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import lfilter
 from scipy.special import gammaln
+from scipy.stats import norm
 
-from analytics.trends.words import Refused, Words
+from analytics.trends.words import NotComputed, not_computed
 from stream.batch import FloatArray
 
 D2 = 2 / math.sqrt(math.pi)
@@ -18,15 +23,17 @@ MEDIAN_RANGE = 0.9538725524
 """Its median, d4(2) = sqrt(2) * 0.6745."""
 LEAST_POINTS = 8
 WIDTH = 3.0
+EWMA_WEIGHT, EWMA_WIDTH = 0.2, 2.86
+"""A process in control leaves these bounds once in 370 points, as on a chart of individual values with 3 sigma."""
 
 
 class Spread(StrEnum):
-    """How the standard deviation of a process in control is had from its points."""
+    """How the standard deviation of a process in control is estimated from its points."""
 
     MOVING_RANGE = "moving_range"
     """Mean moving range / d2, about the mean."""
     MEDIAN_MOVING_RANGE = "median_moving_range"
-    """Median moving range / d4, about the median: single wild points do not widen the limits."""
+    """Median moving range / d4, about the median: single outliers do not widen the limits."""
     DEVIATION = "deviation"
     """Standard deviation / c4, about the mean; for a baseline that is known to be in control."""
 
@@ -39,8 +46,6 @@ class IndividualsChart(NamedTuple):
     centre, sigma: Level and standard deviation of the process in control, in the unit of the values.
     lower, upper: centre -+ 3 sigma.
     moving_range, moving_range_upper: Expected moving range, d2*sigma, and its limit (d2 + 3*d3)*sigma.
-    baseline: Points that they were computed from.
-    spread: By which rule.
     """
 
     centre: float
@@ -77,14 +82,12 @@ def centre_and_sigma(values: FloatArray, spread: Spread) -> tuple[FloatArray, Fl
 
 def individuals_chart(
     values: FloatArray, *, baseline: int | None = None, spread: Spread = Spread.MOVING_RANGE
-) -> IndividualsChart | Refused:
-    """Limits for individual values.
+) -> IndividualsChart | NotComputed:
+    """Control limits for individual values in order of time.
 
     Parameters
     ----------
-    values: shape (points,); in order of time.
-    baseline: How many points from the first on the limits are computed from (phase I); all if left out.
-    spread: By which rule.
+    baseline: From how many first points the limits are computed (phase I); all if omitted.
 
     Notes
     -----
@@ -100,27 +103,78 @@ def individuals_chart(
     """
     first = values if baseline is None else values[:baseline]
     if first.size < LEAST_POINTS:
-        return Refused(
-            Words(
-                f"{first.size} points, a chart's limits need {LEAST_POINTS}: measure on",
-                f"仅有 {first.size} 点，确定控制限至少需要 {LEAST_POINTS} 点：请继续测量",
-            )
+        return not_computed(
+            f"{first.size} points, a chart's limits need {LEAST_POINTS}: measure on",
+            f"仅有 {first.size} 点，确定控制限至少需要 {LEAST_POINTS} 点：请继续测量",
         )
     centre, sigma = (float(each) for each in centre_and_sigma(first, spread))
     if not sigma > 1e-12 * abs(centre):
-        return Refused(
-            Words(
-                "the values do not vary from point to point: a chart has no limits then",
-                "各点数值无变化：无法确定控制限",
-            )
+        return not_computed(
+            "the values do not vary from point to point: a chart has no limits then", "各点数值无变化：无法确定控制限"
         )
-    return IndividualsChart(
-        centre=centre,
-        sigma=sigma,
-        lower=centre - WIDTH * sigma,
-        upper=centre + WIDTH * sigma,
-        moving_range=D2 * sigma,
-        moving_range_upper=(D2 + WIDTH * D3) * sigma,
-        baseline=int(first.size),
-        spread=spread,
-    )
+    lower, upper = centre - WIDTH * sigma, centre + WIDTH * sigma
+    return IndividualsChart(centre, sigma, lower, upper, D2 * sigma, (D2 + WIDTH * D3) * sigma, int(first.size), spread)
+
+
+class EwmaChart(NamedTuple):
+    """Moving averages and their limits at each point, in the unit of the values.
+
+    Parameters
+    ----------
+    weight, width: Weight of the newest point; limits in standard deviations of the average.
+    """
+
+    averages: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    weight: float
+    width: float
+
+    @property
+    def outside(self) -> list[int]:
+        """Points whose average lies beyond its limits."""
+        beyond = (self.averages > self.upper) | (self.averages < self.lower)
+        return [int(each) for each in np.flatnonzero(beyond)]
+
+
+def ewma_chart(
+    values: FloatArray, centre: float, sigma: float, *, weight: float = EWMA_WEIGHT, width: float = EWMA_WIDTH
+) -> EwmaChart:
+    """Exponentially weighted moving averages of a series and their limits.
+
+    Notes
+    -----
+    E_i = w*x_i + (1 - w)*E_(i-1), E_0 = centre; limits centre -+ width*sigma*sqrt(w/(2 - w)*(1 - (1 - w)**(2i))).
+
+    Examples
+    --------
+    >>> chart = ewma_chart(np.array([52.0, 47.0, 53.0]), 50.0, 2.0539, weight=0.3, width=3.0)
+    >>> [round(float(each), 2) for each in chart.averages]
+    [50.6, 49.52, 50.56]
+    """
+    averages = lfilter([weight], [1.0, weight - 1.0], values - centre) + centre
+    grown = 1 - (1 - weight) ** (2 * np.arange(1, values.size + 1))
+    half = width * sigma * np.sqrt(weight / (2 - weight) * grown)
+    return EwmaChart(averages, centre - half, centre + half, weight, width)
+
+
+def average_run_length(weight: float, width: float, shift: float = 0.0, states: int = 201) -> float:
+    """Points until the average leaves steady limits, by the Markov chain of Brook and Evans (Lucas, Saccucci 1990).
+
+    Parameters
+    ----------
+    shift: By how many sigma the process has moved.
+    states: Number of states between the limits.
+
+    Examples
+    --------
+    >>> round(average_run_length(0.2, 2.86))
+    371
+    """
+    half = width * np.sqrt(weight / (2 - weight))
+    edges = np.linspace(-half, half, states + 1)
+    middles = (edges[1:] + edges[:-1]) / 2
+    reached = norm.cdf((edges[None, :] - (1 - weight) * middles[:, None]) / weight - shift)
+    moves = np.diff(reached, axis=1)
+    lengths = np.linalg.solve(np.eye(states) - moves, np.ones(states))
+    return float(lengths[states // 2])

@@ -1,24 +1,26 @@
-"""Changes of level of single stations, from every measurement that they made, repeated ones too."""
+"""Level shifts of single stations, from all of their measurements, repeated ones included."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from analytics.trends.change_points import drawn_in
-from analytics.trends.series import Series
-from analytics.trends.session_layout import (
+from analytics.trends.change_points import clipped
+from analytics.trends.series import MetricSeries
+from analytics.trends.sessions import (
     LEAST_SEGMENT,
     LEAST_UNITS,
     Layout,
+    SessionModel,
+    Sums,
     layout_of,
     sides,
     station_columns,
     steps_of,
+    unit_ratio,
     units_across,
 )
-from analytics.trends.session_model import SessionModel, Sums, unit_ratio
-from analytics.trends.step_search import Found, StepSearch
-from analytics.trends.words import Refused, Words
+from analytics.trends.step_search import BestStep, StepSearch
+from analytics.trends.words import NotComputed, not_computed
 from stream.batch import FloatArray, IntArray
 
 LEAST_VALUES = 12
@@ -33,13 +35,12 @@ class LevelShift(NamedTuple):
 
     Parameters
     ----------
-    station: Which; empty where all stations change together.
+    station: Empty where all stations change together.
     at: First value of the series at the new level there.
-    first, last: Between which of its values the change lies with 95 % confidence: the last one before and the first one
-        after.
-    size, lo, hi: By how much the level changes, with 95 % limits, in the unit of the values.
-    chance: Probability with which independent measurements show such a change anywhere.
-    wander: Probability with which levels that wander from session to session do.
+    first, last: Values between which the change lies with 95 % confidence: the last one before, the first one after.
+    size, lo, hi: Change of the level with 95 % bounds, in the unit of the values.
+    chance: Probability that independent measurements show such a change anywhere.
+    wander: Probability that levels which wander from session to session do.
     units: Units that were measured there before and after.
     """
 
@@ -56,7 +57,7 @@ class LevelShift(NamedTuple):
 
     @property
     def is_plain(self) -> bool:
-        """Whether a slow wander of the station is no explanation."""
+        """Whether a slow wander of the station does not explain it."""
         return self.wander <= PLAIN
 
 
@@ -66,8 +67,8 @@ class Unsteady(NamedTuple):
     Parameters
     ----------
     deviation: Standard deviation of the sessions' levels, in the unit of the values.
-    chance: Probability with which noise alone shows as much.
-    largest: The largest change of level, which cannot be told from that scatter.
+    chance: Probability that noise alone shows as much.
+    largest: The largest change of level, which cannot be separated from that scatter.
     """
 
     deviation: float
@@ -76,14 +77,14 @@ class Unsteady(NamedTuple):
 
 
 class LevelShifts(NamedTuple):
-    """What a search for changes of stations has found.
+    """The level shifts of the stations of a series.
 
     Parameters
     ----------
     shifts: In order of time.
     unsteady: None where sessions differ no more than by chance.
-    points: shape (n,); of each value: the level of its station then, and how far the value is from what its unit and
-        station let expect, scaled to the noise of one measurement.
+    points: shape (n,); of each value: the level of its station then plus the deviation from the value expected of its
+        unit and station, scaled to the noise of one measurement.
     """
 
     shifts: tuple[LevelShift, ...]
@@ -91,49 +92,46 @@ class LevelShifts(NamedTuple):
     points: FloatArray
 
 
-def level_shifts(series: Series, *, false_alarm: float = 0.01) -> LevelShifts | Refused:
+def level_shifts(series: MetricSeries, *, false_alarm: float = 0.01) -> LevelShifts | NotComputed:
     """Search for changes of level of each station, and of all together.
 
     Parameters
     ----------
-    series: All values; some units measured twice at least, since they tell units from stations.
-    false_alarm: Probability with which noise alone may show a change, over all stations.
+    series: All values; units measured more than once separate units from stations.
+    false_alarm: Probability that noise alone shows a change, over all stations.
 
     Notes
     -----
     value = level of station + unit + session + noise. Units and sessions (a run at a station on a day) are random;
     neighbouring sessions of a station may be correlated. The best step of one station is compared with none by their
-    likelihoods, each with the noise of the sessions that suits it best; the probability is that of so large a ratio in
-    series simulated with the noise that fits best without a step, and with the slowest one that is plausible. What is
-    found is added to the model, and the search goes on until nothing more is found. Wild values are drawn in to 5
-    standard deviations first. Moment and size are averaged over all moments and noises by their likelihoods.
+    likelihoods, each with its most likely noise of the sessions; the probability is that of such a ratio in series
+    simulated with the noise that fits best without a step, and with the slowest plausible one. A step that is found is
+    added to the model, until no more are found. Outliers are clipped to 5 standard deviations first. Moment and size
+    are averaged over all moments and noises by their likelihoods.
     """
     layout = layout_of(series)
     station_of_value = layout.station[layout.session]
     repeated = int((np.bincount(layout.unit) > 1).sum())
     if series.value.size < LEAST_VALUES or repeated < LEAST_UNITS:
-        return Refused(
-            Words(
-                f"{series.value.size} values, {repeated} units measured more than once; changes of stations need "
-                f"{LEAST_VALUES} values with {LEAST_UNITS} such units",
-                f"共 {series.value.size} 个数值、{repeated} 个重复测量的样品；测试站变点检测至少需要 "
-                f"{LEAST_VALUES} 个数值与 {LEAST_UNITS} 个重复测量的样品",
-            )
+        return not_computed(
+            f"{series.value.size} values, {repeated} units measured more than once; changes of stations need "
+            f"{LEAST_VALUES} values with {LEAST_UNITS} such units",
+            f"共 {series.value.size} 个数值、{repeated} 个重复测量的样品；测试站变点检测至少需要 "
+            f"{LEAST_VALUES} 个数值与 {LEAST_UNITS} 个重复测量的样品",
         )
     middle, scale = float(np.median(series.value)), float(series.value.std())
     if not scale > 1e-12 * abs(middle):
-        return Refused(Words("the values do not vary", "数值无变化"))
+        return not_computed("the values do not vary", "数值无变化")
     y = (series.value - middle) / scale
-    model = SessionModel(
-        layout.session, layout.unit, layout.station, min(unit_ratio(y, layout.unit, station_of_value), 1e6)
-    )
+    ratio = min(unit_ratio(y, layout.unit, station_of_value), _MOST_RATIO)
+    model = SessionModel(layout.session, layout.unit, layout.station, ratio)
     search = StepSearch(model, steps_of(layout), station_columns(layout.station))
     for _ in range(2):
-        # levels first by what is raw, then by what is drawn in
+        # levels first from the raw values, then from the clipped ones
         expected, spread = search.residuals(y)
         tame = expected + spread * _tame((y - expected) / spread, station_of_value)
     sums = model.sums(tame)
-    found: list[Found] = []
+    found: list[BestStep] = []
     while len(found) < MOST_SHIFTS and (best := search.best(sums)) is not None:
         if best.seen > false_alarm / 2 or best.wander > LIKELY:
             break
@@ -154,29 +152,29 @@ def level_shifts(series: Series, *, false_alarm: float = 0.01) -> LevelShifts | 
 
 
 def _tame(residuals: FloatArray, station: IntArray) -> FloatArray:
-    """Wild residuals drawn in, each by its neighbours at its station."""
+    """Outlying residuals clipped, each by its neighbours at its station."""
     found = residuals.copy()
     for number in np.unique(station):
         own = station == number
         if own.sum() >= LEAST_SEGMENT:
-            found[own] = drawn_in(residuals[own])
+            found[own] = clipped(residuals[own])
     return found
 
 
-def _located(search: "StepSearch", sums: Sums, found: Found, layout: Layout, scale: float) -> LevelShift:
-    """A step with its limits; it is no column of the search."""
+def _located(search: "StepSearch", sums: Sums, found: BestStep, layout: Layout, scale: float) -> LevelShift:
+    """A step with its bounds; it is no column of the search."""
     step = found.step
     moments = search.moments(sums, step)
-    size, lo, hi = moments.size()
+    size, lo, hi = (each * scale for each in moments.size())
     likely = moments.likely()
     return LevelShift(
         station="" if step.station < 0 else layout.names[step.station],
         at=int(sides(layout, step)[1][0]),
         first=min(int(sides(layout, each)[0][-1]) for each in likely),
         last=max(int(sides(layout, each)[1][0]) for each in likely),
-        size=size * scale,
-        lo=lo * scale,
-        hi=hi * scale,
+        size=size,
+        lo=lo,
+        hi=hi,
         chance=found.seen,
         wander=found.wander,
         units=units_across(layout, step),

@@ -21,14 +21,14 @@ _STEP = 1e-3
 _LEAST, _MOST = -16.0, 16.0
 
 
-class Effect(NamedTuple):
-    """A combination of fixed effects, with 95 % limits.
+class ContrastEstimate(NamedTuple):
+    """A combination of fixed effects, with 95 % bounds.
 
     Parameters
     ----------
     value, lo, hi, standard_uncertainty: In the unit of the values.
     freedom: Degrees of freedom of the uncertainty.
-    chance: Probability of a value at least so far from 0 where it is 0.
+    chance: Probability of a value at least this far from 0 if it is 0.
     """
 
     value: float
@@ -39,8 +39,8 @@ class Effect(NamedTuple):
     chance: float
 
 
-class Deviation(NamedTuple):
-    """Standard deviation of a component, with 95 % limits by its profile likelihood."""
+class ComponentDeviation(NamedTuple):
+    """Standard deviation of a component, with 95 % bounds by its profile likelihood."""
 
     value: float
     lo: float
@@ -53,9 +53,8 @@ class MixedModel:
 
     Parameters
     ----------
-    y: shape (n,); values.
     fixed: shape (n, p); columns of full rank.
-    unit: shape (n,); which unit each value is of, from 0.
+    unit: shape (n,); unit of each value, from 0.
     random: shape (n, q); indicators of the levels of a second random effect.
 
     Examples
@@ -85,7 +84,7 @@ class MixedModel:
 
     @property
     def has_repeats(self) -> bool:
-        """Whether any unit has more than one value: else unit and residual are one."""
+        """Whether any unit has more than one value: else unit and residual cannot be separated."""
         return bool((self._sums[2] > 1).any())
 
     @property
@@ -93,13 +92,8 @@ class MixedModel:
         """Variance from unit to unit over that of the residual; 0 where no unit has two values."""
         return float(np.exp(self._optimum[1] - self._optimum[0])) if self.has_repeats else 0.0
 
-    def effects(self, contrasts: FloatArray) -> list[Effect]:
-        """Values of combinations of the fixed effects.
-
-        Parameters
-        ----------
-        contrasts: shape (combinations, p); their coefficients.
-        """
+    def effects(self, contrasts: FloatArray) -> list[ContrastEstimate]:
+        """Values of combinations of the fixed effects, with coefficients of shape (combinations, p)."""
         at = self._optimum
         beta, covariance = self._solved(at)
         freedoms = self._freedoms(at, contrasts)
@@ -109,14 +103,14 @@ class MixedModel:
             error = float(np.sqrt(contrast @ covariance @ contrast))
             half = float(student.ppf((1 + _CONFIDENCE) / 2, freedom)) * error
             chance = float(2 * student.sf(abs(value) / error, freedom)) if error > 0 else float(value == 0)
-            found.append(Effect(value, value - half, value + half, error, float(freedom), chance))
+            found.append(ContrastEstimate(value, value - half, value + half, error, float(freedom), chance))
         return found
 
-    def deviations(self) -> dict[str, Deviation]:
+    def deviations(self) -> dict[str, ComponentDeviation]:
         """Standard deviations of `unit`, `residual` and, where there is one, the second random effect (`random`)."""
         return {name: self.deviation(name) for name in self._names}
 
-    def deviation(self, name: str) -> Deviation:
+    def deviation(self, name: str) -> ComponentDeviation:
         """One of the `deviations`."""
         return self._profile(self._names.index(name))
 
@@ -129,7 +123,7 @@ class MixedModel:
 
     @cached_property
     def _centre(self) -> FloatArray:
-        """The coefficients that make a constant 1 of the fixed columns; zero where they cannot."""
+        """Coefficients whose combination of the fixed columns is constant 1; zero where there are none."""
         ones = np.ones(self.y.size)
         beta = np.linalg.lstsq(self.fixed, ones, rcond=None)[0]
         return np.asarray(beta if np.allclose(self.fixed @ beta, ones) else 0.0 * beta, np.float64)
@@ -174,7 +168,7 @@ class MixedModel:
         return np.clip(found, start + _LEAST, start + _MOST)
 
     def _least(self, start: FloatArray, fixed: tuple[int, float] | None = None) -> tuple[FloatArray, float]:
-        """The best point from a start, with one of the logarithms held where it is given."""
+        """The best point from a start, with one of the logarithms fixed if given."""
         free = [index for index in range(start.size) if fixed is None or index != fixed[0]]
         whole = start.copy()
         if fixed is not None:
@@ -197,7 +191,7 @@ class MixedModel:
     def _freedoms(self, at: FloatArray, contrasts: FloatArray) -> FloatArray:
         """Satterthwaite: 2*v**2 over the variance of v, by the curvature of the likelihood."""
         residual = float(self.y.size - self.fixed.shape[1])
-        # a component at its border does not move the uncertainty
+        # a component at its bound does not change the uncertainty
         live = [index for index in range(at.size) if index == 0 or at[index] - at.max() > _LEAST / 2]
         shifts = np.zeros((len(live), at.size))
         shifts[np.arange(len(live)), live] = _STEP
@@ -218,7 +212,7 @@ class MixedModel:
             freedom = 2 * variances(at) ** 2 / wobble
         return np.clip(np.where(wobble > 0, freedom, residual), 1.0, residual)
 
-    def _profile(self, index: int) -> Deviation:
+    def _profile(self, index: int) -> ComponentDeviation:
         at = self._optimum
         rise = float(chi2.ppf(_CONFIDENCE, 1))
         least = self._deviance(at)
@@ -231,15 +225,15 @@ class MixedModel:
         lo = _crossing(above, float(at[index]), -1.0, _LEAST)
         hi = _crossing(above, float(at[index]), 1.0, _MOST)
         zero = index > 0 and at[index] - at.max() < _LEAST / 2
-        return Deviation(
+        return ComponentDeviation(
             0.0 if zero else float(np.exp(at[index] / 2)),
             0.0 if lo is None else float(np.exp(lo / 2)),
             float("inf") if hi is None else float(np.exp(hi / 2)),
         )
 
 
-def paired_difference(differences: FloatArray) -> Effect:
-    """Mean of paired differences with limits by Student's t; at least 2.
+def paired_difference(differences: FloatArray) -> ContrastEstimate:
+    """Mean of at least 2 paired differences with bounds by Student's t.
 
     Examples
     --------
@@ -250,11 +244,11 @@ def paired_difference(differences: FloatArray) -> Effect:
     mean, error = float(differences.mean()), float(differences.std(ddof=1) / np.sqrt(n))
     half = float(student.ppf((1 + _CONFIDENCE) / 2, n - 1)) * error
     chance = float(2 * student.sf(abs(mean) / error, n - 1)) if error > 0 else float(mean == 0)
-    return Effect(mean, mean - half, mean + half, error, float(n - 1), chance)
+    return ContrastEstimate(mean, mean - half, mean + half, error, float(n - 1), chance)
 
 
 def _crossing(above: Callable[[float], float], start: float, step: float, most: float) -> float | None:
-    """Where a function that is negative at `start` becomes positive that way; None if it does not."""
+    """Where a function that is negative at `start` becomes positive in steps of that sign; None if it does not."""
     inside = start
     while abs(inside - start) < abs(most):
         outside = inside + step
@@ -265,7 +259,7 @@ def _crossing(above: Callable[[float], float], start: float, step: float, most: 
 
 
 def holm(chances: list[float]) -> list[float]:
-    """Probabilities adjusted for being several (Holm 1979).
+    """Probabilities adjusted for multiple tests (Holm 1979).
 
     Examples
     --------

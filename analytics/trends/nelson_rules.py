@@ -1,13 +1,27 @@
-"""The eight rules of Nelson for a chart of individual values (Journal of Quality Technology 16, 1984, 237-239)."""
+"""Nelson's eight rules for a chart of individual values, and the probability of its signals under white noise.
+
+L. S. Nelson, Journal of Quality Technology 16, 1984, 237-239. On a chart of 300 points noise alone meets some rule
+about four times; only what exceeds that is significant.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.stats import t as student
 
+from analytics.trends.control_chart import Spread, centre_and_sigma
 from analytics.trends.words import Words
-from stream.batch import FloatArray
+from stream.batch import FloatArray, IntArray
 
 BoolArray = NDArray[np.bool_]
+
+_SIMULATED_POINTS = 1_000_000
+_MOST_SERIES = 4000
+_LEAST_SERIES = 400
+_SEED = 20260101
 
 RULES = (
     Words("a point beyond 3 sigma", "1 点超出 3σ 控制限"),
@@ -24,22 +38,17 @@ LENGTHS = (1, 9, 6, 14, 3, 5, 15, 8)
 
 
 def rule_flags(z: FloatArray) -> BoolArray:
-    """Where each rule is met for the points up to there.
+    """Where each rule is met, shape (8, ..., points): True at the last point of each pattern.
 
     Parameters
     ----------
     z: shape (..., points); (value - centre)/sigma, in order of time; several series at once.
 
-    Returns
-    -------
-    array of bool, shape (8, ..., points)
-        True at the last point of each pattern.
-
     Notes
     -----
     White noise with known centre and sigma first meets a rule after so many points, on average: 370 (rule 1), 511 (2),
-    422 (3), 600 (4), 512 (5), 292 (6), 963 (7), 14,000 (8); one of the eight after 74. A signal alone says little: see
-    `chart_chance`.
+    422 (3), 600 (4), 512 (5), 292 (6), 963 (7), 14,000 (8); one of the eight after 74. One signal is not
+    significant: see `chart_chance`.
 
     Examples
     --------
@@ -64,7 +73,7 @@ def rule_flags(z: FloatArray) -> BoolArray:
 
 
 def points_of(flags: BoolArray, z: FloatArray) -> dict[int, list[int]]:
-    """All points that take part in each rule's patterns; rules by number, 1 to 8, that are met at all.
+    """All points in the patterns of each rule that is met, by its number, 1 to 8.
 
     Examples
     --------
@@ -100,3 +109,84 @@ def _of_last(condition: BoolArray, least: int, of: int) -> BoolArray:
         return condition.copy()
     padded = np.concatenate([np.zeros((*condition.shape[:-1], of - 1), bool), condition], axis=-1)
     return np.asarray(sliding_window_view(padded, of, axis=-1).sum(axis=-1) >= least)
+
+
+class ChartChance(NamedTuple):
+    """Probabilities under white noise of results at least as extreme as those of the chart.
+
+    Parameters
+    ----------
+    wild_point: Of the most distant point; a bound (Bonferroni), 1 where there are too few points.
+    signals: Of the number of signals of the most significant rule, adjusted for all eight.
+    rule: That rule.
+    expected: Mean number of signals of each rule on such a chart of white noise.
+    """
+
+    wild_point: float
+    signals: float
+    rule: int | None
+    expected: tuple[float, ...]
+
+
+class _NullSignals(NamedTuple):
+    """Signals of each rule in simulated white noise, sorted; the least probability over the rules in each, sorted."""
+
+    counts: IntArray
+    least: FloatArray
+    mean: tuple[float, ...]
+
+
+def chart_chance(values: FloatArray, counts: IntArray, *, baseline: int, spread: Spread) -> ChartChance:
+    """Significance of a chart whose rules have these `counts` of signals.
+
+    Notes
+    -----
+    White noise is simulated on the same chart, with limits from the same points by the same rule, and the least of the
+    eight probabilities is compared with the least of the eight in the simulated charts. Its lower end is one over the
+    simulated charts (400 to 4000).
+    """
+    null = _null(values.size, baseline, spread)
+    series = null.counts.shape[1]
+    chances = np.array(
+        [(series - np.searchsorted(null.counts[rule], counts[rule]) + 1) / (series + 1) for rule in range(len(counts))]
+    )
+    rule = int(chances.argmin())
+    signals = float((np.searchsorted(null.least, chances[rule], side="right") + 1) / (series + 1))
+    return ChartChance(wild_point_chance(values), min(signals, 1.0), rule + 1 if counts[rule] else None, null.mean)
+
+
+def wild_point_chance(values: FloatArray) -> float:
+    """Bound on the probability that the most distant of normal values is at least this distant (Grubbs 1950).
+
+    Examples
+    --------
+    >>> bool(wild_point_chance(np.array([1.0, 2, 3, 2, 1, 2, 3, 2, 40])) < 1e-6)
+    True
+    """
+    n = values.size
+    deviations = values - values.mean()
+    squares = float(deviations @ deviations)
+    if n < 4 or squares <= 0:
+        return 1.0
+    largest = float(np.max(deviations**2)) * n / (n - 1)
+    rest = max(squares - largest, 1e-30 * squares)
+    distance = np.sqrt(largest * (n - 2) / rest)
+    return float(min(1.0, 2 * n * student.sf(distance, n - 2)))
+
+
+@lru_cache(maxsize=64)
+def _null(points: int, baseline: int, spread: Spread) -> _NullSignals:
+    series = int(np.clip(_SIMULATED_POINTS // points, _LEAST_SERIES, _MOST_SERIES))
+    rng = np.random.default_rng([_SEED, points, baseline])
+    counts = np.empty((8, series), np.int64)
+    at_once = max(1, _SIMULATED_POINTS // points // 4)
+    for start in range(0, series, at_once):
+        noise = rng.standard_normal((min(at_once, series - start), points))
+        centre, sigma = centre_and_sigma(noise[:, :baseline], spread)
+        z = (noise - centre[:, None]) / sigma[:, None]
+        counts[:, start : start + noise.shape[0]] = rule_flags(z).sum(axis=-1)
+    ordered = np.sort(counts, axis=1)
+    chances = np.array(
+        [(series - np.searchsorted(ordered[rule], counts[rule]) + 1) / (series + 1) for rule in range(8)]
+    )
+    return _NullSignals(ordered, np.sort(chances.min(axis=0)), tuple(float(each) for each in counts.mean(axis=1)))

@@ -1,4 +1,4 @@
-"""The values of a characteristic in order of time, with the unit, station, lot and fixture of each."""
+"""The values of a metric in order of time, with the unit, station, lot and fixture of each."""
 
 import json
 from collections import Counter, defaultdict
@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from analytics.metrics.names import check_metrics
-from analytics.metrics.registry import metrics
+from analytics.evaluation.selection import evaluated
+from analytics.metric_registry.registry import check_metrics, metrics
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray, IntArray
 from stream.errors import NotFound
@@ -18,22 +18,13 @@ from stream.errors import NotFound
 GROUPS = ("station", "fixture", "lot")
 UNGIVEN = "(not given)"
 
-# What was found beside the value, not asked for: values that differ in these are values of one characteristic.
-_FOUND = frozenset(
-    {
-        "duration_s",
-        "n_effective",
-        "repeat",
-        "repeats",
-        "scale_factor",
-        "scale_source",
-        "epochs",
-        "days",
-        "power_ons",
-        "n",
-        "remark",
-    }
-)
+# Results beside the value, no settings: values that differ in these are of one kind.
+_RESULTS = frozenset(
+    (
+        "duration_s", "n_effective", "repeat", "repeats", "scale_factor", "scale_source", "epochs", "days",
+        "power_ons", "n", "remark",
+    )
+)  # fmt: skip
 _TEMPERATURE = "temperature"
 _TEMPERATURE_GAP_DEG_C = 5.0
 _FEW = 12
@@ -71,7 +62,7 @@ left join runs r on r.run = coalesce(c.run, c.runs[-1])
 
 
 class Variant(NamedTuple):
-    """Which of the kinds of values that a characteristic has: its standard and what it was asked with."""
+    """A kind of values of a metric: its standard and its settings."""
 
     standard: str
     parameters: tuple[tuple[str, str], ...]
@@ -81,20 +72,17 @@ class Variant(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Series:
-    """Values in order of time.
+class MetricSeries:
+    """Values of a metric in order of time.
 
     Parameters
     ----------
-    metric, unit_of_measure: What they are of.
-    value, uncertainty: shape (n,); in that unit; the standard uncertainty is NaN where unknown.
+    value, uncertainty: shape (n,); the standard uncertainty is NaN where unknown.
     t_ns: shape (n,); when each was measured; where the date of a run is unknown, when it was recorded.
-    unit: Which unit; with the signal where units have several.
-    run: In which run.
-    groups: Of each value, for `GROUPS`, `product` and `signal`.
-    variant: Which kind of values.
-    others: The other kinds that there are.
-    without_value: Rows of this kind that have a reason in place of a value.
+    unit: Unit of each value; with the signal where units have several.
+    groups: Levels of each value, for `GROUPS`, `product` and `signal`.
+    variant, others: The kind of values, and the other kinds in the store.
+    without_value: Rows of this kind that have a reason instead of a value.
     dated: Whether the dates of all runs are known.
     """
 
@@ -113,12 +101,12 @@ class Series:
 
     @property
     def is_magnitude(self) -> bool:
-        """Whether these values cannot be negative, as deviations and sizes of effects cannot."""
+        """Whether the values cannot be negative, as deviations and sizes of effects."""
         known = metrics().get(self.metric)
         return known is not None and known.header.better == "lower" and bool((self.value >= 0).all())
 
-    def where(self, chosen: Iterable[int]) -> "Series":
-        """Only some of the values, by their numbers."""
+    def where(self, chosen: Iterable[int]) -> "MetricSeries":
+        """Some of the values, by their indices."""
         at = np.array(list(chosen), np.int64)
         return replace(
             self,
@@ -130,19 +118,17 @@ class Series:
             groups={name: [levels[index] for index in at] for name, levels in self.groups.items()},
         )
 
-    def first_of_units(self) -> "Series":
-        """The first value of each unit: a unit that was measured again is not a new unit."""
-        seen: dict[str, int] = {}
-        for index, unit in enumerate(self.unit):
-            seen.setdefault(unit, index)
-        return self.where(seen.values())
+    def first_of_units(self) -> "MetricSeries":
+        """The first value of each unit: a repeated measurement is no new unit."""
+        first = {unit: index for index, unit in reversed(list(enumerate(self.unit)))}
+        return self.where(sorted(first.values()))
 
-    def split(self, by: str) -> dict[str, "Series"]:
+    def split(self, by: str) -> dict[str, "MetricSeries"]:
         """The values of each unit, or level of a group, by name."""
         return {level: self.where(at) for level, at in self.places(by).items()}
 
     def places(self, by: str) -> dict[str, IntArray]:
-        """Numbers of the values of each unit, or level of a group, by name."""
+        """Indices of the values of each unit, or level of a group, by name."""
         levels = self.unit if by == "unit" else self.groups[by]
         found: defaultdict[str, list[int]] = defaultdict(list)
         for index, level in enumerate(levels):
@@ -151,7 +137,7 @@ class Series:
 
 
 class Choice(NamedTuple):
-    """Which values are wanted; what is left out is not restricted."""
+    """Selection of values; None and empty select all."""
 
     units: tuple[str, ...] = ()
     signal: str | None = None
@@ -164,24 +150,20 @@ class Choice(NamedTuple):
     since_ns: int | None = None
 
 
-def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> Series:  # noqa: B008  it is a tuple
-    """Read the values of one characteristic from the store.
+def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> MetricSeries:  # noqa: B008  it is a tuple
+    """Read the values of one metric from the store; only this metric is computed.
 
-    Where a characteristic has several kinds of values (averaging times, axes, with and without the Earth's rate) and
-    the choice leaves more than one, the kind with the most values is taken; the others are named in the result.
-
-    Raises
-    ------
-    BadInput: If there is no such characteristic; the message names those that look alike.
-    NotFound: If there is no value of it.
+    Where a metric has several kinds of values (averaging times, axes, with and without the Earth's rate) and the choice
+    leaves more than one, the kind with the most values is used; the others are named in the result.
     """
     check_metrics([metric])
-    rows = [
-        row | {"parameters": json.loads(row["parameters"] or "{}")}
-        for batch in catalog.batches(_SQL, {"metric": metric})
-        for row in batch.to_pylist()
-    ]
-    kept = [row for row in rows if _is_wanted(row, choice)]
+    with evaluated(catalog, [metric]):
+        rows = [
+            row | {"parameters": json.loads(row["parameters"] or "{}")}
+            for batch in catalog.batches(_SQL, {"metric": metric})
+            for row in batch.to_pylist()
+        ]
+    kept = [row for row in rows if _is_selected(row, choice)]
     if not kept:
         raise NotFound(_nothing(metric, rows, choice))
     variant, others, kept = _one_kind(kept)
@@ -192,7 +174,7 @@ def read_series(catalog: Catalog, metric: str, choice: Choice = Choice()) -> Ser
     return _series(metric, valued, variant, others, len(kept) - len(valued))
 
 
-def _is_wanted(row: Mapping[str, Any], choice: Choice) -> bool:
+def _is_selected(row: Mapping[str, Any], choice: Choice) -> bool:
     asked = (
         (not choice.units or row["unit"] in choice.units),
         choice.signal in {None, row["signal"]},
@@ -235,7 +217,7 @@ def _nothing(metric: str, rows: list[dict[str, Any]], choice: Choice) -> str:
 
 
 def _settings(rows: list[dict[str, Any]]) -> set[str]:
-    """Parameters that tell kinds of values apart: words, averaging times, what values of the same steps differ in."""
+    """Parameters that distinguish kinds of values: words, averaging times, those by which values of one step differ."""
     named: set[str] = set()
     same: defaultdict[tuple[object, ...], list[dict[str, Any]]] = defaultdict(list)
     for row in rows:
@@ -254,11 +236,11 @@ def _settings(rows: list[dict[str, Any]]) -> set[str]:
         for name in named
         if len({parameter_text(row["parameters"].get(name)) for row in rows}) <= max(_FEW, len(rows) // 20)
     }
-    return (few - _FOUND) | {_TEMPERATURE}
+    return (few - _RESULTS) | {_TEMPERATURE}
 
 
 def _temperature_classes(rows: list[dict[str, Any]]) -> dict[float, str]:
-    """Measured temperatures that belong together, with their median: a gap of more than 5 degC parts them."""
+    """Measured temperatures by the median of their class: classes are separated by gaps of more than 5 degC."""
     found = sorted(
         {float(each) for row in rows if isinstance(each := row["parameters"].get(_TEMPERATURE), int | float)}
     )
@@ -274,42 +256,39 @@ def _kinds(rows: list[dict[str, Any]]) -> dict[Variant, list[dict[str, Any]]]:
     settings, classes = _settings(rows), _temperature_classes(rows)
     kinds: defaultdict[Variant, list[dict[str, Any]]] = defaultdict(list)
     for row in rows:
-        told = {
+        kind = {
             name: parameter_text(value)
             for name, value in row["parameters"].items()
             if name in settings and value is not None
         }
         if (temperature := row["parameters"].get(_TEMPERATURE)) in classes:
-            told[_TEMPERATURE] = classes[temperature]
-        kinds[Variant(row["standard"] or "", tuple(sorted(told.items())))].append(row)
+            kind[_TEMPERATURE] = classes[temperature]
+        kinds[Variant(row["standard"] or "", tuple(sorted(kind.items())))].append(row)
     return kinds
 
 
 def _one_kind(rows: list[dict[str, Any]]) -> tuple[Variant, tuple[Variant, ...], list[dict[str, Any]]]:
     kinds = _kinds(rows)
-    # of two with as many values the one at room temperature
-    order = sorted(
-        kinds,
-        key=lambda kind: (
-            -sum(row["value"] is not None for row in kinds[kind]),
-            ("room", "False") in kind.parameters,
-            kind,
-        ),
-    )
+
+    def rank(kind: Variant) -> tuple[int, bool, Variant]:
+        """Most values first; of two with as many the one at room temperature."""
+        return -sum(row["value"] is not None for row in kinds[kind]), ("room", "False") in kind.parameters, kind
+
+    order = sorted(kinds, key=rank)
     return order[0], tuple(order[1:]), kinds[order[0]]
 
 
 def _series(
     metric: str, rows: list[dict[str, Any]], variant: Variant, others: tuple[Variant, ...], without_value: int
-) -> Series:
+) -> MetricSeries:
     units = Counter(row["unit_of_measure"] for row in rows)
     (unit_of_measure, _), *_rest = units.most_common()
-    # outputs in volts and in deg/s have scale factors that cannot stand on one chart
+    # scale factors of outputs in volts and in deg/s cannot share a chart
     without_value += sum(row["unit_of_measure"] != unit_of_measure for row in rows)
     rows = [row for row in rows if row["unit_of_measure"] == unit_of_measure]
     rows.sort(key=lambda row: (_moment(row) or 0, row["run"] or "", row["unit"], row["signal"], row["steps"] or []))
     several = len({row["signal"] for row in rows}) > 1
-    return Series(
+    return MetricSeries(
         metric=metric,
         unit_of_measure=unit_of_measure,
         value=np.array([row["value"] for row in rows], np.float64),

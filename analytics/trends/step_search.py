@@ -1,4 +1,4 @@
-"""The search for one more step of level, in noise that may wander from session to session."""
+"""The search for one more level step, in noise that may wander from session to session."""
 
 import math
 from typing import NamedTuple
@@ -7,34 +7,33 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import stdtr
 
-from analytics.trends.session_layout import Step
-from analytics.trends.session_model import Noise, SessionModel, Sums, Whitened
+from analytics.trends.sessions import LevelStep, SessionModel, SessionNoise, Sums, Whitened
 from stream.batch import FloatArray, IntArray
 
 _SIMULATED = 500
 _SEED = 20260781
 _CONFIDENCE = 0.95
-_WHITE = Noise(0.0, 0.0)
+_WHITE = SessionNoise(0.0, 0.0)
 # a likelihood ratio below which not even one moment alone is significant at 1 %
 _IDLE = 6.6
-# up to this probability in white noise that in noise of the sessions is computed
+# up to this probability in white noise, the one in noise of the sessions is computed
 _SEEN = 0.05
-# noises within so much of the greatest log-likelihood are plausible
+# noises within this much of the greatest log-likelihood are plausible
 _PLAUSIBLE = 2.0
 # beyond this quantile of the simulated ones probabilities are extrapolated by an exponential
 _TAIL = 0.03
 
 
-class Found(NamedTuple):
+class BestStep(NamedTuple):
     """The best step; the probability of one as good in white noise, and in noise of the sessions."""
 
-    step: Step
+    step: LevelStep
     seen: float
     wander: float
 
 
-class _Fit(NamedTuple):
-    """Of one noise: what is left of the sums of squares, of each series, and the likelihood's other part."""
+class _NoiseFit(NamedTuple):
+    """The fixed columns fitted under one noise: remaining sums of squares of each series, and the normal equations."""
 
     whitened: Whitened
     products: FloatArray
@@ -46,7 +45,7 @@ class _Fit(NamedTuple):
 class StepSearch:
     """The search for one more step beside fixed columns."""
 
-    def __init__(self, model: SessionModel, steps: list[Step], fixed: FloatArray) -> None:
+    def __init__(self, model: SessionModel, steps: list[LevelStep], fixed: FloatArray) -> None:
         self._model = model
         self._all = steps
         self._fixed = fixed
@@ -55,12 +54,12 @@ class StepSearch:
             np.column_stack([step.column for step in self._steps]) if self._steps else np.empty((len(fixed), 0))
         )
 
-    def with_step(self, step: Step) -> "StepSearch":
-        """The same search where one more step is known."""
+    def with_step(self, step: LevelStep) -> "StepSearch":
+        """The same search beside one more known step."""
         return StepSearch(self._model, self._all, np.column_stack([self._fixed, step.column]))
 
-    def without(self, step: Step) -> "StepSearch":
-        """The same search where a step that was added is none."""
+    def without(self, step: LevelStep) -> "StepSearch":
+        """The same search without a step that was added."""
         kept = [at for at in range(self._fixed.shape[1]) if not np.array_equal(self._fixed[:, at], step.column)]
         return StepSearch(self._model, self._all, self._fixed[:, kept])
 
@@ -68,31 +67,31 @@ class StepSearch:
     def _freedom(self) -> int:
         return int(self._model.values - self._fixed.shape[1])
 
-    def _fit(self, whitened: Whitened, sums: Sums) -> _Fit:
+    def _fit(self, whitened: Whitened, sums: Sums) -> _NoiseFit:
         products = whitened.turn @ sums.products
         normal = self._fixed.T @ whitened.weight @ self._fixed
         right = self._fixed.T @ products
         squares = sums.squares - np.sum(sums.products * (whitened.inner @ sums.products), axis=0)
         squares = squares - np.sum(right * np.linalg.solve(normal, right), axis=0)
-        return _Fit(whitened, products, np.maximum(squares, 1e-12 * sums.squares), normal, right)
+        return _NoiseFit(whitened, products, np.maximum(squares, 1e-12 * sums.squares), normal, right)
 
-    def _fits(self, sums: Sums) -> list[_Fit]:
+    def _fits(self, sums: Sums) -> list[_NoiseFit]:
         return [self._fit(each, sums) for each in self._model.whitened]
 
-    def _likelihood(self, fit: _Fit, squares: FloatArray) -> FloatArray:
+    def _likelihood(self, fit: _NoiseFit, squares: FloatArray) -> FloatArray:
         """Logarithm of the restricted likelihood."""
         log_det = fit.whitened.log_det + float(np.linalg.slogdet(fit.normal)[1])
         return -0.5 * (log_det + self._freedom * np.log(squares))
 
-    def _explained(self, fit: _Fit) -> tuple[FloatArray, FloatArray]:
-        """Of each step and series: its product with what is left; and of each step its information."""
+    def _explained(self, fit: _NoiseFit) -> tuple[FloatArray, FloatArray]:
+        """Of each step and series its product with the residuals; of each step its information."""
         across = fit.whitened.weight @ self._columns
         beside = np.linalg.solve(fit.normal, self._fixed.T @ across)
         product = self._columns.T @ fit.products - beside.T @ fit.right
         information = np.sum(self._columns * across, axis=0) - np.sum(beside * (self._fixed.T @ across), axis=0)
         return product, np.maximum(information, 1e-12)
 
-    def _step_ratios(self, fits: list[_Fit]) -> tuple[FloatArray, IntArray]:
+    def _step_ratios(self, fits: list[_NoiseFit]) -> tuple[FloatArray, IntArray]:
         """Twice the log-likelihood ratio of the best step against none, each with its best noise; which step."""
         series = fits[0].squares.size
         without = np.full(series, -np.inf)
@@ -104,12 +103,12 @@ class StepSearch:
             np.maximum(best, self._likelihood(fit, left), out=best)
         return 2 * (best.max(axis=0) - without), best.argmax(axis=0)
 
-    def _session_ratios(self, fits: list[_Fit]) -> FloatArray:
+    def _session_ratios(self, fits: list[_NoiseFit]) -> FloatArray:
         """Twice the log-likelihood ratio of the best noise of the sessions against none."""
         each = np.array([self._likelihood(fit, fit.squares) for fit in fits])
         return np.asarray(2 * (each.max(axis=0) - each[0]), np.float64)
 
-    def best(self, sums: Sums) -> Found | None:
+    def best(self, sums: Sums) -> BestStep | None:
         """The best step: its probability in white noise, and in noise of the sessions that is plausible."""
         if not self._steps:
             return None
@@ -124,14 +123,14 @@ class StepSearch:
         wander = 1.0
         if seen <= _SEEN and ratio[0] > 0:
             wander = max(self._chance(noise, float(ratio[0])) for noise in self._plausible(fits))
-        return Found(self._steps[int(at[0])], seen, wander)
+        return BestStep(self._steps[int(at[0])], seen, wander)
 
-    def _chance(self, noise: Noise, ratio: float) -> float:
+    def _chance(self, noise: SessionNoise, ratio: float) -> float:
         simulated = self._model.simulated(noise, _SIMULATED, np.random.default_rng(_SEED))
         return _tail(self._step_ratios(self._fits(simulated))[0], ratio)
 
     def unsteady(self, sums: Sums, asked: float) -> tuple[float, float] | None:
-        """Deviation of the sessions and its probability in noise alone; None where that is above what is asked."""
+        """Deviation of the sessions and its probability in noise alone; None where that is above `asked`."""
         fits = self._fits(sums)
         ratio = float(self._session_ratios(fits)[0])
         if ratio < _IDLE / 2:
@@ -143,17 +142,13 @@ class StepSearch:
         noise = self._likeliest(fits).whitened.noise
         return self.noise_deviation(sums) * math.sqrt(noise.ratio / self._model.mean_size), chance
 
-    def _likeliest(self, fits: list[_Fit]) -> _Fit:
+    def _likeliest(self, fits: list[_NoiseFit]) -> _NoiseFit:
         return max(fits, key=lambda fit: float(self._likelihood(fit, fit.squares)[0]))
 
-    def _plausible(self, fits: list[_Fit]) -> list[Noise]:
+    def _plausible(self, fits: list[_NoiseFit]) -> list[SessionNoise]:
         """The noise that fits best, and the slowest one that is plausible."""
         likelihood = np.array([float(self._likelihood(fit, fit.squares)[0]) for fit in fits])
-        near = [
-            fit.whitened.noise
-            for fit, each in zip(fits, likelihood, strict=True)
-            if each >= likelihood.max() - _PLAUSIBLE
-        ]
+        near = [fits[at].whitened.noise for at in np.flatnonzero(likelihood >= likelihood.max() - _PLAUSIBLE)]
         slowest = max(near, key=lambda each: each.slow)
         return list(dict.fromkeys([fits[int(likelihood.argmax())].whitened.noise, slowest]))
 
@@ -168,7 +163,7 @@ class StepSearch:
         return self._fixed @ np.linalg.solve(best.normal, best.right)[:, 0]
 
     def residuals(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What its unit and station let expect of each value, and the deviation from that in deviations of noise."""
+        """Value expected of each unit and station, and the standard deviation of the residual in that of the noise."""
         model = self._model
         level = self.levels(model.sums(y))[model.session]
         counts = np.bincount(model.unit)
@@ -176,8 +171,8 @@ class StepSearch:
         own = share * np.bincount(model.unit, y - level)
         return level + own[model.unit], np.sqrt(1 - share[model.unit])
 
-    def moments(self, sums: Sums, step: Step) -> "Moments":
-        """Of all moments at which this step may be: weights by their likelihoods, and sizes with each noise."""
+    def moments(self, sums: Sums, step: LevelStep) -> "Moments":
+        """All possible moments of this step: weights by their likelihoods, and sizes with each noise."""
         near = [at for at, each in enumerate(self._steps) if each.station == step.station]
         rows = []
         for fit in self._fits(sums):
@@ -195,14 +190,14 @@ class StepSearch:
 class Moments(NamedTuple):
     """Steps at all moments; weights, sizes and standard errors of shape (noises, steps)."""
 
-    steps: list[Step]
+    steps: list[LevelStep]
     weights: FloatArray
     sizes: FloatArray
     errors: FloatArray
     freedom: int
 
     def size(self) -> tuple[float, float, float]:
-        """Size with its 95 % limits, over all moments and noises."""
+        """Size with its 95 % bounds, over all moments and noises."""
         mean = float(np.sum(self.weights * self.sizes))
         live = self.weights > 1e-9
         weights, sizes, errors = self.weights[live], self.sizes[live], self.errors[live]
@@ -215,7 +210,7 @@ class Moments(NamedTuple):
         lo, hi = (brentq(lambda size, p=p: below(size) - p, mean - far, mean + far) for p in (tail, 1 - tail))
         return mean, float(lo), float(hi)
 
-    def likely(self) -> list[Step]:
+    def likely(self) -> list[LevelStep]:
         """The moments that hold 95 % of the weight."""
         weight = self.weights.sum(axis=0)
         order = np.argsort(-weight, kind="stable")
@@ -229,7 +224,7 @@ def _depends(column: FloatArray, fixed: FloatArray) -> bool:
 
 
 def _tail(simulated: FloatArray, value: float) -> float:
-    """Probability of a value at least so large."""
+    """Probability of a value at least this large."""
     n = simulated.size
     above = int((simulated >= value).sum())
     if above >= _TAIL * n:

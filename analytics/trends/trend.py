@@ -1,84 +1,71 @@
-"""The trend of a characteristic: charts, what stands out on them, which group differs, what the process can keep."""
+"""The trend of a metric: control charts, changes, drift, differences between groups, capability."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from analytics.trends.between_stations import Comparison, compare_groups
-from analytics.trends.capability import Capability, capability
-from analytics.trends.change_points import ChangePoint, Changes, change_points
-from analytics.trends.chart_chance import ChartChance, chart_chance, wild_point_chance
-from analytics.trends.control_chart import IndividualsChart, Spread, individuals_chart
-from analytics.trends.drift import Drift, drift
-from analytics.trends.ewma import EwmaChart, ewma_chart
+from analytics.trends.between_stations import GroupComparison, compare_groups, components
+from analytics.trends.capability import Capability, SpecifiedLimits, capability
+from analytics.trends.change_points import ChangePoint, Changes, Drift, change_points, drift
+from analytics.trends.control_chart import EwmaChart, IndividualsChart, Spread, ewma_chart, individuals_chart
 from analytics.trends.level_shifts import LevelShift, LevelShifts, level_shifts
-from analytics.trends.mixed_model import Deviation
-from analytics.trends.nelson_rules import points_of, rule_flags
-from analytics.trends.series import GROUPS, Series
-from analytics.trends.variance_components import components
-from analytics.trends.words import Refused, Words
+from analytics.trends.mixed_model import ComponentDeviation
+from analytics.trends.nelson_rules import ChartChance, chart_chance, points_of, rule_flags, wild_point_chance
+from analytics.trends.series import GROUPS, MetricSeries
+from analytics.trends.words import NotComputed, Words, joined, not_computed
 from stream.batch import FloatArray, IntArray
 
 FALSE_ALARM = 0.01
-"""Probability with which noise alone shows a wild point, a change, a drift, or too many signals: of each of these."""
+"""Probability that noise alone shows an outlier; the same for a change, a drift, and too many signals."""
 NS_PER_DAY = 86_400 * 10**9
 _MOST_SIMULATED = 40
 
 
-class Limits(NamedTuple):
-    """Limits of the specification that hold for a series, in its unit; `why_not` where there are none."""
-
-    lower: float | None = None
-    upper: float | None = None
-    source: str = ""
-    why_not: Words | None = None
-
-
 class Chart(NamedTuple):
-    """One series and what is seen in it.
+    """One series with its control limits, signals, changes and drift.
 
     Parameters
     ----------
-    name: Unit, or level of the group; empty where all units stand on one chart.
-    series: The values, in order of time.
-    charted: shape (points,); where its points stand: the values; of a station or fixture that measured units more than
-        once, the level there and how far each value is from what its unit lets expect (`LevelShifts.points`).
+    name: Unit, or level of the group; empty where all units share one chart.
+    charted: shape (points,); the values; for a station or fixture that measured units more than once, the level there
+        plus the deviation of each value from that expected of its unit (`LevelShifts.points`).
     is_adjusted: Whether these differ.
-    limits: Centre and control limits; none below zero of what cannot be negative.
-    z: shape (points,); distances from the centre in sigma; empty where there are no limits.
-    signals: Points that take part in each of Nelson's rules that is met, by its number.
+    limits: Centre and control limits; none below zero where values cannot be negative.
+    z: shape (points,); distances from the centre in sigma; empty without limits.
+    signals: Points in the patterns of each of Nelson's rules that is met, by its number.
     counts: How often each of the eight is met.
-    averages: Moving averages.
-    chance: What noise would show; None where there are so many charts that no number of signals would say anything.
-    wild_point: The most distant point, where it is no chance.
-    too_many: The rule that is met more often than by chance.
-    changes: Changes of level; of a chart that is adjusted, those of `shifts`.
-    drift: Per day; per point where dates are not known.
-    drifts: Whether the drift is no chance.
-    shifts: Changes of level of the stations that the values are of, from all their measurements.
-    is_unsteady: Whether these wander from session to session.
+    chance: Significance; None where there are so many charts that no number of signals would be significant.
+    wild_point: The most distant point, where it is a significant outlier.
+    too_many: The rule that is met significantly more often than by chance.
+    changes: Changes of level; for an adjusted chart, those of `shifts`.
+    drift: Per day; per point where dates are unknown.
+    drifts: Whether the drift is significant.
+    shifts: Level shifts of the stations of these values, from all their measurements.
+    is_unsteady: Whether the stations wander from session to session.
     """
 
     name: str
-    series: Series
+    series: MetricSeries
     charted: FloatArray
     is_adjusted: bool
-    limits: IndividualsChart | Refused
-    z: FloatArray
-    signals: dict[int, list[int]]
-    counts: tuple[int, ...]
-    averages: EwmaChart | None
-    chance: ChartChance | None
-    wild_point: int | None
-    too_many: int | None
-    changes: Changes | Refused
-    drift: Drift | Refused
+    limits: IndividualsChart | NotComputed
+    changes: Changes | NotComputed
+    drift: Drift | NotComputed
     drifts: bool
-    shifts: tuple[LevelShift, ...] = ()
-    is_unsteady: bool = False
+    shifts: tuple[LevelShift, ...]
+    is_unsteady: bool
+    z: FloatArray = np.empty(0)
+    signals: Mapping[int, list[int]] = MappingProxyType({})
+    counts: tuple[int, ...] = (0,) * 8
+    averages: EwmaChart | None = None
+    chance: ChartChance | None = None
+    wild_point: int | None = None
+    too_many: int | None = None
 
     @property
     def has_changed(self) -> bool:
@@ -87,69 +74,57 @@ class Chart(NamedTuple):
 
     @property
     def in_control(self) -> bool | None:
-        """Whether nothing stands out; None where there are too few points to say."""
-        if isinstance(self.limits, Refused):
+        """Whether nothing is significant; None where there are too few points."""
+        if isinstance(self.limits, NotComputed):
             return None
-        return not any(
-            (
-                self.wild_point is not None,
-                self.too_many is not None,
-                self.has_changed,
-                self.drifts,
-                self.shifts,
-                self.is_unsteady,
-            )
-        )
+        is_outside = self.wild_point is not None or self.too_many is not None
+        return not any((is_outside, self.has_changed, self.drifts, self.shifts, self.is_unsteady))
 
 
 @dataclass(frozen=True)
 class Trend:
-    """The trend of a characteristic.
+    """The trend of a metric.
 
     Parameters
     ----------
     series: All values.
-    by: What each chart is of: ``unit``, ``lot``, ``station``, ``fixture``; None where all units stand on one.
-    charts: In order of their names.
-    shifts: Changes of level of single stations, from all values.
+    by: The grouping of the charts, ``unit``, ``lot``, ``station``, ``fixture``; None where all units share one.
+    charts, capabilities: In order of the groups' names.
+    shifts: Level shifts of single stations, from all values.
     comparison: Between stations, fixtures and lots.
-    specification: What the values are compared with.
-    capabilities: Of each chart.
     """
 
-    series: Series
+    series: MetricSeries
     by: str | None
     charts: tuple[Chart, ...]
-    shifts: LevelShifts | Refused
-    comparison: Comparison | Refused
-    specification: Limits
-    capabilities: tuple[Capability | Refused, ...]
+    shifts: LevelShifts | NotComputed
+    comparison: GroupComparison | NotComputed
+    specification: SpecifiedLimits
+    capabilities: tuple[Capability | NotComputed, ...]
 
     @cached_property
-    def components(self) -> dict[str, Deviation]:
+    def components(self) -> dict[str, ComponentDeviation]:
         """Scatter of units, of measurements, and of groups."""
         return components(self.series, GROUPS)
 
 
 def trend_of(
-    series: Series,
+    series: MetricSeries,
     *,
     by: str | None = None,
     baseline: int | None = None,
     spread: Spread = Spread.MEDIAN_MOVING_RANGE,
-    specification: Limits = Limits(),  # noqa: B008  it is a tuple
+    specification: SpecifiedLimits = SpecifiedLimits(),  # noqa: B008  it is a tuple
 ) -> Trend:
-    """Draw up the charts of a series and compare its groups.
+    """Make the control charts of a series and compare its groups.
 
     Parameters
     ----------
-    series: All values in order of time.
     by: One chart for each unit, lot, station or fixture. A chart of a unit has all its values. A chart of a station or
-        fixture has all values measured there; where units were measured more than once, each is charted by how far it
-        is from what its unit lets expect. Other charts have the first value of each unit, since values of one unit
-        resemble each other more than those of different units.
-    baseline: From how many first points the limits are computed; from all if left out.
-    spread: By which rule.
+        fixture has all values measured there; where units were measured more than once, each is charted by its
+        deviation from the value expected of its unit. Other charts have the first value of each unit, since values of
+        one unit are correlated.
+    baseline: From how many first points the limits are computed; from all if omitted.
     specification: For the capability.
     """
     if by is None and len(set(series.unit)) == 1:
@@ -169,10 +144,10 @@ def trend_of(
 
 
 class _Part(NamedTuple):
-    """What stands on one chart: its values, where they stand, and the shifts of their stations."""
+    """The input of one chart: its values, as charted, and the level shifts of their stations."""
 
     name: str
-    series: Series
+    series: MetricSeries
     charted: FloatArray
     is_adjusted: bool
     shifts: tuple[LevelShift, ...] = ()
@@ -180,16 +155,13 @@ class _Part(NamedTuple):
     is_unsteady: bool = False
 
 
-def _parts(series: Series, by: str | None, shifts: LevelShifts | Refused) -> list[_Part]:
+def _parts(series: MetricSeries, by: str | None, shifts: LevelShifts | NotComputed) -> list[_Part]:
     found = []
     places = {"": np.arange(series.value.size)} if by is None else series.places(by)
     for name, at in places.items():
         part = series.where(at)
-        if isinstance(shifts, Refused):
+        if by == "unit" or isinstance(shifts, NotComputed):
             part = part if by == "unit" else part.first_of_units()
-            found.append(_Part(name, part, part.value, is_adjusted=False))
-            continue
-        if by == "unit":
             found.append(_Part(name, part, part.value, is_adjusted=False))
             continue
         stations = set(part.groups["station"])
@@ -205,31 +177,27 @@ def _parts(series: Series, by: str | None, shifts: LevelShifts | Refused) -> lis
 
 
 def _changes_of(shifts: tuple[LevelShift, ...], at: IntArray, points: FloatArray) -> Changes:
-    """Shifts as changes of the chart with these values of the series."""
+    """Level shifts as changes of the chart with these values of the series."""
     changes = tuple(
         ChangePoint(
-            at=int(np.searchsorted(at, each.at)),
-            first=int(np.searchsorted(at, each.first, side="right")),
-            last=min(int(np.searchsorted(at, each.last)), at.size - 1),
-            size=each.size,
-            lo=each.lo,
-            hi=each.hi,
+            int(np.searchsorted(at, each.at)),
+            int(np.searchsorted(at, each.first, side="right")),
+            min(int(np.searchsorted(at, each.last)), at.size - 1),
+            each.size,
+            each.lo,
+            each.hi,
         )
         for each in shifts
     )
     edges = sorted({0, *(each.at for each in changes), at.size})
     stretches = [points[first:last] for first, last in pairwise(edges)]
     squares = sum(float(((each - each.mean()) ** 2).sum()) for each in stretches)
-    return Changes(
-        changes,
-        tuple(float(each.mean()) for each in stretches),
-        float(np.sqrt(squares / max(at.size - len(stretches), 1))),
-        FALSE_ALARM,
-    )
+    sigma = float(np.sqrt(squares / max(at.size - len(stretches), 1)))
+    return Changes(changes, tuple(float(each.mean()) for each in stretches), sigma, FALSE_ALARM)
 
 
-def time_axis(series: Series) -> FloatArray:
-    """Days from the first value; numbers of the points where dates are not known."""
+def time_axis(series: MetricSeries) -> FloatArray:
+    """Days from the first value; indices of the points where dates are unknown."""
     if not series.dated:
         return np.arange(series.value.size, dtype=np.float64)
     return np.asarray((series.t_ns - series.t_ns[:1]) / NS_PER_DAY, np.float64)
@@ -241,33 +209,16 @@ def _chart(part: _Part, charts: int, baseline: int | None, spread: Spread) -> Ch
     limits = individuals_chart(values, baseline=baseline, spread=spread)
     changes = change_points(values, false_alarm=share) if part.changes is None else part.changes
     slope = drift(time_axis(part.series), values)
-    empty = Chart(
-        name=part.name,
-        series=part.series,
-        charted=values,
-        is_adjusted=part.is_adjusted,
-        limits=limits,
-        z=np.empty(0),
-        signals={},
-        counts=(0,) * 8,
-        averages=None,
-        chance=None,
-        wild_point=None,
-        too_many=None,
-        changes=changes,
-        drift=slope,
-        # a step is a slope too; where there are steps, they are what is told
-        drifts=isinstance(slope, Drift)
-        and slope.chance <= share
-        and not (isinstance(changes, Changes) and changes.points)
-        and not part.shifts,
-        shifts=part.shifts,
-        is_unsteady=part.is_unsteady,
+    has_steps = bool(part.shifts) or (isinstance(changes, Changes) and bool(changes.points))
+    # a step gives a slope too; where there are steps, they are reported
+    drifts = isinstance(slope, Drift) and slope.chance <= share and not has_steps
+    chart = Chart(
+        part.name, part.series, values, part.is_adjusted, limits, changes, slope, drifts, part.shifts, part.is_unsteady
     )
-    if isinstance(limits, Refused):
-        return empty
+    if isinstance(limits, NotComputed):
+        return chart
     if part.series.is_magnitude:
-        empty = empty._replace(limits=limits._replace(lower=max(limits.lower, 0.0)))
+        chart = chart._replace(limits=limits._replace(lower=max(limits.lower, 0.0)))
     z = (values - limits.centre) / limits.sigma
     flags = rule_flags(z)
     counts = flags.sum(axis=-1)
@@ -275,7 +226,7 @@ def _chart(part: _Part, charts: int, baseline: int | None, spread: Spread) -> Ch
     if charts <= _MOST_SIMULATED:
         chance = chart_chance(values, counts, baseline=limits.baseline, spread=spread)
     is_wild = wild_point_chance(values) <= share
-    return empty._replace(
+    return chart._replace(
         z=z,
         signals=points_of(flags, z),
         counts=tuple(int(each) for each in counts),
@@ -286,25 +237,23 @@ def _chart(part: _Part, charts: int, baseline: int | None, spread: Spread) -> Ch
     )
 
 
-def _capability(chart: Chart, by: str | None, limits: Limits) -> Capability | Refused:
+def _capability(chart: Chart, by: str | None, limits: SpecifiedLimits) -> Capability | NotComputed:
     if by == "unit":
-        return Refused(
-            Words("it is of a process with many units, not of one unit", "过程能力针对多个样品，而非单个样品")
-        )
+        return not_computed("it is of a process with many units, not of one unit", "过程能力针对多个样品，而非单个样品")
     if limits.why_not is not None:
-        return Refused(limits.why_not)
-    # of units: one that was measured again is no other unit
+        return NotComputed(limits.why_not)
+    # one value a unit: a repeated measurement is no other unit
     units = chart.series.first_of_units()
     return capability(
         units.value,
         limits.lower,
         limits.upper,
-        out_of_control=None if chart.in_control is not False else _what_stands_out(chart),
+        out_of_control=None if chart.in_control is not False else _what_is_significant(chart),
         uncertainty=units.uncertainty,
     )
 
 
-def _what_stands_out(chart: Chart) -> Words:
+def _what_is_significant(chart: Chart) -> Words:
     seen = [
         (chart.wild_point is not None, Words("a wild point", "有异常点")),
         (chart.has_changed or bool(chart.shifts), Words("its level changes", "水平发生变化")),
@@ -315,5 +264,4 @@ def _what_stands_out(chart: Chart) -> Words:
             Words(f"rule {chart.too_many} is met more often than by chance", f"判异准则 {chart.too_many} 超出随机预期"),
         ),
     ]
-    told = [words for is_so, words in seen if is_so]
-    return Words(", ".join(each.en for each in told), "，".join(each.zh for each in told))
+    return joined((words for is_so, words in seen if is_so), ", ", "，")

@@ -1,28 +1,58 @@
-"""Sentences in two languages, and numbers as people read them."""
+"""Sentences in two languages, and numbers rounded for people."""
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 
 class Words(NamedTuple):
-    """The same said in English and in Chinese."""
+    """A text in English and in Chinese."""
 
     en: str
     zh: str
 
-    def said(self, language: str) -> str:
-        """In the language `en` or `zh`."""
+    def in_language(self, language: str) -> str:
+        """The text in the language `en` or `zh`."""
         return self.zh if language == "zh" else self.en
 
 
-class Refused(NamedTuple):
-    """Something that was not computed, and why."""
+class NotComputed(NamedTuple):
+    """A result that was not computed, and why."""
 
     why: Words
 
 
+def not_computed(en: str, zh: str) -> NotComputed:
+    """The reason in two languages."""
+    return NotComputed(Words(en, zh))
+
+
+def words(en: str, zh: str, **parts: object) -> Words:
+    """Templates filled with parts; one that is `Words` goes in by its language.
+
+    Examples
+    --------
+    >>> words("{what} of {n}", "{n}个{what}", what=Words("unit", "样品"), n=3)
+    Words(en='unit of 3', zh='3个样品')
+    """
+    texts = [
+        text.format(**{name: each[at] if isinstance(each, Words) else each for name, each in parts.items()})
+        for at, text in enumerate((en, zh))
+    ]
+    return Words(*texts)
+
+
+def joined(texts: Iterable[Words], en: str = "; ", zh: str = "；") -> Words:
+    """Texts joined by the separators of their languages."""
+    pairs = list(texts)
+    return Words(en.join(each.en for each in pairs), zh.join(each.zh for each in pairs))
+
+
+NOTHING = Words("", "")
+
+
 def figures(value: float, half_width: float) -> str:
-    """A value to two figures of half its interval.
+    """A value rounded to two digits of half its interval.
 
     Examples
     --------
@@ -38,7 +68,7 @@ def figures(value: float, half_width: float) -> str:
 
 
 def interval(value: float, lo: float, hi: float, unit: str) -> Words:
-    """A value with its limits and unit.
+    """A value with its bounds and unit.
 
     Examples
     --------

@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.table import Table
 
 from stream.command_group import CommandGroup
 from stream.console import notes, print_json, progress_bar, reporting, results
 from stream.errors import BadInput
+from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from ingest.can.scan import IdScan, LogScan
@@ -63,7 +63,7 @@ def scan(log: Path, databases: tuple[Path, ...], target: Path | None, unit: str 
 def _report(found: "LogScan") -> None:
     clock = "UTC" if found.date_known else "from the log's start, date unknown"
     title = f"{found.file}: {found.frames:,} frames in {found.seconds:.1f} s (times: {clock})"
-    table = Table(title=title, title_justify="left", header_style="bold")
+    table = ResultTable(title=title)
     for name in ("id", "channel", "frames", "rate", "bytes", "message", "varies", "counter", "constant"):
         table.add_column(name, justify="right" if name in {"channel", "frames", "rate"} else "left")
     for each in found.ids:

@@ -5,9 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.table import Table
-
 from stream.console import DEFAULT_STORE, notes, results
+from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from ingest.importing.file_sending import FileImport
@@ -38,9 +37,7 @@ def _report(imported: "FileImport", folder: Path) -> None:
         console.print(f"{imported.file}: {remark}", markup=False, soft_wrap=True)
     if len(imported.remarks) > _LISTED_REMARKS:
         console.print(f"  ... and {len(imported.remarks) - _LISTED_REMARKS:,} more (--json lists all)")
-    table = Table(
-        title=f"{imported.file}: {imported.rows:,} {imported.counted}", title_justify="left", header_style="bold"
-    )
+    table = ResultTable(title=f"{imported.file}: {imported.rows:,} {imported.counted}")
     for title in ("unit", "run", "signal", "in", "interval", "in file", "added", "already stored", "in lake"):
         table.add_column(title, justify="right" if title in {"interval", "in file", "added", "in lake"} else "left")
     for signal in imported.signals:

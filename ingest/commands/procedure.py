@@ -4,12 +4,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.table import Table
 
 from stream.command_group import CommandGroup
 from stream.completion import ListedName
 from stream.console import notes, print_json, reporting, results
 from stream.errors import BadInput
+from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from ingest.procedures.procedure import PlannedStep, Procedure, Spent
@@ -236,14 +236,14 @@ def _head(found: "Procedure") -> dict[str, Any]:
     return {"name": found.name, "names": found.names, "source": found.source}
 
 
-def _table(*titles: str, left: tuple[str, ...] | None = None) -> Table:
-    table = Table(header_style="bold")
+def _table(*titles: str, left: tuple[str, ...] | None = None) -> ResultTable:
+    table = ResultTable()
     for title in titles:
         table.add_column(title, justify="left" if left is None or title in left else "right")
     return table
 
 
-def _parameter_table(found: "Procedure", chosen: dict[str, Any]) -> Table:
+def _parameter_table(found: "Procedure", chosen: dict[str, Any]) -> ResultTable:
     from ingest.procedures.values import shown
 
     table = _table("parameter", "value", "unit", "what / 含义", "source")
@@ -252,7 +252,7 @@ def _parameter_table(found: "Procedure", chosen: dict[str, Any]) -> Table:
     return table
 
 
-def _step_table(steps: "tuple[PlannedStep, ...]") -> Table:
+def _step_table(steps: "tuple[PlannedStep, ...]") -> ResultTable:
     table = _table("", "step", "words", "set", "power", "warm-up", "settle", "record", "prompt")
     for step in steps:
         power = "" if step.power is None else step.power + (f" {duration(step.off_s)}" if step.off_s else "")

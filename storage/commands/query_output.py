@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.table import Table
 
 from stream.console import csv_text, json_text, notes, results, styled
 from stream.errors import BadInput, GyrofleetError, QueryError
+from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -24,9 +24,7 @@ _HELD_CHARS = 16 << 20
 
 def print_table(result: "Result") -> None:
     """Print the first 200 rows as a table."""
-    table = Table(header_style="bold")
-    for name in result.schema.names:
-        table.add_column(name, overflow="fold")
+    table = ResultTable(*result.schema.names)
     pages = (page.to_pylist() for page in _pages(result))
     rows = list(itertools.islice(itertools.chain.from_iterable(pages), _SHOWN_ROWS + 1))
     for row in rows[:_SHOWN_ROWS]:

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.table import Table
 
 from storage.commands.query_output import cell, print_csv, print_json_rows, print_table, write_parquet
 from stream.console import notes, print_json, reporting, results, store_option
+from stream.result_table import ResultTable
 
 if TYPE_CHECKING:
     from storage.sql.catalog import Catalog
@@ -119,9 +119,7 @@ def _print_tables(catalog: "Catalog", name: str | None, *, as_json: bool) -> Non
     if as_json:
         print_json(rows)
         return
-    table = Table(header_style="bold")
-    for title in rows[0]:
-        table.add_column(title, overflow="fold")
+    table = ResultTable(*rows[0])
     for row in rows:
         table.add_row(*(cell(value) for value in row.values()))
     console.print(table)

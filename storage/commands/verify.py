@@ -5,9 +5,9 @@ from collections import Counter
 from pathlib import Path
 
 import click
-from rich.table import Table
 
 from stream.console import notes, print_json, progress_bar, reporting, results, store_option, styled
+from stream.result_table import ResultTable
 
 _SHOWN_OF_A_KIND = 8
 _COLOURS = {"damage": "red", "loss": "red", "unfinished": "yellow", "note": "default"}
@@ -34,9 +34,7 @@ def verify(folder: Path, *, as_json: bool) -> None:
         print_json({"sound": found.is_sound, **{name: getattr(found, name) for name in found.__struct_fields__}})
         sys.exit(0 if found.is_sound else 1)
     if found.findings:
-        table = Table(header_style="bold")
-        for title in ("", "where", "what", "what `gyrofleet recover` does"):
-            table.add_column(title, overflow="fold")
+        table = ResultTable("", "where", "what", "what `gyrofleet recover` does")
         shown: Counter[str] = Counter()
         for finding in found.findings:
             shown[finding.kind] += 1

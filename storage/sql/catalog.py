@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import entry_points
 from importlib.resources import files
@@ -172,6 +173,15 @@ class Catalog:
     def fill(self) -> None:
         """Compute the tables of all layers now."""
         self._fill(" ".join(table for layer in layers() for table in layer.tables))
+
+    @contextmanager
+    def suspended_layers(self) -> Iterator[tuple[Layer, ...]]:
+        """Within it no layer is filled, so that one can put a part of its tables; the layers not filled yet."""
+        waiting, self._unfilled = self._unfilled, []
+        try:
+            yield tuple(waiting)
+        finally:
+            self._unfilled = waiting
 
     def _fill(self, sql: str) -> None:
         if not self._unfilled:

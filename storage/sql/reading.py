@@ -21,7 +21,7 @@ _ROWS = 122_880  # DuckDB's row group
 
 @dataclass(frozen=True)
 class SignalRecord:
-    """One stored signal of one run."""
+    """One stored signal of one run; `runs` is the number of runs that it was chosen from."""
 
     unit: str
     signal: str
@@ -30,30 +30,28 @@ class SignalRecord:
     samples: int
     irregular: bool
     kept_raw: int | None = None
+    runs: int = 1
 
 
-def find_signal(
-    catalog: Catalog, unit: str, signal: str, run: str | None = None, *, at_least_s: float = 0.0
-) -> SignalRecord:
-    """The record of a signal; without `run` that of the run measured last.
+def find_signal(catalog: Catalog, unit: str, signal: str, run: str | None = None) -> SignalRecord:
+    """The record of a signal; without `run` the longest one, of equally long ones that measured last.
 
-    A run of unknown date counts as measured when it was recorded. Records of at least `at_least_s` seconds take
-    precedence. NotFound lists what the store holds.
+    A run of unknown date counts as measured when it was recorded. NotFound lists what the store holds.
     """
     _check_held(catalog, "unit", unit, "", {})
     _check_held(catalog, "signal", signal, f" of unit {unit}", {"unit": unit})
     if run is not None:
         _check_held(catalog, "run", run, f" of unit {unit}, signal {signal}", {"unit": unit, "signal": signal})
     row = catalog.rows(
-        "select s.run, s.unit_of_measure, s.samples, s.irregular, s.kept_raw "
+        "select s.run, s.unit_of_measure, s.samples, s.irregular, s.kept_raw, count(*) over () "
         "from signals s left join runs r on r.run = s.run "
         "where s.unit = $unit and s.signal = $signal and (s.run = $run or $run is null) "
-        "order by (s.t_last_ns - s.t_first_ns) / 1e9 + coalesce(s.sample_interval_s, 0) >= $at_least_s desc, "
+        "order by s.t_last_ns - s.t_first_ns desc, "
         "case when coalesce(r.date_known, true) then s.t_last_ns else s.arrival_first_ns end desc, "
         "s.arrival_first_ns desc, s.t_first_ns desc limit 1",
-        {"unit": unit, "signal": signal, "run": run, "at_least_s": at_least_s},
+        {"unit": unit, "signal": signal, "run": run},
     )[0]
-    return SignalRecord(unit, signal, str(row[0]), str(row[1]), int(row[2]), bool(row[3]), int(row[4]))
+    return SignalRecord(unit, signal, str(row[0]), str(row[1]), int(row[2]), bool(row[3]), int(row[4]), int(row[5]))
 
 
 def _check_held(catalog: Catalog, column: str, wanted: str, of: str, given: dict[str, str]) -> None:

@@ -12,11 +12,12 @@ import pyarrow as pa
 import pytest
 
 from analytics.evaluation.evaluation import define_views, evaluate
-from analytics.loop.blocks.checks import Note
-from analytics.loop.blocks.reduction import BlockReducer, Reduction
-from analytics.loop.report.remarks_zh import in_chinese
-from analytics.loop.tracing import diagnosis
-from analytics.metrics.registry import metrics
+from analytics.loop.bilingual import chinese
+from analytics.loop.blocks.block_reducer import BlockReducer, Reduction
+from analytics.loop.blocks.reduction_notes import Note
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis
+from analytics.loop.tracing.verdict.conclusion import conclude
+from analytics.metric_registry.registry import metrics
 from analytics.step_records.step_table import step_means
 from storage.lake.lake import build_missing, builder_lock
 from storage.log.event_log import EventLog
@@ -228,28 +229,24 @@ def reduced(tested: TestedUnits, unit: str = "U1", signal: str = "rate", **optio
 
 
 @pytest.fixture(autouse=True)
-def everything_told_is_told_in_chinese(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever limit, note or reason comes up in any test has its sentence in Chinese."""
+def every_caveat_note_and_reason_has_chinese(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever caveat, note or reason comes up in any test has its Chinese form."""
 
-    def known(texts: Iterable[str]) -> None:
+    def check(texts: Iterable[str]) -> None:
         for text in texts:
-            assert in_chinese(text) != text, f"no Chinese in analytics/loop/report/remarks_zh.py for: {text}"
-
-    def checked(function: Callable[..., Any], told: Callable[[Any], Iterable[str]]) -> Callable[..., Any]:
-        def call(*arguments: Any, **options: Any) -> Any:
-            found = function(*arguments, **options)
-            known(told(found))
-            return found
-
-        return call
+            assert re.search("[\u4e00-\u9fff]", chinese(text)), f"no Chinese form of: {text}"
 
     original = Note.__init__
+
+    def concluded(*arguments: Any, **options: Any) -> Diagnosis:
+        found = conclude(*arguments, **options)
+        check([*found.limits, *found.missing, *found.not_tested.values()])
+        return found
 
     def note(self: Note, *arguments: Any, **options: Any) -> None:
         original(self, *arguments, **options)
         if sys._getframe(1).f_globals["__name__"].startswith("analytics."):
-            known([self.text])
+            check([self.text])
 
+    monkeypatch.setattr("analytics.loop.tracing.diagnosis.conclude", concluded)
     monkeypatch.setattr(Note, "__init__", note)
-    for name, told in (("_limits", tuple), ("_missing", tuple), ("_not_tested", dict.values)):
-        monkeypatch.setattr(diagnosis, name, checked(getattr(diagnosis, name), told))

@@ -127,3 +127,13 @@ def test_what_the_guide_shows_of_arrays_runs(tmp_path: Path, monkeypatch: pytest
     assert found["curve"].unit_of_measure == "deg/h"
     assert found["fit"].angle_random_walk.lo < 0.002 * 60 / np.sqrt(100) < found["fit"].angle_random_walk.hi
     assert (tmp_path / "allan.png").stat().st_size > 20_000
+
+
+def test_a_term_that_is_not_observable_has_a_bound_and_no_value() -> None:
+    white = np.random.default_rng(3).normal(0.0, 6.0, 100_000)
+    fit = gf.noise_fit(gf.allan_deviation(white, rate_hz=100.0, unit_of_measure="deg/h"))
+    assert fit.angle_random_walk.observable
+    assert fit.angle_random_walk.value > 0.0
+    assert not fit.rate_ramp.observable
+    assert np.isnan(fit.rate_ramp.value)
+    assert fit.rate_ramp.hi > 0.0

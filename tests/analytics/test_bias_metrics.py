@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analytics.metrics.variance_components import Variance, between, beyond, means_noise, scatter
+from analytics.methods.repeatability import Variance, between, beyond, means_noise, scatter
 from stream.estimators.noise.normalised_random_walk import angle_random_walk_normalised
 from stream.events import NoiseFitted
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analytics.loop.blocks.reduction import BlockReducer
+from analytics.loop.blocks.block_reducer import BlockReducer
 from analytics.loop.model.declared_noise import declared_noise
 from analytics.loop.model.error_model import ErrorModel
 from stream.estimators.base import NoEstimate

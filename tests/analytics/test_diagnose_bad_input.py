@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analytics.commands.diagnose import noise_of
-from analytics.loop.blocks.checks import check_runs
-from analytics.loop.blocks.reduction import BlockReducer
+from analytics.commands.diagnose_options import noise_of
+from analytics.loop.blocks.block_reducer import BlockReducer
+from analytics.loop.blocks.record_checks import check_runs
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
-from analytics.loop.effects.shape_values import number
+from analytics.loop.effects.base import number
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.model_text import parse_model
 from analytics.loop.tracing.diagnosis import diagnose
-from analytics.loop.tracing.result import Verdict
+from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
 from analytics.loop.unit_diagnosis import diagnose_units
 from analytics.loop.unit_reduction import Question
 from stream.batch import FloatArray
@@ -46,7 +46,7 @@ def test_a_line_in_one_run_is_told_with_its_amplitude() -> None:
     line = 1.0 * np.sin(2.0 * np.pi * np.arange(BLOCKS) * 30.0 / 200.0)
     runs[1] = one_run(1, np.asarray(runs[1].value + line))
     found = diagnose(runs, MODEL)
-    assert found.verdict is Verdict.UNREPLICATED
+    assert found.verdict is ModelVerdict.UNREPLICATED
     seen = {each["name"]: each for each in found.document()["unreplicated"]}
     # over the four training runs, three of which do not have it: 1 deg/h over sqrt(4)
     assert seen["periodic_line"]["coefficient"] == pytest.approx(0.5, rel=0.15)
@@ -57,7 +57,7 @@ def test_a_line_in_one_run_is_told_with_its_amplitude() -> None:
 def test_an_output_that_stands_still_is_not_traced(value: float) -> None:
     runs = [one_run(each, np.full(BLOCKS, value)) for each in range(4)]
     found = diagnose(runs, MODEL)
-    assert found.verdict is Verdict.NOT_ENOUGH_DATA
+    assert found.verdict is ModelVerdict.NOT_ENOUGH_DATA
     assert "dead or stuck" in found.missing[0]
 
 
@@ -76,8 +76,8 @@ def test_too_little_beside_the_runs_held_out_is_said() -> None:
         channels=few,
     )  # fmt: skip
     found = diagnose(runs, MODEL, holdout=["r1", "r2"])
-    assert found.verdict is Verdict.NOT_ENOUGH_DATA
-    assert found.missing[0].startswith("without the runs held out: 5 blocks")
+    assert found.verdict is ModelVerdict.NOT_ENOUGH_DATA
+    assert found.missing[0].startswith("without the held-out runs: 5 blocks")
 
 
 def test_dead_runs_and_copies_are_noted() -> None:

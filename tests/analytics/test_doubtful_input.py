@@ -62,7 +62,7 @@ def test_a_fill_value_is_no_motion_though_every_column_has_it(tested: TestedUnit
     assert blocks.document() == {
         "what": "120 blocks",
         "share": 2 / 120,
-        "why": "a reading of the signal lies far outside of those before and after it",
+        "why": "a reading of the signal lies far outside its neighbours",
     }
 
 
@@ -83,7 +83,7 @@ def test_a_rate_under_the_label_of_another_unit_is_reported(
     one_hertz(tested, "r1", rate=(rate, "deg/h"), input_rate=(factor * turned, label))
     found = told(tested, "unit_label")
     assert bool(found) is is_wrong
-    assert all("mend the label and import anew" in text for text in found)
+    assert all("correct the label and import again" in text for text in found)
 
 
 def test_isolated_outliers_that_raise_n_are_reported(gyrofleet: Callable[..., Any], tmp_path: Path) -> None:

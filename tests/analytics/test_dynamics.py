@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from analytics.calibration.dynamics import crossing, first_order_bandwidth, output_delay
-from analytics.calibration.frequency_response import Record, Response, response_of
-from analytics.calibration.sine_fit import fit_sine
+from analytics.methods.dynamics import crossing, first_order_bandwidth, output_delay
+from analytics.methods.frequency_response import Response, SineRatio, response_of
+from analytics.methods.sine_fit import fit_sine
 from stream.batch import FloatArray
 from stream.errors import BadInput
 
@@ -196,10 +196,10 @@ def test_metrics_are_the_clauses_formulas_on_the_raw_arrays(tested: Any) -> None
 
 
 def simulated(rng: np.random.Generator, sigma: float, records: int) -> Response:
-    def record(f: float, exact: complex) -> Record:
+    def record(f: float, exact: complex) -> SineRatio:
         gain, turned = abs(exact), sigma / abs(exact)
         noise = rng.standard_normal(2)
-        return Record(f, gain + sigma * noise[0], sigma, float(np.angle(exact)) + turned * noise[1], turned)
+        return SineRatio(f, gain + sigma * noise[0], sigma, float(np.angle(exact)) + turned * noise[1], turned)
 
     return response_of([record(f, lag(f)) for f in FREQUENCIES for _ in range(records)])
 
@@ -230,7 +230,7 @@ def test_limits_hold_the_truth_as_often_as_they_say(records: int) -> None:
 def test_a_second_order_gyro_has_its_crossing_and_a_wider_first_order_bandwidth() -> None:
     rng = np.random.default_rng(7)
     records = [
-        Record(f, 1 / math.hypot(1, (f / 50) ** 2) + 1e-4 * rng.standard_normal(), 1e-4, math.nan, math.nan)
+        SineRatio(f, 1 / math.hypot(1, (f / 50) ** 2) + 1e-4 * rng.standard_normal(), 1e-4, math.nan, math.nan)
         for f in FREQUENCIES
         for _ in range(10)
     ]
@@ -251,7 +251,9 @@ def test_a_second_order_gyro_has_its_crossing_and_a_wider_first_order_bandwidth(
 def test_delays_of_many_turns_and_inverted_outputs(sign: int, delay_s: float) -> None:
     f = np.array(FREQUENCIES)
     turned = sign * np.exp(-2j * np.pi * f * delay_s) / (1 + 1j * f / 50)
-    response = response_of([Record(*each) for each in zip(f, abs(turned), f * 0, np.angle(turned), f * 0, strict=True)])
+    response = response_of(
+        [SineRatio(*each) for each in zip(f, abs(turned), f * 0, np.angle(turned), f * 0, strict=True)]
+    )
     assert output_delay(response).value == pytest.approx(delay_s, abs=1e-12)
 
 

@@ -10,12 +10,12 @@ from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
-from analytics.loop.report.evidence import alternative
-from analytics.loop.report.sentences import verdict_sentence
+from analytics.loop.report.finding_sentences import alternative
+from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Wording
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.partial_channels import partial_channels
-from analytics.loop.tracing.result import Verdict
+from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
 from stream.batch import FloatArray
 
 BIAS = ErrorModel.parse("rate = bias")
@@ -52,7 +52,7 @@ def test_a_proxy_stands_for_causes_that_are_not_recorded() -> None:
     runs = supply_runs()
     found = diagnose(runs, BIAS, declared_noise=NOISE)
     assert found.names == ("supply_current",)
-    assert found.verdict is Verdict.CONFOUNDED
+    assert found.verdict is ModelVerdict.CONFOUNDED
     others = {each.name: each for each in found.confounded}
     assert not others["supply_voltage"].recorded
     assert others["supply_voltage"].evidence_behind is None
@@ -102,7 +102,7 @@ def test_effects_of_a_channel_that_one_run_lacks_are_looked_for_where_it_is() ->
         for run in runs
     ]
     found = diagnose(quiet, model, declared_noise=NOISE)
-    assert found.verdict is Verdict.NOTHING_MISSING
+    assert found.verdict is ModelVerdict.NOTHING_MISSING
     assert len(found.runs) == 10
     assert found.detection_limits["scale_factor"].absent_above < 0.01
     assert "scale_factor" not in found.not_tested
@@ -131,7 +131,7 @@ def test_what_moves_by_rounding_alone_is_not_called_absent() -> None:
         warm = np.asarray(25.0 + last_digit * rng.integers(0, 3, BLOCKS), dtype=np.float64)
         runs.append(one_run(number, np.zeros(BLOCKS), rng, {"temperature": warm}))
     found = diagnose(runs, BIAS, declared_noise=NOISE)
-    assert found.verdict is Verdict.NOTHING_MISSING
+    assert found.verdict is ModelVerdict.NOTHING_MISSING
     assert "temperature_rate" not in found.detection_limits
-    assert "too little to look for it" in found.not_tested["temperature_rate"]
+    assert "too little to test it" in found.not_tested["temperature_rate"]
     assert all(each.absent_above < 1e9 for each in found.detection_limits.values())

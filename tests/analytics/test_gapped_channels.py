@@ -10,7 +10,7 @@ from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.gapped_channels import gapped_channels
-from analytics.loop.tracing.result import Verdict
+from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
 from stream.batch import BoolArray, FloatArray
 
 MODEL = ErrorModel.parse("rate = bias")
@@ -108,7 +108,7 @@ def test_what_no_trace_has_looked_for_is_reported_and_denies_that_nothing_is_mis
     monkeypatch.setattr("analytics.loop.tracing.partial_channels.MOST_GROUPS", 4)
     found = diagnose(polled(alike=False), MODEL, declared_noise=NOISE)
     assert "has gaps in other blocks than" in found.not_tested["magnetic_o"]
-    assert found.verdict is Verdict.NOT_ENOUGH_DATA
+    assert found.verdict is ModelVerdict.NOT_ENOUGH_DATA
     (lost,) = [each for each in found.left_out if each.is_grave]
     assert (lost.what, lost.share) == ("channel magnetic_o", 1.0)
 

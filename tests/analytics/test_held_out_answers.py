@@ -10,13 +10,14 @@ import pytest
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
-from analytics.loop.report.evidence import evidence
-from analytics.loop.report.sentences import verdict_sentence
+from analytics.loop.report.finding_sentences import evidence
+from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Wording
 from analytics.loop.tracing.diagnosis import diagnose
-from analytics.loop.tracing.error_gain import error_gain
-from analytics.loop.tracing.result import Answer, Diagnosis, Holdout, HoldoutSlope, Verdict
-from analytics.loop.tracing.verdict_checks import holdout_limits
+from analytics.loop.tracing.held_out.error_report import error_gain
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
+from analytics.loop.tracing.result.holdout import HeldOutAnswer, Holdout, HoldoutSlope
+from analytics.loop.tracing.verdict.caveats import holdout_caveats
 from tests.bench.loop_campaign import Campaign, Planted
 
 DECLARED = NoiseCoefficients(N=0.005, B=0.01, K=0.006, turn_on=0.05)
@@ -56,7 +57,7 @@ def test_a_term_that_the_training_runs_do_not_turn_forbids_nothing_missing() -> 
     rng = np.random.default_rng(15)
     runs = [gyro_run(number, rng, rate=each) for number, each in enumerate((0.0, 0.0, 40.0))]
     found = diagnose(runs, ErrorModel.parse("rate = bias + scale_factor*input_rate"))
-    assert found.verdict is Verdict.NOT_ENOUGH_DATA
+    assert found.verdict is ModelVerdict.NOT_ENOUGH_DATA
     assert "scale_factor" in found.missing[0]
     assert "--holdout runs=" in found.missing[0]
     assert found.error is not None
@@ -65,7 +66,7 @@ def test_a_term_that_the_training_runs_do_not_turn_forbids_nothing_missing() -> 
     noise = NoiseCoefficients(N=0.0046, B=0.01, K=0.01, turn_on=0.3)
     model = ErrorModel.parse("rate = bias + scale_factor*input_rate")
     advised = diagnose(runs, model, holdout=["r0"], declared_noise=noise)
-    assert advised.verdict is Verdict.NOTHING_MISSING
+    assert advised.verdict is ModelVerdict.NOTHING_MISSING
 
 
 def test_an_error_far_above_the_noise_in_the_held_out_runs_forbids_nothing_missing() -> None:
@@ -73,7 +74,7 @@ def test_an_error_far_above_the_noise_in_the_held_out_runs_forbids_nothing_missi
     rng = np.random.default_rng(16)
     runs = [gyro_run(number, rng, rate=1e-5) for number in range(6)] + [gyro_run(6, rng, rate=50.0)]
     found = diagnose(runs, ErrorModel.parse("rate = bias + scale_factor*input_rate"), holdout=["r6"])
-    assert found.verdict is Verdict.UNEXPLAINED
+    assert found.verdict is ModelVerdict.UNEXPLAINED
     assert found.unexplained is not None
     assert "noise allows" in sentence(found, runs[0])
     assert "噪声仅允许" in sentence(found, runs[0], "zh")
@@ -85,9 +86,9 @@ def test_held_out_runs_that_do_not_excite_an_effect_neither_confirm_nor_refuse_i
     runs = [gyro_run(number, rng, rate=0.0, supply=each) for number, each in enumerate(moves)]
     found = diagnose(runs, ErrorModel.parse("rate = bias"))
     assert found.holdout is not None
-    assert found.holdout.answer("supply_voltage") is Answer.NO_POWER
+    assert found.holdout.answer("supply_voltage") is HeldOutAnswer.NO_POWER
     assert found.document()["holdout"]["answer"] == "no_power"
-    assert found.verdict is Verdict.UNREPLICATED
+    assert found.verdict is ModelVerdict.UNREPLICATED
     (effect,) = found.effects
     assert effect.confirmed is None
     limit = next(each for each in found.limits if "neither confirm nor refuse" in each)
@@ -97,7 +98,7 @@ def test_held_out_runs_that_do_not_excite_an_effect_neither_confirm_nor_refuse_i
     advised = re.search(r"--holdout runs=(\S+)", limit)
     assert advised is not None
     again = diagnose(runs, ErrorModel.parse("rate = bias"), holdout=advised[1].split(","))
-    assert again.verdict is Verdict.EFFECT_FOUND
+    assert again.verdict is ModelVerdict.EFFECT_FOUND
 
 
 @pytest.mark.parametrize("holdout", [(), None])
@@ -107,10 +108,10 @@ def test_nothing_is_found_for_sure_without_held_out_runs(campaign: Campaign, hol
     found = diagnose(runs, MODEL, declared_noise=DECLARED, holdout=holdout)
     assert found.names == ("gravity_o",)
     if holdout is None:
-        assert found.verdict is Verdict.EFFECT_FOUND
+        assert found.verdict is ModelVerdict.EFFECT_FOUND
         assert found.effects[0].confirmed
     else:
-        assert found.verdict is Verdict.UNREPLICATED
+        assert found.verdict is ModelVerdict.UNREPLICATED
         assert "no runs were held out to confirm it" in sentence(found, runs[0])
 
 
@@ -121,8 +122,8 @@ def test_a_slope_far_from_one_is_a_form_that_is_not_exact(campaign: Campaign) ->
     (effect,) = found.effects
 
     def limits(slope: float, slope_se: float) -> list[str]:
-        one = HoldoutSlope("gravity_o", slope, slope_se, 0.07, accepted=True, answer=Answer.CONFIRMED)
-        return holdout_limits(Holdout(("r",), one, (one,)), [effect])
+        one = HoldoutSlope("gravity_o", slope, slope_se, 0.07, accepted=True, answer=HeldOutAnswer.CONFIRMED)
+        return list(holdout_caveats(Holdout(("r",), one, (one,)), [effect]))
 
     assert "its form is not exact" in limits(0.57, 0.09)[0]
     assert "its form is likely not exact" in limits(0.7, 0.09)[0]
@@ -143,7 +144,7 @@ def test_gains_have_limits_over_runs_and_say_where_they_are_chance(campaign: Cam
     assert row.gain.lo < row.gain.fraction < row.gain.hi
     assert row.gain.fraction == pytest.approx(1 - (row.after / row.before) ** 2)
     assert not row.gain.is_significant
-    assert "not significant here" in sentence(found, runs[0])
+    assert "(not significant)" in sentence(found, runs[0])
     assert found.document()["error"]["gain_within"]["rms_1800s"]["runs"] == 5
 
 

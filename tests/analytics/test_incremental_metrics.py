@@ -9,6 +9,8 @@ import pyarrow as pa
 import pytest
 
 from analytics.evaluation import evaluation
+from analytics.evaluation.kept_check import kept_findings
+from analytics.evaluation.selection import Selection, selected
 from analytics.step_records import step_table
 from analytics.step_records.kept_file import write_kept
 from analytics.step_records.reduction import reduce_run
@@ -144,6 +146,47 @@ def test_a_growing_store_has_the_metrics_of_one_computed_from_scratch(tested: An
     values = {(row["metric"], row["unit"]) for row in found.to_pylist() if row["value"] is not None}
     assert {("scale_factor", "U1"), ("bias_repeatability", "U3"), ("visual_check", "U2")} <= values
     assert ("bias_temperature_sensitivity", "U1") in values
+
+
+def test_a_metric_that_is_asked_for_alone_is_the_same_and_the_others_follow_when_they_are_needed(
+    tested: Any, work: Work, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    compute = evaluation._values
+
+    def computed(catalog: Any, metric: Any) -> pa.Table:
+        asked.append(metric.header.id)
+        return compute(catalog, metric)
+
+    monkeypatch.setattr(evaluation, "_values", computed)
+    bench = Bench(tested)
+    bench.still("r1", 0, ("U1", "U2"))
+    bench.rates("r2", 1, "U1")
+
+    def select(*names: str) -> list[dict[str, Any]]:
+        with tested.catalog() as catalog:
+            return selected(catalog, Selection(metrics=names))
+
+    alone = select("bias")
+    assert asked == ["bias"]
+    assert select("bias") == alone
+    assert asked == ["bias"]
+    both = select("bias", "scale_factor")
+    assert sorted(set(asked)) == ["bias", "scale_factor"]
+    assert kept_findings(tested.store) == []
+    with tested.catalog() as catalog:
+        assert select_within(catalog, "bias") == alone
+        whole = selected(catalog, Selection())
+        assert [row for row in whole if row["metric"] in {"bias", "scale_factor"}] == both
+        assert len({row["metric"] for row in whole}) > 2
+    assert table_of(tested).equals(from_scratch(tested))
+
+
+def select_within(catalog: Any, name: str) -> list[dict[str, Any]]:
+    """Twice from one catalogue."""
+    first = selected(catalog, Selection(metrics=(name,)))
+    assert selected(catalog, Selection(metrics=(name,))) == first
+    return first
 
 
 def test_nothing_is_computed_where_nothing_changed_and_compaction_changes_nothing(tested: Any, work: Work) -> None:

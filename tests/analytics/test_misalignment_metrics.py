@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from analytics.evaluation.evaluation import define_views, evaluate
-from analytics.metrics.half_error import Direction, smallest_within_half
-from analytics.metrics.registry import metrics
-from analytics.metrics.slow_turn import threshold_in_turn
+from analytics.methods.half_error import Direction, smallest_within_half
+from analytics.methods.slow_turn import threshold_in_turn
+from analytics.metric_registry.registry import metrics
 from analytics.step_records.step_table import step_means
 
 SECOND_NS = 10**9

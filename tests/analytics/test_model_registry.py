@@ -57,7 +57,7 @@ def test_a_version_that_was_changed_is_not_read(store: Store) -> None:
     written = registry.add(version())
     path = store.folder / "models" / "U1" / f"0001-{written.hash}.json"
     path.write_text(path.read_text().replace("0.5", "0.6"))
-    with pytest.raises(StoreError, match="does not have its hash"):
+    with pytest.raises(StoreError, match="does not match its hash"):
         registry.version("U1", 1)
 
 
@@ -173,7 +173,7 @@ def test_a_damaged_version_does_not_hide_the_others(store: Store) -> None:
     listed = CliRunner().invoke(model, ["list", "--store", str(store.folder), "--json"])
     assert listed.exit_code == 1
     assert [row["version"] for row in json.loads(listed.stdout)] == [2]
-    assert "does not have its hash" in listed.stderr
+    assert "does not match its hash" in listed.stderr
     shown = CliRunner().invoke(model, ["show", "--store", str(store.folder), "--unit", "U1", "--version", "2"])
     assert shown.exit_code == 0
 

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analytics.commands.diagnose import noise_of
+from analytics.commands.diagnose_options import noise_of
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.model.declared_noise import with_turn_on
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
-from analytics.loop.report.sentences import verdict_sentence
+from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Wording
 from analytics.loop.tracing.diagnosis import diagnose
-from analytics.loop.tracing.result import Verdict
+from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
 from tests.bench.loop_campaign import Campaign
 
 TRUE = NoiseCoefficients(N=0.005, B=0.01, K=0.006, turn_on=0.05)
@@ -38,13 +38,15 @@ def test_white_noise_declared_wrongly_is_measured_and_said(quiet_runs: list[RunB
     assert found.noise is not None
     # 9 runs of 360 blocks tell N to 1.3 %; rate tests are noisier by a part of that
     assert pytest.approx(TRUE.N, rel=0.15) == found.noise.N
-    assert any(each.startswith("white noise N was declared as") for each in found.limits)
+    assert any(each.startswith("the declared white noise N is") for each in found.limits)
 
 
 def test_noise_declared_rightly_raises_no_word(quiet_runs: list[RunBlocks]) -> None:
     found = diagnose(quiet_runs, MODEL, declared_noise=TRUE)
-    assert found.verdict is Verdict.NOTHING_MISSING
-    assert not any("disagree" in each or "less noise" in each for each in found.limits)
+    assert found.verdict is ModelVerdict.NOTHING_MISSING
+    assert not any(
+        "declared white noise" in each or "turn-on scatter" in each or "less noise" in each for each in found.limits
+    )
 
 
 @pytest.mark.parametrize("factor", [0.05, 20.0])
@@ -53,7 +55,7 @@ def test_slow_noise_declared_too_large_and_turn_on_scatter_declared_wrongly_are_
 ) -> None:
     slow = NoiseCoefficients(N=TRUE.N, B=max(1.0, factor) * TRUE.B, K=max(1.0, factor) * TRUE.K, turn_on=0.05 * factor)
     found = diagnose(quiet_runs, MODEL, declared_noise=slow)
-    assert any(each.startswith("turn-on scatter was declared as") for each in found.limits)
+    assert any(each.startswith("the declared turn-on scatter is") for each in found.limits)
     assert any(each.startswith("less noise than declared at averages") for each in found.limits) == (factor > 1)
 
 
@@ -76,7 +78,7 @@ def two_runs() -> list[RunBlocks]:
 def test_two_runs_that_differ_by_far_more_than_their_noise_are_a_finding_that_two_runs_cannot_tell() -> None:
     runs = two_runs()
     found = diagnose(runs, BIAS)
-    assert found.verdict is Verdict.CONFOUNDED
+    assert found.verdict is ModelVerdict.CONFOUNDED
     assert found.names == ("turn_on",)
     names = {each.name: each.recorded for each in found.confounded}
     assert names["temperature"]
@@ -86,7 +88,7 @@ def test_two_runs_that_differ_by_far_more_than_their_noise_are_a_finding_that_tw
     assert size.value == pytest.approx(65.0 / np.sqrt(2), rel=0.01)
     english, chinese = (verdict_sentence(found, Wording(word, runs[0])) for word in ("en", "zh"))
     assert english.startswith("The runs differ by 46")
-    assert "2 runs cannot tell" in english
+    assert "2 runs cannot separate these causes" in english
     assert "2次试验无法区分" in chinese
     # noise alone, with turn-on scatter and without
     assert found.error is not None
@@ -115,7 +117,7 @@ def test_what_does_not_differ_between_the_runs_is_not_meant() -> None:
     found = diagnose(runs, BIAS)
     assert "temperature" not in {each.name for each in found.confounded}
     assert found.effects == ()
-    assert any("it was taken for turn-on scatter, which was not declared" in each for each in found.limits)
+    assert any("this is attributed to turn-on scatter, which was not declared" in each for each in found.limits)
 
 
 def test_noise_without_turn_on_scatter_has_it_estimated() -> None:

@@ -57,7 +57,7 @@ def every_term() -> NoiseCoefficients:
     markov = MarkovNoise(
         amplitude=coefficient("markov_noise", 2.0), correlation_s=20.0, correlation_lo_s=10.0, correlation_hi_s=40.0
     )
-    fit = NoiseFit(**terms, markov=markov, confidence=0.95, points=18, misfit=0.0)
+    fit = NoiseFit(**terms, markov=markov, confidence=0.95, points=18, misfit=0.0)  # type: ignore[arg-type]
     return NoiseCoefficients(fit, coefficient("angle_random_walk", 0.021))
 
 

@@ -5,10 +5,11 @@ import pytest
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.registry import effects_for
-from analytics.loop.tracing.candidates import candidates_for
-from analytics.loop.tracing.diagnosis import FIRST_TIER, case_of, diagnose
-from analytics.loop.tracing.joint_fit import fit_jointly, nothing_more
-from analytics.loop.tracing.pair_round import best_pair
+from analytics.loop.tracing.case import case_of
+from analytics.loop.tracing.diagnosis import FIRST_TIER, diagnose
+from analytics.loop.tracing.search.candidates import candidates_for
+from analytics.loop.tracing.search.pair_round import best_pair
+from analytics.loop.tracing.whitening.joint_fit import fit_jointly, nothing_more
 from stream.batch import FloatArray
 from tests.bench.loop_campaign import Campaign, DenseWhitener, Planted
 from tests.bench.tracing_cases import DECLARED, MODEL

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from analytics.evaluation.evaluation import define_views, evaluate
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from analytics.metrics.scale_factor import keep_scale_fits
 from analytics.step_records.step_table import step_means
 

@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -12,7 +13,7 @@ from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.fleet import benjamini_hochberg, diagnose_fleet
-from analytics.loop.tracing.result import Diagnosis, Verdict
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from stream.errors import BadInput
 from tests.bench.loop_campaign import Campaign, Planted
 
@@ -35,7 +36,7 @@ def told(runs: Sequence[RunBlocks], model: ErrorModel = MODEL) -> Diagnosis:
 
 def test_nothing_is_missing_where_nothing_is(campaign: Campaign) -> None:
     found = told(campaign.runs())
-    assert found.verdict is Verdict.NOTHING_MISSING
+    assert found.verdict is ModelVerdict.NOTHING_MISSING
     assert not found.effects
     assert found.noise is not None
     assert pytest.approx(0.005, rel=0.05) == found.noise.N
@@ -53,7 +54,7 @@ def test_a_planted_effect_comes_back(campaign: Campaign, name: str) -> None:
     size = campaign.coefficients_for(name, shape, 14.0)[0]
     found = told(campaign.runs([Planted(name, [size], shape)]))
     assert name in (*found.names, *(each.name for each in found.confounded))
-    assert found.verdict in (Verdict.EFFECT_FOUND, Verdict.CONFOUNDED)
+    assert found.verdict in (ModelVerdict.EFFECT_FOUND, ModelVerdict.CONFOUNDED)
     if found.names == (name,):
         coefficient = found.effects[0].coefficients[0]
         assert abs(coefficient.value - size) < 4 * (coefficient.hi - coefficient.lo) / (2 * 1.96)
@@ -96,7 +97,7 @@ def test_no_average_is_told_that_is_longer_than_the_runs() -> None:
 def test_a_jump_is_told_but_cannot_be_confirmed(campaign: Campaign) -> None:
     found = told(planted(campaign, "jump", 14.0, run=campaign.names[3], at_s=9000.0))
     assert found.names == ("jump",)
-    assert found.verdict is Verdict.UNREPLICATED
+    assert found.verdict is ModelVerdict.UNREPLICATED
     assert found.effects[0].parameters == {"run": campaign.names[3], "at_s": pytest.approx(9000.0, abs=120.0)}
     assert any("a jump happens once" in each for each in found.limits)
 
@@ -105,14 +106,14 @@ def test_what_one_run_shows_is_not_an_effect(campaign: Campaign) -> None:
     """A gravity effect at work in a single run: never a finding."""
     size = campaign.coefficients_for("gravity_o", {}, 12.0, only_runs=(3,))
     found = told(campaign.runs([Planted("gravity_o", size, only_runs=(3,))]))
-    assert found.verdict in (Verdict.UNREPLICATED, Verdict.UNKNOWN_FUNCTION, Verdict.UNEXPLAINED)
+    assert found.verdict in (ModelVerdict.UNREPLICATED, ModelVerdict.UNKNOWN_FUNCTION, ModelVerdict.UNEXPLAINED)
 
 
 def test_a_single_run_never_gives_a_bare_effect(campaign: Campaign) -> None:
     runs = planted(campaign, "gravity_o", 25.0)
     found = told([runs[3]])
     assert found.replication == "within_run"
-    assert found.verdict is not Verdict.EFFECT_FOUND
+    assert found.verdict is not ModelVerdict.EFFECT_FOUND
     assert any("one run only" in each for each in found.limits)
     assert all("#" in name for name in found.runs)
 
@@ -140,7 +141,7 @@ def test_a_copied_and_a_constant_channel_are_told(campaign: Campaign) -> None:
         for run in planted(campaign, "gravity_o", 14.0)
     ]
     found = told(runs)
-    assert found.verdict is Verdict.CONFOUNDED
+    assert found.verdict is ModelVerdict.CONFOUNDED
     assert {*found.names, *(each.name for each in found.confounded)} >= {"gravity_o", "channel:copied"}
     assert any("still is constant" in each for each in found.limits)
     assert any("copied and gravity_o are copies" in each for each in found.limits)
@@ -176,7 +177,7 @@ def test_too_little_data_is_a_result(campaign: Campaign) -> None:
         },
     )
     found = told([short])
-    assert found.verdict is Verdict.NOT_ENOUGH_DATA
+    assert found.verdict is ModelVerdict.NOT_ENOUGH_DATA
     assert "12 blocks" in found.missing[0]
 
 
@@ -203,7 +204,7 @@ def test_noise_that_is_not_declared_is_guessed(campaign: Campaign) -> None:
 
 
 def test_json_has_the_agreed_form(campaign: Campaign) -> None:
-    document = json.loads(told(planted(campaign, "gravity_o", 14.0)).to_json())
+    document = json.loads(msgspec.json.encode(told(planted(campaign, "gravity_o", 14.0)).document()))
     assert {"verdict", "effects", "confounded", "holdout", "error", "noise", "detection_limits", "model"} <= set(
         document
     )
@@ -239,7 +240,7 @@ def test_a_fleet_finds_what_one_unit_cannot(campaign: Campaign) -> None:
     found = diagnose_fleet(units, MODEL, declared_noise=dict.fromkeys(units, DECLARED))
     assert "magnetic_i" in [each.name for each in found.effects]
     assert len(found.by_unit["magnetic_i"]) == 6
-    assert json.loads(found.to_json())["verdict"] == found.verdict.value
+    assert msgspec.json.decode(msgspec.json.encode(found.document()))["verdict"] == found.verdict.value
 
 
 def test_what_one_unit_has_alone_is_not_common_to_all() -> None:

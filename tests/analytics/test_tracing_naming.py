@@ -5,34 +5,29 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from analytics.loop.effects.base import Kind, Role
+from analytics.loop.effects.base import Role
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
-from analytics.loop.tracing.candidates import Candidate
-from analytics.loop.tracing.diagnosis import _of_open_form
-from analytics.loop.tracing.fitted_candidates import FittedCandidate
-from analytics.loop.tracing.held_out_set import HeldOutSet, _slope
-from analytics.loop.tracing.least_squares import fit_of_clusters
-from analytics.loop.tracing.result import FoundEffect
-from analytics.loop.tracing.selection import Selected, _as_before
-from analytics.loop.tracing.stack import stacked
-from analytics.loop.tracing.white_variance import record_of
+from analytics.loop.tracing.held_out.held_out_set import HeldOutSet
+from analytics.loop.tracing.held_out.slopes import _slope
+from analytics.loop.tracing.result.finding import FoundEffect
+from analytics.loop.tracing.search.effect_search import Selected, _as_before
+from analytics.loop.tracing.search.fitted_candidates import FittedCandidate
+from analytics.loop.tracing.verdict.conclusion import _of_open_form
+from analytics.loop.tracing.whitening.least_squares import fit_of_clusters
+from analytics.loop.tracing.whitening.stack import stacked
+from analytics.loop.tracing.whitening.white_variance import record_of
 from tests.bench.loop_campaign import Campaign
 
 MODEL = ErrorModel.parse("rate = bias + scale_factor*input_rate + temperature")
 
 
-def fitted_candidate(
-    name: str, evidence: float, *, role: Role = Role.CAUSE, at_most: float | None = None
-) -> FittedCandidate:
+def fitted_candidate(name: str, evidence: float, *, at_most: float | None = None) -> FittedCandidate:
     """A fitted candidate of so much evidence; its fit plays no part in its name."""
     return FittedCandidate(
-        name=name,
-        kind=Kind.LIBRARY,
-        role=role,
+        effect=effect(name),
         parameters={},
-        candidate=Candidate(effect(name), {}, 0, 1),
         columns=(),
         joint=cast("Any", None),
         likelihood_ratio=evidence,
@@ -64,7 +59,8 @@ def test_causes_that_look_alike_have_to_lead_by_a_quarter() -> None:
     assert fitted_candidate("drift_in_run", 751.0).is_near(fitted_candidate("ageing", 1000.0))
     assert fitted_candidate("ageing", 751.0).is_near(fitted_candidate("drift_in_run", 1000.0))
     # a clock that follows a cause is not another cause
-    assert not fitted_candidate("temperature_time_offset", 751.0, role=Role.ALIAS).is_near(rate)
+    assert effect("temperature_time_offset").role is Role.ALIAS
+    assert not fitted_candidate("temperature_time_offset", 751.0).is_near(rate)
 
 
 def test_noise_at_its_pace_is_no_argument_against_another_form() -> None:

@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analytics.loop.blocks.reduction import BlockReducer
+from analytics.loop.blocks.block_reducer import BlockReducer
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.tracing.diagnosis import FEWEST_BLOCKS_TO_SPLIT, diagnose
-from analytics.loop.tracing.result import Diagnosis, Verdict
+from analytics.loop.tracing.case import FEWEST_BLOCKS_TO_SPLIT
+from analytics.loop.tracing.diagnosis import diagnose
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.batch import FloatArray
@@ -47,7 +48,7 @@ def test_a_short_run_with_a_transient_is_confounded() -> None:
     error = 30.0 * np.exp(-since_s / 1500.0) + rng.normal(0.0, 4.0, 25)
     found = told(error, 10, "rate = bias + temperature")
     named = {*found.names, *(each.name for each in found.confounded)}
-    assert found.verdict is Verdict.CONFOUNDED
+    assert found.verdict is ModelVerdict.CONFOUNDED
     assert found.replication == "within_run"
     assert len(named & {"warm_up", "thermal_lag", "temperature_rate", "temperature_squared"}) >= 3
     assert all(each.separating_test for each in found.confounded)
@@ -60,7 +61,7 @@ def test_a_short_run_without_an_effect_has_none(seed: int) -> None:
     """The family-wise chance is 1 % for the library and lines and jumps are not looked for in 25 blocks."""
     rng = np.random.default_rng((5, seed))
     found = told(rng.normal(0.0, 4.0, 25), 10, "rate = bias + temperature")
-    assert found.verdict is Verdict.NOTHING_MISSING
+    assert found.verdict is ModelVerdict.NOTHING_MISSING
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -82,7 +83,7 @@ def test_a_bias_of_each_mounting_is_named_beside_gravity(gyrofleet: Any, tmp_pat
         runs = BlockReducer(catalog, "rate", block_s=60.0).reduce("HRG").runs
     found = diagnose(runs, ErrorModel.parse(PAPER, runs[0].channels).shaped(runs))
     named = {*found.names, *(each.name for each in found.confounded)}
-    assert found.verdict is Verdict.CONFOUNDED
+    assert found.verdict is ModelVerdict.CONFOUNDED
     assert named >= {"function_of_position", "gravity_s", "gravity_s_squared", "gravity_o_squared"}
     assert found.holdout is not None
     assert found.holdout.accepted
@@ -99,6 +100,6 @@ def test_a_measured_transient_in_a_cold_chamber_is_confounded(gyrofleet: Any, tm
     with Catalog(Store.open(tmp_path / "store")) as catalog:
         runs = BlockReducer(catalog, "rate_x", block_s=30.0).reduce("PSIM").runs
     found = diagnose(runs, ErrorModel.parse("rate_x = bias + temperature"))
-    assert found.verdict is Verdict.CONFOUNDED
+    assert found.verdict is ModelVerdict.CONFOUNDED
     named = {*found.names, *(each.name for each in found.confounded)}
     assert len(named & {"temperature_rate", "thermal_lag", "warm_up", "temperature_squared"}) >= 3

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analytics.loop.tracing.white_variance import _class_variance
+from analytics.loop.tracing.whitening.white_variance import _class_variance
 
 
 def test_neighbours_tell_white_noise_beside_a_drift_and_outliers() -> None:

@@ -11,20 +11,20 @@ from analytics.loop.effects.base import Kind
 from analytics.loop.effects.registry import effects_for
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
-from analytics.loop.tracing.candidates import candidates_for
-from analytics.loop.tracing.evidence import leave_one_out
-from analytics.loop.tracing.joint_fit import fit_jointly, nothing_more
-from analytics.loop.tracing.jump_scan import jump_column, scan_jumps
-from analytics.loop.tracing.least_squares import solve
-from analytics.loop.tracing.misfit import noise_inflation
-from analytics.loop.tracing.noise_fit import fit_noise
-from analytics.loop.tracing.noise_floor import averages_of, expected_variance
-from analytics.loop.tracing.noise_model import NoiseModel
-from analytics.loop.tracing.record import Record
-from analytics.loop.tracing.screening import screen
-from analytics.loop.tracing.stack import stacked
-from analytics.loop.tracing.white_variance import record_of
-from analytics.loop.tracing.whitening import Whitener
+from analytics.loop.tracing.search.candidates import candidates_for
+from analytics.loop.tracing.search.evidence import leave_one_out
+from analytics.loop.tracing.search.jump_scan import jump_column, scan_jumps
+from analytics.loop.tracing.search.noise_inflation import noise_inflation
+from analytics.loop.tracing.search.screening import family_p_value, screen
+from analytics.loop.tracing.whitening.block_noise import NoiseModel
+from analytics.loop.tracing.whitening.joint_fit import fit_jointly, nothing_more
+from analytics.loop.tracing.whitening.least_squares import solve
+from analytics.loop.tracing.whitening.noise_variance import averages_of, expected_variance
+from analytics.loop.tracing.whitening.stack import stacked
+from analytics.loop.tracing.whitening.unit_record import UnitRecord
+from analytics.loop.tracing.whitening.white_variance import record_of
+from analytics.loop.tracing.whitening.whitened_fit import fit_noise
+from analytics.loop.tracing.whitening.whitener import Whitener
 from stream.batch import FloatArray, IntArray
 
 NOISE = NoiseCoefficients(N=0.005, B=0.01, K=0.02, turn_on=0.05)
@@ -53,14 +53,14 @@ def exact_run(rng: np.random.Generator, name: str, slot: IntArray, noise: NoiseC
     return RunBlocks("FOG-1", name, "rate", slot, 30.0, 0, value, np.full(slot.size, 3000), white, "deg/h", channels)
 
 
-def record(seed: int, runs: int = 6, blocks: int = 300, *, gaps: bool = False) -> Record:
+def record(seed: int, runs: int = 6, blocks: int = 300, *, gaps: bool = False) -> UnitRecord:
     rng = np.random.default_rng(seed)
     made = [exact_run(rng, f"r{k}", slots(rng, blocks) if gaps else np.arange(blocks)) for k in range(runs)]
     stack, _ = stacked(made, MODEL)
     return replace(record_of(stack, NOISE), white=np.ones(len(stack)))
 
 
-def dense(of: Record, noise: NoiseCoefficients) -> FloatArray:
+def dense(of: UnitRecord, noise: NoiseCoefficients) -> FloatArray:
     """Covariance of all blocks of a record."""
     slot, number = of.stack.slot.astype(float), of.stack.run_number
     total = np.zeros((len(of), len(of)))
@@ -134,7 +134,7 @@ def test_screening_is_calibrated_on_its_own_noise() -> None:
         found = screen(candidates, [of.design], [NOISE], np.random.default_rng(seed))
         by_name = {group[0].candidate.effect.name: group[0].p_value for group in found.by_effect()}
         p_values.append(by_name["supply_voltage"])
-        smallest.append(found.family_p_value(min(by_name.values())))
+        smallest.append(family_p_value(min(by_name.values()), found.tests))
     assert stats.kstest(p_values, "uniform").pvalue > 1e-3
     wrong = sum(each < 0.05 for each in smallest)
     assert stats.binom.sf(wrong - 1, 100, 0.05) > 1e-3

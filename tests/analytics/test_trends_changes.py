@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from analytics.trends.change_points import LEAST_SEGMENT, Changes, change_points, gain, price
-from analytics.trends.drift import Drift, drift
-from analytics.trends.words import Refused
+from analytics.trends.change_points import LEAST_SEGMENT, Changes, Drift, change_points, drift, gain, penalty
+from analytics.trends.words import NotComputed
 
 TRIALS = 1500
 
@@ -23,15 +22,15 @@ def _found(values: np.ndarray, false_alarm: float = 0.01) -> Changes:
 def test_noise_shows_a_change_in_at_most_one_of_a_hundred_series(n: int) -> None:
     rng = np.random.default_rng([20260711, n])
     trials = TRIALS if n < 200 else 500
-    alarms = sum(gain(rng.normal(5.0, 0.3, n)) > price(n, 0.01) for _ in range(trials))
+    alarms = sum(gain(rng.normal(5.0, 0.3, n)) > penalty(n, 0.01) for _ in range(trials))
     assert alarms <= binom.isf(0.001 / 4, trials, 0.01)
 
 
 def test_a_dearer_price_makes_alarms_rarer() -> None:
     rng = np.random.default_rng(20260712)
     gains = np.array([gain(rng.standard_normal(30)) for _ in range(TRIALS)])
-    assert (gains > price(30, 0.1)).sum() <= binom.isf(0.001, TRIALS, 0.1)
-    assert (gains > price(30, 0.1)).sum() >= binom.ppf(0.001, TRIALS, 0.02)  # it is not idle either
+    assert (gains > penalty(30, 0.1)).sum() <= binom.isf(0.001, TRIALS, 0.1)
+    assert (gains > penalty(30, 0.1)).sum() >= binom.ppf(0.001, TRIALS, 0.02)  # it is not idle either
 
 
 def test_the_best_division_is_found() -> None:
@@ -86,7 +85,7 @@ def test_a_drift_is_no_staircase() -> None:
 def test_constant_and_short_series() -> None:
     assert not _found(np.full(40, 3.5)).points
     short = change_points(np.zeros(11))
-    assert isinstance(short, Refused)
+    assert isinstance(short, NotComputed)
     assert "11 points" in short.why.en
 
 
@@ -132,8 +131,8 @@ def test_slope_of_white_noise_is_that_of_least_squares() -> None:
 
 
 def test_a_drift_needs_points_at_different_times() -> None:
-    assert isinstance(drift(np.zeros(20), np.arange(20.0)), Refused)
-    assert isinstance(drift(np.arange(7.0), np.arange(7.0)), Refused)
+    assert isinstance(drift(np.zeros(20), np.arange(20.0)), NotComputed)
+    assert isinstance(drift(np.arange(7.0), np.arange(7.0)), NotComputed)
     flat = drift(np.arange(10.0), np.full(10, 2.0))
     assert isinstance(flat, Drift)
     assert (flat.slope, flat.chance) == (0.0, 1.0)

@@ -7,11 +7,9 @@ import pytest
 from scipy.stats import binom
 
 from analytics.trends.capability import Capability, capability
-from analytics.trends.chart_chance import chart_chance, wild_point_chance
-from analytics.trends.control_chart import IndividualsChart, Spread, individuals_chart
-from analytics.trends.ewma import ewma_chart
-from analytics.trends.nelson_rules import points_of, rule_flags
-from analytics.trends.words import Refused, Words
+from analytics.trends.control_chart import IndividualsChart, Spread, ewma_chart, individuals_chart
+from analytics.trends.nelson_rules import chart_chance, points_of, rule_flags, wild_point_chance
+from analytics.trends.words import NotComputed, Words
 
 
 def _plain_flags(z: list[float]) -> set[tuple[int, int]]:
@@ -111,10 +109,10 @@ def test_a_wild_point_is_seen_among_few() -> None:
 
 def test_too_few_or_equal_points_have_no_limits() -> None:
     few = individuals_chart(np.arange(7.0))
-    assert isinstance(few, Refused)
+    assert isinstance(few, NotComputed)
     assert "7 points" in few.why.en
     equal = individuals_chart(np.full(20, 1.25))
-    assert isinstance(equal, Refused)
+    assert isinstance(equal, NotComputed)
     assert "do not vary" in equal.why.en
 
 
@@ -158,7 +156,7 @@ def test_capability_is_refused_with_a_reason() -> None:
         (capability(values, -3, 3, out_of_control=drifting), "it drifts"),
         (capability(np.ones(30), -3, 3), "do not vary"),
     ):
-        assert isinstance(found, Refused)
+        assert isinstance(found, NotComputed)
         assert word in found.why.en
         assert found.why.zh
 

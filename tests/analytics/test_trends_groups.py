@@ -5,20 +5,19 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import binom, f_oneway, ttest_ind, ttest_rel
 
-from analytics.trends.between_stations import Comparison, compare_groups
+from analytics.trends.between_stations import GroupComparison, compare_groups, components
 from analytics.trends.mixed_model import MixedModel, holm
-from analytics.trends.series import Series, Variant
-from analytics.trends.variance_components import components
-from analytics.trends.words import Refused
+from analytics.trends.series import MetricSeries, Variant
+from analytics.trends.words import NotComputed
 
 START_NS = 1_763_683_200 * 10**9
 
 
-def series_of(value: np.ndarray, unit: np.ndarray, **groups: np.ndarray) -> Series:
+def series_of(value: np.ndarray, unit: np.ndarray, **groups: np.ndarray) -> MetricSeries:
     """Values an hour apart; units and levels by number."""
     n = len(value)
     levels = {name: [f"{name[0].upper()}{each}" for each in groups.get(name, np.zeros(n, int))] for name in GROUPS}
-    return Series(
+    return MetricSeries(
         metric="bias",
         unit_of_measure="deg/h",
         value=np.asarray(value, np.float64),
@@ -37,7 +36,7 @@ def series_of(value: np.ndarray, unit: np.ndarray, **groups: np.ndarray) -> Seri
 GROUPS = ("station", "fixture", "lot")
 
 
-def two_stations(rng: np.random.Generator, offset: float) -> Series:
+def two_stations(rng: np.random.Generator, offset: float) -> MetricSeries:
     """300 units, 150 of them on both stations: scatter of units 0.1, of measurements 0.02 deg/h."""
     unit = np.r_[np.arange(300), np.arange(150)]
     first = np.arange(300) % 2
@@ -46,9 +45,9 @@ def two_stations(rng: np.random.Generator, offset: float) -> Series:
     return series_of(value, unit, station=station, lot=unit % 6 // 2)
 
 
-def compared(series: Series) -> Comparison:
+def compared(series: MetricSeries) -> GroupComparison:
     found = compare_groups(series)
-    assert isinstance(found, Comparison)
+    assert isinstance(found, GroupComparison)
     return found
 
 
@@ -182,7 +181,7 @@ def test_a_fixture_that_stands_on_one_station_only() -> None:
 
 def test_too_little_is_refused_or_left_out() -> None:
     few = compare_groups(series_of(np.arange(7.0), np.arange(7), station=np.arange(7) % 2))
-    assert isinstance(few, Refused)
+    assert isinstance(few, NotComputed)
     assert "7 values" in few.why.en
     single = compared(series_of(np.arange(9.0), np.arange(9), station=np.r_[np.zeros(8, int), 1]))
     assert not single.differences

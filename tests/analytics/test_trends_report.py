@@ -16,13 +16,12 @@ from analytics.evaluation.evaluation import COLUMNS, define_views
 from analytics.plots.trend_plot import plot_trend
 from analytics.specifications.entering import add_specification
 from analytics.step_records.step_table import step_means
-from analytics.trends.capability import Capability
+from analytics.trends.capability import Capability, SpecifiedLimits, specified_limits
 from analytics.trends.document import document
 from analytics.trends.report import sentences, stands_out
-from analytics.trends.series import Choice, Series, Variant, read_series
-from analytics.trends.specified import specified_limits
-from analytics.trends.trend import Limits, Trend, trend_of
-from analytics.trends.words import Refused
+from analytics.trends.series import Choice, MetricSeries, Variant, read_series
+from analytics.trends.trend import Trend, trend_of
+from analytics.trends.words import NotComputed
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.console import json_text
@@ -195,12 +194,12 @@ def test_lot_and_station_together_are_said_to_be_inseparable(told: Told) -> None
 def test_a_change_is_dated_and_the_process_has_no_capability(told: Told) -> None:
     values = np.random.default_rng(20260743).normal(0, 1, 100)
     values[60:] += 3
-    trend = trend_of(read_series(told(_rows(values)), "bias"), specification=Limits(-8, 8, "fog-A"))
+    trend = trend_of(read_series(told(_rows(values)), "bias"), specification=SpecifiedLimits(-8, 8, "fog-A"))
     said = _english(trend)
     assert "The level changes by" in said
     assert "2026-01-03 12:00" in said
     assert "no capability: the process is not in control (its level changes" in said.replace("No cap", "no cap")
-    assert isinstance(trend.capabilities[0], Refused)
+    assert isinstance(trend.capabilities[0], NotComputed)
 
 
 def test_of_several_stations_the_one_out_of_control_says_why_it_has_no_capability(told: Told) -> None:
@@ -210,7 +209,7 @@ def test_of_several_stations_the_one_out_of_control_says_why_it_has_no_capabilit
          "value": rng.normal(0, 1) + (4 if station == "B" and at >= 30 else 0)}
         for at in range(60) for station in "AB"
     ]  # fmt: skip
-    trend = trend_of(read_series(told(rows), "bias"), by="station", specification=Limits(-8, 8, "fog-A"))
+    trend = trend_of(read_series(told(rows), "bias"), by="station", specification=SpecifiedLimits(-8, 8, "fog-A"))
     said = _english(trend)
     assert "Station A: Cp " in said
     assert "Station B: no capability: the process is not in control (its level changes" in said
@@ -243,7 +242,7 @@ def test_a_wild_point_stands_with_its_chance_and_a_deviation_has_no_limit_below_
     t = (values[20] - rest.mean()) / (rest.std(ddof=1) * np.sqrt(40 / 39))  # Grubbs by the studentized deleted residual
     assert f"with a probability of {min(1.0, 80 * student.sf(t, 38)):.2g} at most (Grubbs)" in _english(trend)
     (chart,) = trend.charts
-    assert not isinstance(chart.limits, Refused)
+    assert not isinstance(chart.limits, NotComputed)
     assert chart.limits.centre < 3 * chart.limits.sigma
     assert chart.limits.lower == 0.0
 
@@ -257,7 +256,7 @@ def test_nothing_stands_out_in_noise(trials: int) -> None:
         n = 60
         units = np.r_[np.arange(40), np.arange(20)]
         value = rng.normal(0, 0.1, 40)[units] + rng.normal(0, 0.03, n)
-        series = Series(
+        series = MetricSeries(
             metric="bias", unit_of_measure="deg/h", value=value, uncertainty=np.full(n, 0.03),
             t_ns=START_NS + np.arange(n) * HOUR_NS, unit=[f"U{each:02}" for each in units], run=["r"] * n,
             groups={name: [f"{name}{each}" for each in rng.integers(0, 2, n)] for name in ("station", "fixture")}
@@ -294,7 +293,7 @@ def test_products_with_different_limits_have_none_in_common(told: Told, store: S
     for at, row in enumerate(rows):
         row["product"] = ("P", "Q")[at % 2]
     series = read_series(told(rows), "bias")
-    assert specified_limits(store, series) == Limits()
+    assert specified_limits(store, series) == SpecifiedLimits()
     path = tmp_path / "two.toml"
     text = '[[limit]]\nmetric = "bias"\nupper = {}\nunit_of_measure = "deg/h"\nproduct = "{}"\n'
     path.write_text('revision = "A"\n' + text.format(1.0, "P") + text.format(2.0, "Q"))
@@ -340,7 +339,7 @@ def test_pictures(told: Told, tmp_path: Path, by: str | None, suffix: str) -> No
     rows = _rows(values)
     for at, row in enumerate(rows):
         row |= {"unit": f"U{at % 10}", "station": f"S{at % 2}"}
-    trend = trend_of(read_series(told(rows), "bias"), by=by, specification=Limits(-5, 9, "fog-A"))
+    trend = trend_of(read_series(told(rows), "bias"), by=by, specification=SpecifiedLimits(-5, 9, "fog-A"))
     path = tmp_path / f"trend{suffix}"
     plot_trend(trend, path)
     first = path.read_bytes()

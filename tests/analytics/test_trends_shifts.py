@@ -11,9 +11,9 @@ from scipy.stats import binom
 from analytics.plots import trend_plot
 from analytics.trends.level_shifts import LevelShifts, level_shifts
 from analytics.trends.report import sentences, stands_out
-from analytics.trends.session_model import Noise, SessionModel, unit_ratio
+from analytics.trends.sessions import SessionModel, SessionNoise, unit_ratio
 from analytics.trends.trend import trend_of
-from analytics.trends.words import Refused
+from analytics.trends.words import NotComputed
 from tests.bench.trend_shifts import STATION, Plan, counted, is_outside, simulated
 
 SMALL = Plan(units=12, stations=2, repeats=3)
@@ -105,11 +105,11 @@ def test_units_of_measure_do_not_matter() -> None:
 def test_few_values_and_units_measured_once_are_refused() -> None:
     for plan in (Plan(stations=1, repeats=1), Plan(units=2, repeats=2, stations=2)):
         found = level_shifts(simulated(np.random.default_rng(9), plan))
-        assert isinstance(found, Refused)
+        assert isinstance(found, NotComputed)
         assert "measured more than once" in found.why.en
     constant = simulated(np.random.default_rng(9), Plan())
     constant.value[:] = 7.5
-    assert isinstance(level_shifts(constant), Refused)
+    assert isinstance(level_shifts(constant), NotComputed)
 
 
 def test_points_scatter_as_measurements_do_whether_a_unit_has_one_or_many() -> None:
@@ -121,7 +121,7 @@ def test_points_scatter_as_measurements_do_whether_a_unit_has_one_or_many() -> N
     assert found.points.std() == pytest.approx(0.1, rel=0.15)
 
 
-def dense(series: Any, noise: Noise, ratio: float, model: SessionModel) -> float:
+def dense(series: Any, noise: SessionNoise, ratio: float, model: SessionModel) -> float:
     """-2 ln of the restricted likelihood by its definition, up to a constant."""
     n = series.value.size
     unit, session = np.eye(model.unit.max() + 1)[model.unit], np.eye(model.sessions)[model.session]
@@ -135,7 +135,7 @@ def dense(series: Any, noise: Noise, ratio: float, model: SessionModel) -> float
 
 
 def test_sums_over_sessions_give_the_dense_likelihood() -> None:
-    from analytics.trends.session_layout import layout_of, station_columns
+    from analytics.trends.sessions import layout_of, station_columns
     from analytics.trends.step_search import StepSearch
 
     series = simulated(np.random.default_rng(11), SMALL)
@@ -151,11 +151,11 @@ def test_sums_over_sessions_give_the_dense_likelihood() -> None:
 
 
 def test_simulated_sums_have_the_moments_of_simulated_values() -> None:
-    from analytics.trends.session_layout import layout_of
+    from analytics.trends.sessions import layout_of
 
     layout = layout_of(simulated(np.random.default_rng(12), SMALL))
     model = SessionModel(layout.session, layout.unit, layout.station, 4.0)
-    noise = Noise(3.0, 0.6)
+    noise = SessionNoise(3.0, 0.6)
     rng = np.random.default_rng(13)
     series = 4000
     session = rng.multivariate_normal(np.zeros(model.sessions), model.covariance(noise), series)

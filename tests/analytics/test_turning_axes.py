@@ -57,7 +57,9 @@ def test_axes_that_say_nothing_give_no_input_rate(tested: TestedUnits) -> None:
     turned(tested, {"X": "rate"}, axis="fixture_{axis}")
     reduction = reduced(tested, block_s=20.0)
     assert "input_rate" not in reduction.runs[0].channels
-    assert "the axes fixture_X, fixture_Y, fixture_Z do not say how the input axis lies" in " ".join(reduction.limits)
+    assert "the axes fixture_X, fixture_Y, fixture_Z do not define the direction of the input axis" in " ".join(
+        reduction.limits
+    )
 
 
 def test_an_output_that_the_model_names_is_a_channel(tested: TestedUnits) -> None:

@@ -11,7 +11,7 @@ from scipy import stats
 
 from analytics.evaluation.evaluation import COLUMNS, define_views
 from analytics.evaluation.layer import define_tables
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from analytics.specifications.entering import add_specification
 from analytics.specifications.verdicts import rows_of, verdicts_of, yield_by
 from analytics.step_records.step_table import step_means

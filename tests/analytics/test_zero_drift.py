@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analytics.metrics.zero_drift import Sequence, zero_uncertainty
+from analytics.methods.zero_drift import Sequence, zero_uncertainty
 from storage.store import Store
 from tests.bench.metric_coverage import CHECKS, covered
 from tests.bench.metric_steps import flicker_noise

@@ -21,7 +21,7 @@ from uuid import UUID
 
 import numpy as np
 
-from analytics.loop.blocks.reduction import BlockReducer
+from analytics.loop.blocks.block_reducer import BlockReducer
 from storage.lake.compaction import compact
 from storage.lake.lake import Lake, build_missing, builder_lock
 from storage.log.event_log import EventLog

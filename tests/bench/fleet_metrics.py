@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from analytics.evaluation.evaluation import define_views, evaluate
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from analytics.step_records import reduction
 from analytics.step_records.step_table import step_means
 from storage.sql.catalog import Catalog
@@ -101,10 +101,6 @@ where run = $run and unit in (select unnest($units)) and signal in (select unnes
 group by unit, signal, t_ns // 1000000000 order by unit, signal, t_ns"""
 
 
-def seconds_from_raw(catalog: Catalog, run: str, group: list[Any]) -> Any:
-    return reduction._fetched(catalog, FROM_RAW, run, group, reduction.SECOND_NS)
-
-
 def records(store: Store) -> Any:
     """The records of all steps, anew."""
     shutil.rmtree(store.folder / "metrics", ignore_errors=True)
@@ -120,7 +116,7 @@ def raw(folder: Path, units: int) -> dict[str, Any]:
     written_mb = peak_mb()
     rolled_s, rolled_cpu_s, rolled = best_of(2, lambda: records(store))
     rolled_mb = peak_mb()
-    reduction._seconds = seconds_from_raw
+    reduction._SECONDS = FROM_RAW
     raw_s, raw_cpu_s, found = best_of(1, lambda: records(store))
     for name in ("n", "mean", "sd", "standard_uncertainty", "sd_100s"):
         assert np.allclose(found[name].to_numpy(), rolled[name].to_numpy(), rtol=1e-9), name

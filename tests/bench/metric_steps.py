@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from analytics.evaluation.evaluation import define_views, evaluate
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from analytics.step_records.series_statistics import series_statistics
 from analytics.step_records.step_table import step_means
 from storage.sql.catalog import Catalog

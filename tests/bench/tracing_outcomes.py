@@ -11,7 +11,8 @@ from analytics.loop.effects.registry import effect
 from analytics.loop.live.residual_watch import THRESHOLD, cusum, stretches
 from analytics.loop.model.model_registry import ModelVersion
 from analytics.loop.tracing.diagnosis import diagnose
-from analytics.loop.tracing.result import Diagnosis, FoundEffect, Verdict
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
+from analytics.loop.tracing.result.finding import FoundEffect
 from tests.bench.tracing_cases import DECLARED, MODEL, OUTSIDE, Built, Case, built
 from tests.bench.tracing_peers import peers
 
@@ -63,14 +64,14 @@ def outcome(case: Case, made: Built, said: Diagnosis) -> str:
     driven = {channel for name in truth for channel in effect(name).needs}
     if channels & driven:
         return "unknown"
-    is_left_open = said.verdict in (Verdict.UNEXPLAINED, Verdict.UNREPLICATED)
+    is_left_open = said.verdict in (ModelVerdict.UNEXPLAINED, ModelVerdict.UNREPLICATED)
     return "unexplained" if truth and is_left_open else "wrong"
 
 
 def _nothing_said(truth: Sequence[str], said: Diagnosis) -> str:
     if any(_means(each, name) for each in said.unreplicated for name in truth):
         return "unreplicated"
-    if said.verdict is Verdict.UNEXPLAINED:
+    if said.verdict is ModelVerdict.UNEXPLAINED:
         return "unexplained"
     channels = {channel for name in truth for channel in effect(name).needs}
     if any(channels & set(effect(each.name).needs) for each in said.unreplicated):
@@ -96,11 +97,13 @@ def _means(found: FoundEffect, truth: str) -> bool:
 
 def _outside(channels: Sequence[str], said: Diagnosis) -> str:
     if not said.effects:
-        return {Verdict.UNEXPLAINED: "unexplained", Verdict.NOTHING_MISSING: "missed"}.get(said.verdict, "unreplicated")
+        return {ModelVerdict.UNEXPLAINED: "unexplained", ModelVerdict.NOTHING_MISSING: "missed"}.get(
+            said.verdict, "unreplicated"
+        )
     told = {channel for each in said.effects for channel in each.unknown_function_of}
-    if said.verdict is Verdict.UNKNOWN_FUNCTION and told & set(channels):
+    if said.verdict is ModelVerdict.UNKNOWN_FUNCTION and told & set(channels):
         return "exact"
-    if said.verdict in (Verdict.UNEXPLAINED, Verdict.UNREPLICATED, Verdict.CONFOUNDED):
+    if said.verdict in (ModelVerdict.UNEXPLAINED, ModelVerdict.UNREPLICATED, ModelVerdict.CONFOUNDED):
         return said.verdict.value
     own = any(set(effect(each.name).needs) & set(channels) for each in said.effects)
     return "wrong_form" if own else "wrong"

@@ -15,8 +15,9 @@ from scipy import stats
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.registry import effects_for
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.tracing.candidates import candidates_for
-from analytics.loop.tracing.diagnosis import FIRST_TIER, case_of
+from analytics.loop.tracing.case import case_of
+from analytics.loop.tracing.diagnosis import FIRST_TIER
+from analytics.loop.tracing.search.candidates import candidates_for
 from stream.batch import BoolArray, FloatArray, IntArray
 
 PEERS = ("stepwise p<0.01", "stepwise Bonferroni", "Newey-West p<0.01", "BIC", "LassoCV")

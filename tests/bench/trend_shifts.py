@@ -16,7 +16,7 @@ import numpy as np
 from scipy import stats
 
 from analytics.trends.level_shifts import LevelShifts, level_shifts
-from analytics.trends.series import Series, Variant
+from analytics.trends.series import MetricSeries, Variant
 
 START_NS = 1_767_600_000 * 10**9  # Monday 2026-01-05 08:00 UTC
 DAY_NS = 86_400 * 10**9
@@ -67,7 +67,7 @@ CASES: Mapping[str, Plan] = {
 }
 
 
-def simulated(rng: np.random.Generator, plan: Plan) -> Series:
+def simulated(rng: np.random.Generator, plan: Plan) -> MetricSeries:
     """Values in order of time."""
     own, of_station = rng.normal(0, plan.of_units, plan.units), rng.normal(0, plan.of_stations, plan.stations)
     rows = []
@@ -86,7 +86,7 @@ def simulated(rng: np.random.Generator, plan: Plan) -> Series:
         for day, unit, station in rows
     ]  # fmt: skip
     n = len(rows)
-    return Series(
+    return MetricSeries(
         metric="bias",
         unit_of_measure="deg/h",
         value=np.array(value),

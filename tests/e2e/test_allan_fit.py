@@ -11,7 +11,7 @@ import pytest
 COEFFICIENTS = ["quantization_noise", "angle_random_walk", "bias_instability", "rate_random_walk", "rate_ramp"]
 CURVE = [
     "unit", "signal", "run", "unit_of_measure", "sample_interval_s", "samples", "missing",
-    "tau_s", "adev", "lo", "hi", "edf", "deviation", "overlap", "plausible",
+    "tau_s", "value", "lo", "hi", "edf", "deviation", "overlap", "plausible",
 ]  # fmt: skip
 WALK, INTERVAL_S = 0.02, 0.005
 
@@ -39,7 +39,10 @@ def ask(store: Path, *more: object, run: str = "fast", signal: str = "rate") -> 
 
 def test_the_planted_random_walk_is_within_its_limits(gyrofleet: Callable[..., Any], store: Path) -> None:
     result = gyrofleet(*ask(store, "--fit", "--json")).json
-    assert list(result) == [*CURVE, "coefficients", "coefficients_reason", "misfit", "confidence", "outliers"]
+    assert list(result) == [
+        *CURVE, "coefficients", "coefficients_reason", "misfit", "misfit_probability", "misfit_level", "confidence",
+        "outliers",
+    ]  # fmt: skip
     found = result["coefficients"]
     assert list(found) == [*COEFFICIENTS, "markov", "angle_random_walk_normalised"]
     for key in ("angle_random_walk", "angle_random_walk_normalised"):
@@ -49,6 +52,9 @@ def test_the_planted_random_walk_is_within_its_limits(gyrofleet: Callable[..., A
         assert found[key]["hi"] / found[key]["lo"] < 1.3
     assert not found["quantization_noise"]["observable"]
     assert "at most" in found["quantization_noise"]["reason"]
+    assert found["quantization_noise"]["value"] is None
+    assert 0.0 < result["misfit_probability"] <= 1.0
+    assert (result["misfit"] > 0.0) == (result["misfit_probability"] < result["misfit_level"])
     assert found["markov"] is None
     assert list(gyrofleet(*ask(store, "--json")).json) == CURVE
 

@@ -42,7 +42,7 @@ def ask(store: Path, *more: object) -> tuple[object, ...]:
 def test_every_deviation_agrees_with_allantools(gyrofleet: Callable[..., Any], store: Path, kind: str) -> None:
     found = gyrofleet(*ask(store, "--deviation", kind, "--points-per-octave", 2, "--json")).json
     assert (found["deviation"], found["overlap"]) == (kind, "full")
-    column = found[kind.removeprefix("o")]
+    column = found["value"]
     taus_s = np.array(found["tau_s"])
     peer = getattr(allantools, kind)(rate_deg_per_h(), rate=RATE_HZ, data_type="freq", taus=taus_s)
     by_tau = dict(zip(np.round(peer[0], 9).tolist(), peer[1].tolist(), strict=True))
@@ -61,9 +61,17 @@ def test_the_form_that_runs_while_data_flow_is_close_to_the_full_one(
     strided = gyrofleet(*ask(store, "--overlap", "strided", "--json")).json
     assert (full["overlap"], strided["overlap"]) == ("full", "strided")
     assert full["tau_s"] == strided["tau_s"]
-    for tau_s, a, b, edf in zip(full["tau_s"], full["adev"], strided["adev"], full["edf"], strict=True):
+    for tau_s, a, b, edf in zip(full["tau_s"], full["value"], strided["value"], full["edf"], strict=True):
         # up to 16 intervals the same; beyond, another choice among overlapping windows, far within the uncertainty
         assert b == pytest.approx(a, rel=1e-12 if tau_s <= 16 / RATE_HZ else 0.25 / np.sqrt(2 * edf))
+
+
+def test_given_averaging_times_have_the_values_of_the_whole_curve(gyrofleet: Callable[..., Any], store: Path) -> None:
+    whole = gyrofleet(*ask(store, "--deviation", "mdev", "--json")).json
+    some = gyrofleet(*ask(store, "--deviation", "mdev", "--tau", "0.64,10,100", "--json")).json
+    assert some["tau_s"] == pytest.approx([0.64, 10.0, 100.0])
+    assert some["value"][0] == whole["value"][whole["tau_s"].index(0.64)]
+    assert list(some) == list(whole) == list(gyrofleet(*ask(store, "--json")).json)
 
 
 def test_a_rolling_window_shows_when_the_noise_rose(gyrofleet: Callable[..., Any], store: Path, tmp_path: Path) -> None:
@@ -92,6 +100,10 @@ def test_a_rolling_window_shows_when_the_noise_rose(gyrofleet: Callable[..., Any
         (("--step", "1"), "give --rolling HOURS as well"),
         (("--rolling", "0.1", "--fit"), "--rolling goes with"),
         (("--rolling", "0.1", "--step", "0.03"), "it takes a whole number of steps"),
+        (("--tau", "10,x"), "averaging times in seconds are expected"),
+        (("--tau", "0.03"), "a whole number of sample intervals"),
+        (("--tau", "10", "--overlap", "strided"), "given averaging times need every window"),
+        (("--rolling", "0.1", "--tau", "10"), "--rolling goes with"),
         (("--rolling", "0"), "it takes a whole number of steps"),
         (("--rolling", "9"), "the record has 1799.98 s; give a shorter --rolling"),
     ],

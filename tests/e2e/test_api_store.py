@@ -69,6 +69,11 @@ def test_samples_between_two_moments(store: gf.FleetStore) -> None:
         store.samples("G-9", "rate")
 
 
+def test_without_a_run_the_longest_record_is_taken(store: gf.FleetStore) -> None:
+    assert store.samples("G-2", "rate")["run"].unique().to_list() == [store.allan("G-2", "rate").curve.run]
+    assert store.samples("G-2", "rate", "t3")["run"].unique().to_list() == ["t3"]
+
+
 def test_a_curve_is_that_of_the_array_and_of_the_command(
     store: gf.FleetStore, folder: Path, run_command: Callable[..., Any]
 ) -> None:
@@ -79,7 +84,7 @@ def test_a_curve_is_that_of_the_array_and_of_the_command(
     told = json.loads(
         run_command("allan", "--unit", "G-1", "--signal", "rate", "--store", "S", "--json", cwd=folder).out
     )
-    np.testing.assert_allclose(told["adev"], found.deviation, rtol=1e-12)
+    np.testing.assert_allclose(told["value"], found.deviation, rtol=1e-12)
     with pytest.raises(BadInput, match="choose one of"):
         store.allan("G-1", "rate", deviation="tdev")
 

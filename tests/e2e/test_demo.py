@@ -168,11 +168,11 @@ def test_allan_draws_and_tells(gyrofleet: Callable[..., Any], demo: tuple[Path, 
         "allan", "--unit", "FOG-0231", "--signal", "rate", "--store", demo[0], "--points-per-octave", "4", "--json"
     ).json
     coarse = gyrofleet("allan", "--unit", "FOG-0231", "--signal", "rate", "--store", demo[0], "--json").json
-    common = dict(zip(fine["tau_s"], fine["adev"], strict=True))
-    assert [common[tau] for tau in coarse["tau_s"]] == pytest.approx(coarse["adev"], rel=1e-12)
+    common = dict(zip(fine["tau_s"], fine["value"], strict=True))
+    assert [common[tau] for tau in coarse["tau_s"]] == pytest.approx(coarse["value"], rel=1e-12)
     assert list(coarse) == [
         "unit", "signal", "run", "unit_of_measure", "sample_interval_s", "samples", "missing",
-        "tau_s", "adev", "lo", "hi", "edf", "deviation", "overlap", "plausible",
+        "tau_s", "value", "lo", "hi", "edf", "deviation", "overlap", "plausible",
     ]  # fmt: skip
 
 

@@ -96,8 +96,8 @@ def test_a_unit_without_an_effect_lacks_nothing(gyrofleet: Callable[..., Any], s
 
 
 @pytest.mark.parametrize(("language", "words"), [
-    ("en", ("these data cannot tell which", "held-out runs", "to tell:", "absent above")),
-    ("zh", ("无法区分是哪一种", "留出试验", "区分方法", "不高于")),
+    ("en", ("these data cannot separate", "held-out runs", "separating test:", "absent above")),
+    ("zh", ("现有数据无法区分", "留出试验", "区分方法", "不高于")),
 ])  # fmt: skip
 def test_the_verdict_is_told_in_words_with_a_report_and_pictures(
     gyrofleet: Callable[..., Any], store: Path, tmp_path: Path, language: str, words: tuple[str, ...]
@@ -121,7 +121,7 @@ def test_a_verdict_is_told_though_its_model_cannot_be_saved(
     (tmp_path / "full" / "models").write_text("a file stands in its place")
     done = gyrofleet(*ask(tmp_path / "full", "--save"))
     assert done.code == 1
-    assert "these data cannot tell which" in done.out
+    assert "these data cannot separate" in done.out
     assert "its error model cannot be written" in done.err
 
 
@@ -129,7 +129,7 @@ def test_a_verdict_is_told_though_its_model_cannot_be_saved(
 def fleet(store: Path) -> Result:
     """All units of the store diagnosed together, with every line of progress."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stream.console._TOLD_EVERY_S", 0.0)
+        patch.setattr("stream.console._STATUS_EVERY_S", 0.0)
         done = CliRunner().invoke(main, ["diagnose", "--fleet", "--model", MODEL, "--store", str(store), "--json"])
     assert done.exit_code == 0, done.output
     return done
@@ -167,7 +167,7 @@ def test_a_fleet_is_counted_on_standard_error(fleet: Result) -> None:
         "reading FOG-2 (2 of 2)",
         "tracing FOG-1 (1 of 2)",
         "tracing FOG-2 (2 of 2)",
-        "searching for what 2 units have in common",
+        "searching for effects common to 2 units",
     ]
 
 
@@ -193,7 +193,7 @@ def test_runs_noise_and_blocks_can_be_named(gyrofleet: Callable[..., Any], store
     (("--noise", "N=0,B=0,K=0,turn_on=0"), "N above 0"),
     (("--noise", "N=a,B=0,K=0,turn_on=0"), "could not convert"),
     (("--block", "0s"), "positive number of seconds"),
-    (("--block", "soon"), "as 30s, 1min or 0.5h"),
+    (("--block", "soon"), "such as 30s, 1min or 0.5h"),
     (("--holdout", "r1"), "last-third, none, or runs=A,B"),
     (("--holdout", "runs=r99"), "run to hold out is not there: r99"),
     (("--signal", "temperature"), "is of signal rate, not of temperature"),
@@ -237,7 +237,7 @@ def test_hit_2012_lacks_something_that_the_table_cannot_name(gyrofleet: Callable
     before, after = (found["error"][part]["rms_60s"] for part in ("before", "after"))
     assert before == pytest.approx(0.82e-3, rel=0.1)  # V, the speed that was held out
     assert after < 0.5 * before
-    assert any("mounted anew" in note["text"] for note in found["reduction"])
+    assert any("remounted" in note["text"] for note in found["reduction"])
 
 
 @pytest.mark.measured
@@ -270,7 +270,8 @@ def test_psim_x_lacks_a_thermal_transient_of_a_kind_that_the_record_cannot_tell(
 
 @pytest.mark.skipif(not browser.IS_THERE, reason="no chromium and chromedriver to look with")
 @pytest.mark.parametrize(
-    ("language", "words"), [("en", ("What would tell", "Error before and after")), ("zh", ("可区分的测试", "前后误差"))]
+    ("language", "words"),
+    [("en", ("Tests that separate them", "Error before and after")), ("zh", ("可区分的测试", "前后误差"))],
 )
 def test_a_browser_shows_the_report_without_a_fault(
     gyrofleet: Callable[..., Any], store: Path, tmp_path: Path, language: str, words: tuple[str, ...]

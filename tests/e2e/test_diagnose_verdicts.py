@@ -79,7 +79,7 @@ def test_two_runs_that_differ_cannot_tell_temperature_from_turn_on(gyrofleet: Ca
     told = gyrofleet(*words, "--report", "r.html", "--save")
     assert told.code == 0
     assert "The runs differ by" in told.out
-    assert "2 runs cannot tell" in told.out
+    assert "2 runs cannot separate these causes" in told.out
     # the scatter is the user's to declare; without it it is estimated, and still a finding
     estimated = gyrofleet(*words, "--noise", "N=0.01,B=0.01,K=0.01", "--json").json
     assert estimated["noise_source"] == "as given; turn-on scatter estimated from these runs"

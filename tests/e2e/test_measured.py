@@ -39,13 +39,13 @@ def test_allan_agrees_with_an_independent_computation(
     tau_s = np.array([tau for tau in curve["tau_s"] if tau <= 1e4 / 10])
     factors, expected, _, _ = allantools.oadev(rate_deg_per_h, rate=100.0, data_type="freq", taus=tau_s)
     np.testing.assert_allclose(factors, tau_s)
-    found = np.array(curve["adev"][: len(tau_s)])
+    found = np.array(curve["value"][: len(tau_s)])
     np.testing.assert_allclose(found[tau_s <= 30], expected[tau_s <= 30], rtol=0.01)
     np.testing.assert_allclose(found, expected, rtol=0.03)
-    assert np.all(np.array(curve["lo"]) <= np.array(curve["adev"]))
-    assert np.all(np.array(curve["adev"]) <= np.array(curve["hi"]))
+    assert np.all(np.array(curve["lo"]) <= np.array(curve["value"]))
+    assert np.all(np.array(curve["value"]) <= np.array(curve["hi"]))
     # what is known of these recordings: angle random walk 2.3 to 2.8 deg/sqrt(h), read where the slope is -1/2
-    at_1_s = float(np.interp(0.0, np.log(curve["tau_s"]), np.log(curve["adev"])))
+    at_1_s = float(np.interp(0.0, np.log(curve["tau_s"]), np.log(curve["value"])))
     assert 2.2 < np.exp(at_1_s) / 60.0 < 2.9
 
 
@@ -82,7 +82,7 @@ def test_what_was_estimated_live_is_what_the_store_gives(gyrofleet: Callable[...
         "--store", adis_store, "--overlap", "strided", "--json",
     ).json  # fmt: skip
     assert [row["tau_s"] for row in stored] == curve["tau_s"]
-    np.testing.assert_allclose([row["value"] for row in stored], curve["adev"], rtol=1e-12)
+    np.testing.assert_allclose([row["value"] for row in stored], curve["value"], rtol=1e-12)
     np.testing.assert_allclose([row["hi"] for row in stored], curve["hi"], rtol=1e-12)
 
 

@@ -177,13 +177,13 @@ def test_a_workbook_holds_numbers_as_numbers(ask: Ask, tmp_path: Path) -> None:
 
 
 def test_that_nothing_is_of_what_was_asked_for_is_said(ask: Ask) -> None:
-    assert ask("metrics", "--since", "2030-01-01").stdout.startswith("no characteristic is of what was asked for")
+    assert ask("metrics", "--since", "2030-01-01").stdout.startswith("no metric matches the selection")
 
 
 def test_an_empty_workbook_is_not_written_without_a_word(ask: Ask, tmp_path: Path) -> None:
     told = ask("metrics", "--since", "2030-01-01", "--xlsx", tmp_path / "m.xlsx").stderr
     assert "0 rows written" in told
-    assert "no characteristic is of what was asked for" in " ".join(told.split())
+    assert "no metric matches the selection" in " ".join(told.split())
 
 
 def test_annex_a_has_its_24_rows_whatever_was_measured(ask: Ask) -> None:

@@ -91,6 +91,12 @@ def test_people_read_tables_and_sentences_in_either_language(ask: Ask, folder: P
     assert "受控" in chinese
 
 
+def test_the_metric_is_an_argument_or_an_option(ask: Ask) -> None:
+    assert json.loads(ask("trend", "--metric", "bias", "--unit", "FOG-0007", "--json").stdout)["metric"] == "bias"
+    for words in (("trend",), ("trend", "bias", "--metric", "threshold")):
+        assert "name one metric" in " ".join(ask(*words, code=1).output.split())
+
+
 def test_capability_is_against_the_specification(ask: Ask) -> None:
     (chart,) = json.loads(ask("trend", "bias", "--station", "bench-A", "--json").stdout)["charts"]
     capability = chart["capability"]

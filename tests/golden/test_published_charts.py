@@ -5,8 +5,18 @@ import pytest
 from scipy.stats import norm
 
 from analytics.trends.capability import Capability, capability, cp_index, cpk_index
-from analytics.trends.control_chart import D2, D3, IndividualsChart, Spread, c4, individuals_chart
-from analytics.trends.ewma import WEIGHT, WIDTH, average_run_length, ewma_chart
+from analytics.trends.control_chart import (
+    D2,
+    D3,
+    EWMA_WEIGHT,
+    EWMA_WIDTH,
+    IndividualsChart,
+    Spread,
+    average_run_length,
+    c4,
+    ewma_chart,
+    individuals_chart,
+)
 from analytics.trends.mixed_model import MixedModel
 from analytics.trends.nelson_rules import rule_flags
 
@@ -60,7 +70,7 @@ def test_run_length_of_a_moved_process() -> None:
 
 
 def test_default_moving_average_signals_as_seldom_as_three_sigma() -> None:
-    assert average_run_length(WEIGHT, WIDTH) == pytest.approx(1 / (2 * norm.sf(3)), rel=0.005)
+    assert average_run_length(EWMA_WEIGHT, EWMA_WIDTH) == pytest.approx(1 / (2 * norm.sf(3)), rel=0.005)
 
 
 def _check_run_length(rules: list[int], expected: float, series: int, checks: int) -> None:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from analytics.calibration.separation import (
+from analytics.methods.separation import (
     ARCSEC_PER_RAD,
     AccelerometerReading,
     GyroReading,

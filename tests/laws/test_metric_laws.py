@@ -17,7 +17,7 @@ import pyarrow as pa
 import pytest
 
 from analytics.evaluation.evaluation import COLUMNS
-from analytics.metrics.registry import metrics
+from analytics.metric_registry.registry import metrics
 from analytics.specifications.entering import add_specification
 from storage.store import Store
 from stream.quantities import check_unit

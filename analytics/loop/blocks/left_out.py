@@ -6,11 +6,17 @@ from collections.abc import Mapping, Sequence
 import msgspec
 import numpy as np
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from stream.batch import BoolArray, FloatArray
 
 TOLD, GRAVE = 0.2, 0.5
 """Share of a kind of run or of a channel's excitation that is worth a word, and one without which nothing is denied."""
+FAR_OUTSIDE = Bilingual("a reading of the signal lies far outside its neighbours", "信号有读数远离其前后读数")
+FEW_SAMPLES = Bilingual("they hold too few samples", "采样过少")
+NOT_RESOLVED = Bilingual(
+    "the reference rate changes within them faster than its readings show", "基准角速率在块内的变化快于其读数所能反映"
+)
 _TAIL = 0.05
 _DERIVED = frozenset({"day", "time_since_power_on", "position"})
 _AT_EDGES = frozenset({"table_acceleration"})  # blocks across an edge hold all of it
@@ -27,19 +33,22 @@ class LeftOut(msgspec.Struct, frozen=True):
     is_grave: Whether what remains cannot show that nothing is missing.
     """
 
-    what: str
+    what: Bilingual
     share: float
-    why: str
+    why: Bilingual
     is_grave: bool = False
 
     def document(self) -> dict[str, object]:
         """Return it as it stands in JSON."""
-        return {"what": self.what, "share": self.share, "why": self.why}
+        return {"what": str(self.what), "share": self.share, "why": str(self.why)}
 
     @property
-    def sentence(self) -> str:
+    def sentence(self) -> Bilingual:
         """As a limit of a verdict."""
-        return f"{self.share:.0%} of {self.what} left out: {self.why}"
+        return Bilingual(
+            f"{self.share:.0%} of {self.what} left out: {self.why}",
+            f"略去{self.what.zh}的{self.share:.0%}：{self.why.zh}",
+        )
 
 
 class Loss(msgspec.Struct, frozen=True):
@@ -51,7 +60,7 @@ class Loss(msgspec.Struct, frozen=True):
     rows: Blocks of each run that were left out for it, by the name of the run; a run that lost none may be missing.
     """
 
-    why: str
+    why: Bilingual
     rows: Mapping[str, BoolArray]
 
 
@@ -77,7 +86,8 @@ def left_out(
         for name, rows in own.items():
             counted[name] |= rows
         if count := sum(int(rows.sum()) for rows in own.values()):
-            found.append(LeftOut(f"{blocks:,} blocks", count / blocks, loss.why))
+            what = Bilingual(f"{blocks:,} blocks", f"{blocks:,}个数据块")
+            found.append(LeftOut(what, count / blocks, loss.why))
     return tuple(sorted(found, key=lambda each: (not each.is_grave, -each.share)))
 
 
@@ -101,7 +111,7 @@ def _total(runs: Sequence[RunBlocks], losses: Sequence[Loss]) -> dict[str, BoolA
     return gone
 
 
-def _mostly(losses: Sequence[Loss], weight: Mapping[str, FloatArray]) -> str:
+def _mostly(losses: Sequence[Loss], weight: Mapping[str, FloatArray]) -> Bilingual:
     """The reason that weighs most."""
 
     def weight_of(loss: Loss) -> float:
@@ -119,7 +129,12 @@ def _kinds(runs: Sequence[RunBlocks], losses: Sequence[Loss], gone: Mapping[str,
         share = sum(int(gone[run.run].sum()) for run in of_kind) / max(1, sum(map(len, of_kind)))
         if share < TOLD:
             continue
-        what = "all runs" if len(kinds) == 1 else f"runs '{kind}'" if kind else f"runs {of_kind[0].run} and the like"
+        if len(kinds) == 1:
+            what = Bilingual("all runs", "全部试验")
+        elif kind:
+            what = Bilingual(f"runs '{kind}'", f"“{kind}”类试验")
+        else:
+            what = Bilingual(f"runs {of_kind[0].run} and the like", f"{of_kind[0].run}一类试验")
         why = _mostly(losses, {run.run: np.ones(len(run)) for run in of_kind})
         found.append(LeftOut(what, share, why, share >= GRAVE))
     return found
@@ -142,7 +157,8 @@ def _excitation(runs: Sequence[RunBlocks], losses: Sequence[Loss], gone: Mapping
         if whole > 0 and lost / whole >= max(TOLD, 1.5 * blocks):
             share = lost / whole
             is_grave = share >= GRAVE and name not in _AT_EDGES
-            found.append(LeftOut(f"the excitation of {name}", share, _mostly(losses, squares), is_grave))
+            what = Bilingual(f"the excitation of {name}", f"{name}的激励")
+            found.append(LeftOut(what, share, _mostly(losses, squares), is_grave))
     return found
 
 
@@ -161,5 +177,6 @@ def _steps(
     for (run, step), rows in steps.items():
         if run in gone and rows.any() and gone[run][rows].all():
             why = _mostly(losses, {run: rows.astype(np.float64)})
-            found.append(LeftOut(f"step {step} of run {run}", 1.0, why, is_grave=True))
+            what = Bilingual(f"step {step} of run {run}", f"试验{run}的步骤{step}")
+            found.append(LeftOut(what, 1.0, why, is_grave=True))
     return found

@@ -1,14 +1,14 @@
-"""What the closed loop looks at: one run of one unit as means over blocks of time, with the channels beside them."""
+"""Data of the closed loop: one run of one unit as means over blocks of time, with the channels beside the signal."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
+import numpy.typing as npt
 
-from stream.batch import FloatArray, IntArray
+from stream.batch import BoolArray, FloatArray, IntArray
 
-# The standard names. Channels of other names take part under their own.
 STANDARD_CHANNELS = (
     *("input_rate", "rate_o", "rate_s", "table_rate", "table_angle", "table_acceleration"),
     *("gravity_i", "gravity_o", "gravity_s"),
@@ -16,8 +16,12 @@ STANDARD_CHANNELS = (
     *("supply_voltage", "supply_current", "magnetic_i", "magnetic_o", "magnetic_s"),
     *("vibration", "humidity", "time_since_power_on", "day", "position"),
 )
+"""The standard names. Channels of other names take part under their own."""
 HARMONICS = 4
+SECOND_NS = 10**9
 _ROUNDING = 1e-14
+
+ComplexArray = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -26,18 +30,22 @@ class Channel:
 
     Parameters
     ----------
-    mean: shape (blocks,); mean of each block; NaN where the channel has no reading near it.
-    spread: shape (blocks,); standard deviation of the readings within the block (not of their mean); 0 where it cannot
-        be known.
+    mean: shape (blocks,); NaN where the channel has no reading near the block.
+    spread: shape (blocks,); standard deviation of the readings within the block, not of their mean; 0 if unknown.
     unit_of_measure: Of both.
-    phasors: shape (harmonics, blocks); for an angle: mean of exp(1j*k*angle) within the block for k = 1, 2, ...
-        `HARMONICS`; `mean` is then unwrapped.
+    phasors: shape (HARMONICS, blocks); of an angle: mean of exp(1j*k*angle) within the block for k = 1, 2, ...; `mean`
+        is then unwrapped.
     """
 
     mean: FloatArray
     spread: FloatArray
     unit_of_measure: str
-    phasors: "np.ndarray[tuple[int, ...], np.dtype[np.complex128]] | None" = None
+    phasors: ComplexArray | None = None
+
+    def part(self, rows: BoolArray | slice) -> "Channel":
+        """The channel at some of the blocks."""
+        phasors = None if self.phasors is None else self.phasors[:, rows]
+        return Channel(self.mean[rows], self.spread[rows], self.unit_of_measure, phasors)
 
 
 @dataclass(frozen=True)
@@ -46,19 +54,18 @@ class RunBlocks:
 
     Parameters
     ----------
-    unit, run: Whose it is. A segment of a run that replicates within a run is called ``RUN#2`` and so on.
-    signal: Name of the signal.
-    slot: shape (blocks,); number of each block on the run's grid: block b covers [slot*block_s, (slot + 1)*block_s) s
-        from `t0_ns` on. Increasing; where it leaps there is a gap.
-    block_s: Length of a block in seconds.
-    t0_ns: Moment from which slots count, ns, UTC.
+    unit, run, signal: A power-on within a run is a run of its own, ``RUN#2`` and so on.
+    slot: shape (blocks,); block b covers [slot*block_s, (slot + 1)*block_s) s from `t0_ns` on; increasing, with jumps
+        at gaps.
+    block_s: Length of a block, seconds.
+    t0_ns: Time of the start of slot 0, ns UTC.
     value: shape (blocks,); mean of the signal in each block, in `unit_of_measure`, finite.
     n: shape (blocks,); samples behind each mean.
-    white_variance: shape (blocks,); variance of each block mean as the scatter of the samples inside the block tells it
-        (white noise); NaN where a block has too few samples to tell.
-    unit_of_measure: Of the signal, in its result unit (deg/h for an angular rate).
+    white_variance: shape (blocks,); variance of each block mean from the scatter of the samples inside the block (white
+        noise); NaN where a block has too few samples.
+    unit_of_measure: Result unit of the signal (deg/h for an angular rate).
     channels: By standard name, or by their own; any may be missing.
-    is_date_known: Whether `t0_ns` is a true moment.
+    is_date_known: Whether `t0_ns` is a true date.
 
     Examples
     --------
@@ -89,13 +96,35 @@ class RunBlocks:
         """Middle of each block, seconds from `t0_ns`."""
         return np.asarray((self.slot + 0.5) * self.block_s, dtype=np.float64)
 
+    @property
+    def middle_ns(self) -> IntArray:
+        """Middle of each block, ns UTC."""
+        block_ns = round(self.block_s * SECOND_NS)
+        return self.t0_ns + self.slot * block_ns + block_ns // 2
+
+    @property
+    def is_table(self) -> bool:
+        """Whether it is a table of means, one sample a block, without scatter and exact times."""
+        return not np.isfinite(self.white_variance).any()
+
     def mean(self, channel: str) -> FloatArray:
-        """Block means of a channel that is there."""
+        """Block means of a channel of the run."""
         return self.channels[channel].mean
+
+    def part(self, rows: BoolArray | slice) -> "RunBlocks":
+        """The run with some of its blocks."""
+        return replace(
+            self,
+            slot=self.slot[rows],
+            value=self.value[rows],
+            n=self.n[rows],
+            white_variance=self.white_variance[rows],
+            channels={name: each.part(rows) for name, each in self.channels.items()},
+        )
 
 
 def stands_still(value: FloatArray) -> bool:
-    """Whether a signal does not change by more than rounding: the output of a sensor that is dead or stuck.
+    """Whether a signal changes by no more than rounding, as of a sensor that is dead or stuck.
 
     Examples
     --------

@@ -1,11 +1,11 @@
-"""Channels that the words of a run's steps give: how the input axis lies, and the rate that was commanded."""
+"""Channels from the words of a run's steps: direction of the input axis, position, and commanded rate."""
 
+import re
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from analytics.loop.blocks.signal_axes import signal_axis, turned_about
 from storage.sql.catalog import Catalog
 from stream.batch import BoolArray, FloatArray, IntArray
 
@@ -13,10 +13,17 @@ _OF_INPUT_AXIS = {"up": 1.0, "down": -1.0}
 _HORIZONTAL = frozenset({"east_west", "east", "west", "north", "south", "horizontal"})
 _FAR_NS = 2**62
 _AXES = frozenset("XYZ")
+_RATE_WORDS = "rate|gyro|gyr|omega|velocity|vel|spin|turn"
+_LETTER_APART = re.compile(r"(?:^|_)([xyz])(?=_|$)")
+_LETTER_JOINED = re.compile(rf"(?:(?:{_RATE_WORDS}|^w|_w)([xyz])(?=_|$))|(?:(?:^|_)([xyz])(?={_RATE_WORDS}))")
+_AXIS_WORD = re.compile(
+    r"(?P<before>[+-]?)(?:axis_)?(?P<name>[xyz]|i|ia|ira|input|o|oa|ora|output|s|sa|sra|spin)(?:_axis)?(?P<after>[+-]?)"
+)
+_INPUT = frozenset({"i", "ia", "ira", "input"})
 
 
 class Step(NamedTuple):
-    """A step of one unit as far as it matters here; an open one ends with the run."""
+    """A step of one unit; an open one ends with the run."""
 
     start_ns: int
     end_ns: int
@@ -37,8 +44,52 @@ def read_steps(catalog: Catalog, unit: str) -> dict[str, list[Step]]:
     return found
 
 
+def position_numbers(catalog: Catalog) -> dict[str, float]:
+    """A number for each position word anywhere in the store, in the order of the words."""
+    rows = catalog.rows("select distinct position from steps where position is not null order by 1")
+    return {str(word): float(number) for number, (word,) in enumerate(rows, 1)}
+
+
+def signal_axis(signal: str) -> str | None:
+    """Axis of its device that a signal belongs to: ``x``, ``y`` or ``z``; None where its name does not say.
+
+    Examples
+    --------
+    >>> [signal_axis(name) for name in ("rate_x", "angularratey", "gyro_z_filtered", "xrate", "rate", "temperature")]
+    ['x', 'y', 'z', 'x', None, None]
+    """
+    name = signal.lower()
+    found = {letter for match in _LETTER_APART.finditer(name) for letter in match.groups()}
+    found = found or {letter for match in _LETTER_JOINED.finditer(name) for letter in match.groups() if letter}
+    return found.pop() if len(found) == 1 else None
+
+
+def turned_about(axis: str | None, signal: str) -> float | None:
+    """Component of the turned axis along the input axis of a signal: 1, -1, 0; None where the word does not say.
+
+    Examples
+    --------
+    >>> [turned_about(word, "rate_z") for word in ("X", "Z", "-z", "fixture")]
+    [0.0, 1.0, -1.0, None]
+    >>> [turned_about(word, "rate") for word in ("IRA", "OA", "X")]
+    [1.0, 0.0, None]
+    """
+    match = _AXIS_WORD.fullmatch((axis or "").strip().lower().replace(" ", "_"))
+    if match is None:
+        return None
+    name = match["name"]
+    if name in ("x", "y", "z"):
+        own = signal_axis(signal)
+        if own is None:
+            return None
+        along = float(name == own)
+    else:
+        along = float(name in _INPUT)
+    return -along if along and "-" in match["before"] + match["after"] else along
+
+
 def input_axis_up(position: str | None, signal: str) -> float | None:
-    """Component upwards of the input axis in a position: 1, -1, 0 where it is horizontal, None where unknown.
+    """Vertical component of the input axis in a position: 1, -1, 0 where it is horizontal, None where unknown.
 
     Known are the words of the procedures of the standards: ``IRA_up``, ``IRA_down``, ``IRA_east_west`` and the like,
     and ``X_up`` to ``Z_down`` for the signals of an axis, ``rate_x`` to ``rate_z``.
@@ -59,21 +110,17 @@ def input_axis_up(position: str | None, signal: str) -> float | None:
     return _OF_INPUT_AXIS[towards] if axis.lower() == own else 0.0
 
 
-def positions_at(steps: Sequence[Step], t_ns: IntArray) -> IntArray:
-    """Which step's position the unit has at each moment, as the step's index; -1 where it is being moved.
+def _held(steps: Sequence[Step], t_ns: IntArray, word: Callable[[Step], str | None]) -> IntArray:
+    """Index of the step whose word holds at each time; -1 during a change.
 
-    Between steps of one position it stays there; before the first and after the last as well.
+    Between steps of one word it holds; before the first and after the last as well.
 
     Examples
     --------
     >>> steps = [Step(10, 20, "IRA_up", None), Step(30, 40, "IRA_up", None), Step(50, 60, "IRA_down", None)]
-    >>> positions_at(steps, np.array([0, 25, 45, 55, 99])).tolist()
+    >>> _held(steps, np.array([0, 25, 45, 55, 99]), lambda step: step.position).tolist()
     [0, 0, -1, 2, 2]
     """
-    return _held(steps, t_ns, lambda step: step.position)
-
-
-def _held(steps: Sequence[Step], t_ns: IntArray, word: Callable[[Step], str | None]) -> IntArray:
     held = np.full(len(t_ns), -1)
     named = [at for at, step in enumerate(steps) if word(step) is not None]
     for before, at, after in zip([None, *named], named, [*named[1:], None], strict=False):
@@ -85,33 +132,36 @@ def _held(steps: Sequence[Step], t_ns: IntArray, word: Callable[[Step], str | No
 
 
 def by_position(steps: Sequence[Step], t_ns: IntArray, value: Callable[[str], float | None]) -> FloatArray:
-    """A quantity that the position gives, at moments; NaN where the unit is being moved or the word says nothing."""
-    given = [None if step.position is None else value(step.position) for step in steps]
-    of_step = np.array([np.nan if each is None else each for each in given] + [np.nan])
-    return np.asarray(of_step[positions_at(steps, t_ns)], dtype=np.float64)
+    """A quantity that the position defines, at given times; NaN while the unit is moved or the word is unknown."""
+    return _by_word(steps, t_ns, lambda step: step.position, value)
 
 
 def by_axis(steps: Sequence[Step], t_ns: IntArray, signal: str) -> FloatArray:
-    """Component of the axis that turned along the input axis, at moments; NaN where no step tells."""
-    told = [turned_about(step.axis, signal) for step in steps]
-    of_step = np.array([np.nan if each is None else each for each in told] + [np.nan])
-    return np.asarray(of_step[_held(steps, t_ns, lambda step: step.axis)], dtype=np.float64)
+    """Component of the turned axis along the input axis, at given times; NaN where no step says."""
+    return _by_word(steps, t_ns, lambda step: step.axis, lambda word: turned_about(word, signal))
 
 
-def unknown_axes(steps: Sequence[Step], signal: str) -> list[str]:
-    """Words of axes that do not say how they lie to the input axis."""
-    words = {step.axis for step in steps if step.axis is not None}
-    return sorted(word for word in words if turned_about(word, signal) is None)
+def _by_word(
+    steps: Sequence[Step], t_ns: IntArray, word: Callable[[Step], str | None], value: Callable[[str], float | None]
+) -> FloatArray:
+    given = [None if (own := word(step)) is None else value(own) for step in steps]
+    of_step = np.array([np.nan if each is None else each for each in given] + [np.nan])
+    return np.asarray(of_step[_held(steps, t_ns, word)], dtype=np.float64)
 
 
-def unknown_positions(steps: Sequence[Step], signal: str) -> list[str]:
-    """Words of positions that do not say how the input axis lies."""
+def unknown_axes(steps: Sequence[Step], signal: str) -> set[str]:
+    """Words of axes that do not define their direction relative to the input axis."""
+    return {step.axis for step in steps if step.axis is not None and turned_about(step.axis, signal) is None}
+
+
+def unknown_positions(steps: Sequence[Step], signal: str) -> set[str]:
+    """Words of positions that do not define the direction of the input axis."""
     words = {step.position for step in steps if step.position is not None}
-    return sorted(word for word in words if input_axis_up(word, signal) is None)
+    return {word for word in words if input_axis_up(word, signal) is None}
 
 
 def commanded_rate(steps: Sequence[Step], start_ns: IntArray, end_ns: IntArray) -> FloatArray:
-    """Rate that was commanded while each block lay wholly within one step, deg/s; else NaN."""
+    """Commanded rate of each block that lies wholly within one step, deg/s; else NaN."""
     rate = np.full(len(start_ns), np.nan)
     for step in steps:
         if step.rate_command_deg_per_s is not None:
@@ -120,7 +170,7 @@ def commanded_rate(steps: Sequence[Step], start_ns: IntArray, end_ns: IntArray) 
 
 
 def step_rows(steps: Sequence[Step], t_ns: IntArray) -> dict[str, BoolArray]:
-    """Moments that lie in each step, by its number and words; steps in which none lies are not there."""
+    """Times that lie in each step, by its number and words; without steps that contain none."""
     found = {}
     for number, step in enumerate(steps, 1):
         rows = (t_ns >= step.start_ns) & (t_ns < step.end_ns)
@@ -129,9 +179,3 @@ def step_rows(steps: Sequence[Step], t_ns: IntArray) -> dict[str, BoolArray]:
             words = [str(number), step.position or "", "" if rate is None else f"{rate:g} deg/s"]
             found[" ".join(word for word in words if word)] = rows
     return found
-
-
-def position_numbers(catalog: Catalog) -> dict[str, float]:
-    """A number for each word that stands for a position anywhere in the store, in the order of the words."""
-    rows = catalog.rows("select distinct position from steps where position is not null order by 1")
-    return {str(word): float(number) for number, (word,) in enumerate(rows, 1)}

@@ -1,1 +1,1 @@
-"""Effects that a gyro's error model may lack, one file each."""
+"""Effects that a gyro's error model may lack, one file for each family."""

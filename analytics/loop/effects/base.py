@@ -1,5 +1,6 @@
-"""What every effect is: a class that both predicts (columns of a regression) and simulates."""
+"""Base class of effects: each predicts (columns of a regression) and simulates."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,11 +9,15 @@ from itertools import product
 
 import numpy as np
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from stream.batch import FloatArray
+from stream.errors import BadInput
 
 Shape = Mapping[str, object]
-"""Values of an effect's shape parameters: numbers, or lists of numbers such as the knots of a free function; JSON."""
+"""Values of an effect's shape parameters: numbers, or lists of numbers such as the knots of a function; JSON."""
+Inputs = Mapping[str, FloatArray]
+"""True inputs of the gyro: each channel in its standard unit at the instants of a simulation, shape (n,)."""
 
 
 class Role(StrEnum):
@@ -26,31 +31,29 @@ class Role(StrEnum):
 
 
 class Kind(StrEnum):
-    """How an effect comes into the search."""
+    """How an effect enters the search."""
 
     LIBRARY = "library"
     """A named physical effect; tried in the first round."""
     FUNCTION = "function"
-    """A general function of one channel, for what has no name; found, it means "unknown function of"."""
+    """A general function of one channel; if it is found, the verdict is "unknown function of"."""
     SECOND_TIER = "second_tier"
-    """Products and thresholds; opened only when the library leaves structure."""
+    """Products and thresholds; tried only when the library leaves structure."""
     LINE = "line"
-    """A periodic line of unknown frequency: scanned for by its own spectrum, not over a grid."""
+    """A periodic line of unknown frequency; found by a scan of its own spectrum, not over a grid."""
     EVENT = "event"
-    """Something that happens at an unknown time in one run: scanned for by its own matched filter."""
+    """An event at an unknown time in one run; found by its own matched filter."""
 
 
 @dataclass(frozen=True)
 class ShapeParameter:
-    """A parameter that an effect is not linear in, searched over a grid.
+    """A parameter in which an effect is not linear, searched over a grid.
 
     Parameters
     ----------
     name, unit_of_measure: Such as ``time_constant`` in ``s``.
-    grid: The values that are tried; of a parameter with `relative_to` in parts of that channel's range.
+    grid: Values to try; of a parameter in the unit of a channel, ``{temperature}``, fractions of that channel's range.
     en, zh: Its name.
-    relative_to: Channel whose range over all runs scales the grid, so that it fits a channel in any unit; empty:
-        absolute.
     """
 
     name: str
@@ -58,19 +61,18 @@ class ShapeParameter:
     grid: tuple[float, ...]
     en: str
     zh: str
-    relative_to: str = ""
 
     def values(self, runs: Sequence[RunBlocks]) -> tuple[float, ...]:
-        """What is tried on these runs; three digits of what a range scales, so that a shape can be written down."""
-        if not self.relative_to:
+        """Values to try on these runs; scaled ones have three digits, so that a shape can be written down."""
+        if not self.unit_of_measure.startswith("{"):
             return self.grid
-        found = range_over(self.relative_to, runs)
+        found = range_over(self.unit_of_measure.strip("{}"), runs)
         scale = 0.0 if found is None else found[1] - found[0]
         return tuple(float(f"{part * scale:.3g}") for part in self.grid) if scale > 0 else ()
 
 
 def range_over(channel: str, runs: Sequence[RunBlocks]) -> tuple[float, float] | None:
-    """Least and greatest block mean of a channel over runs, but for 2 in 1000 at each end; None without readings."""
+    """Range of a channel's block means over runs without the outer 0.2 % at each end; None without readings."""
     means = [run.mean(channel) for run in runs if channel in run.channels]
     finite = np.concatenate([mean[np.isfinite(mean)] for mean in means]) if means else np.empty(0)
     if not finite.size:
@@ -79,34 +81,72 @@ def range_over(channel: str, runs: Sequence[RunBlocks]) -> tuple[float, float] |
     return float(low), float(high)
 
 
-class Effect(ABC):
-    """One effect. A new one is a new file in this package; the registry and the laws find it.
+def number(shape: Shape, name: str) -> float:
+    """A shape parameter that is one number.
 
-    An instance has no state. Regressors are in natural units, so that a coefficient says something: deg/h per degC.
+    Examples
+    --------
+    >>> number({"time_constant": 600}, "time_constant")
+    600.0
+    >>> number({}, "time_constant")
+    Traceback (most recent call last):
+    stream.errors.BadInput: time_constant is missing; give it as time_constant=NUMBER
+    """
+    value = shape.get(name)
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < math.inf:
+        return float(value)
+    what = "is missing" if value is None else f"is {value!r}, not a number"
+    raise BadInput(f"{name} {what}; give it as {name}=NUMBER")
+
+
+def positive(shape: Shape, name: str) -> float:
+    """A shape parameter that must be above 0, such as a time constant."""
+    value = number(shape, name)
+    if not value > 0:
+        raise BadInput(f"{name} is {value:g}; it must be above 0")
+    return value
+
+
+def numbers(shape: Shape, name: str) -> FloatArray:
+    """A shape parameter that is a list of increasing numbers, such as knots."""
+    value = shape.get(name)
+    if not isinstance(value, list | tuple) or not all(isinstance(each, int | float) for each in value):
+        raise BadInput(f"{name} is {value!r}; a list of numbers is needed")
+    found = np.asarray(value, dtype=np.float64)
+    if found.size < 2 or not np.isfinite(found).all() or not np.all(np.diff(found) > 0):
+        raise BadInput(f"{name} is {value!r}; at least two increasing numbers are needed")
+    return found
+
+
+class Effect(ABC):
+    """One effect. The registry and the laws suite find each effect in the files of this package by themselves.
+
+    A class with a `name` is one effect; several effects of one class are instances in its file's ``EFFECTS``.
+    Instances have no state. Regressors are in natural units, so that coefficients are readable: deg/h per degC.
     """
 
     name: str
     en: str
     zh: str
     needs: tuple[str, ...]
-    """Standard channels, all of which must be there and vary."""
+    """Standard channels, all of which must be present and vary."""
     role: Role = Role.CAUSE
     kind: Kind = Kind.LIBRARY
     parameters: tuple[ShapeParameter, ...] = ()
     coefficients: tuple[str, ...] = ("",)
     """Names of the columns where there are several, such as ``cos`` and ``sin``."""
     per: str = "1"
-    """What a coefficient is per: a unit of measure in which {temperature} stands for that channel's own unit."""
+    """Divisor of the coefficient's unit; {temperature} stands for the unit of measure of that channel."""
     cause: str
     """The physics in two sentences."""
     cause_zh: str
     reference: str
     aliases: tuple[str, ...] = ()
-    """Names of effects that ordinary tests do not tell from this one."""
+    """Names of effects that ordinary tests do not distinguish from this one."""
     follows: tuple[str, ...] = ()
     """Of a proxy: effects of the causes that it follows. Found alone, it stands for one of them."""
     separating_test: str
-    """The measurement that would tell them apart."""
+    """The measurement that would distinguish this effect from its aliases."""
     separating_test_zh: str
 
     def shapes(self, runs: Sequence[RunBlocks]) -> Sequence[Shape]:
@@ -118,33 +158,30 @@ class Effect(ABC):
         """Names of the columns at this shape."""
         return self.coefficients
 
-    def unavailable(self, runs: Sequence[RunBlocks]) -> str | None:
-        """Why this effect cannot be looked for in these runs; None where it can."""
+    def unavailable(self, runs: Sequence[RunBlocks]) -> Bilingual | None:
+        """Why these runs do not allow a search for this effect; None where they do."""
         for channel in self.needs:
             missing = sum(channel not in run.channels for run in runs)
             if missing:
-                return f"channel {channel} is missing in {missing} of {len(runs)} runs"
-            finite = np.concatenate(
-                [run.mean(channel)[np.isfinite(run.mean(channel))] for run in runs] or [np.empty(0)]
-            )
+                return Bilingual(
+                    f"channel {channel} is missing in {missing} of {len(runs)} runs",
+                    f"{len(runs)}次试验中有{missing}次缺少通道{channel}",
+                )
+            means = np.concatenate([run.mean(channel) for run in runs] or [np.empty(0)])
+            finite = means[np.isfinite(means)]
             if not finite.size:
-                return f"channel {channel} has no readings in these runs"
-            if np.ptp(finite) == 0 and not self._varies_within(channel, runs):
-                unit = runs[0].channels[channel].unit_of_measure
-                return f"channel {channel} stays at {finite[0]:g} {unit} in these runs"
+                return Bilingual(
+                    f"channel {channel} has no readings in these runs", f"通道{channel}在这些试验中没有读数"
+                )
+            if np.ptp(finite) == 0 and not any(np.any(run.channels[channel].spread > 0) for run in runs):
+                value = f"{finite[0]:g} {runs[0].channels[channel].unit_of_measure}"
+                return Bilingual(
+                    f"channel {channel} stays at {value} in these runs", f"通道{channel}在这些试验中保持为{value}"
+                )
         return None
 
-    @staticmethod
-    def _varies_within(channel: str, runs: Sequence[RunBlocks]) -> bool:
-        return any(bool(np.any(run.channels[channel].spread > 0)) for run in runs)
-
-    @classmethod
-    def instances(cls) -> "Sequence[Effect]":
-        """What the registry lists of this class: one, if it has a name; a class may make several."""
-        return (cls(),) if hasattr(cls, "name") else ()
-
-    def recorded(self, time_s: FloatArray, channels: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
-        """What the record holds in place of `channels`: an auxiliary sensor's fault alters its channel."""
+    def recorded(self, time_s: FloatArray, channels: Inputs) -> Inputs:
+        """Channels as the record has them: a fault of an auxiliary sensor alters its channel."""
         return channels
 
     @abstractmethod
@@ -152,15 +189,13 @@ class Effect(ABC):
         """Columns of the effect, shape (blocks, columns); NaN only where a needed channel is NaN."""
 
     @abstractmethod
-    def simulate(
-        self, time_s: FloatArray, channels: Mapping[str, FloatArray], coefficients: Sequence[float], shape: Shape
-    ) -> FloatArray:
-        """What the effect adds to the signal at each instant, by its physics and not by `regressors`.
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+        """Contribution of the effect to the signal at each instant, by its physics and not by `regressors`.
 
         Parameters
         ----------
         time_s: shape (n,); instants, evenly spaced, seconds from the run's start.
-        channels: shape (n,); what truly acts on the gyro at these instants.
+        channels: The true inputs of the gyro at these instants.
         coefficients: One for each column.
         shape: Values of the shape parameters, within their grids or between.
 

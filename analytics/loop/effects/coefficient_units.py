@@ -1,4 +1,4 @@
-"""Units of measure of coefficients and shape parameters, from what the channels are in."""
+"""Units of measure of coefficients and shape parameters, from those of the channels."""
 
 import re
 
@@ -7,7 +7,7 @@ from analytics.loop.effects.base import Effect, ShapeParameter
 
 
 def coefficient_unit(effect: Effect, signal_unit: str, run: RunBlocks) -> str:
-    """What a coefficient of `effect` is in, for a signal in `signal_unit` and the channels of `run`.
+    """Unit of a coefficient of `effect`, for a signal in `signal_unit` and the channels of `run`.
 
     Examples
     --------
@@ -29,7 +29,7 @@ def coefficient_unit(effect: Effect, signal_unit: str, run: RunBlocks) -> str:
 
 
 def parameter_unit(parameter: ShapeParameter, run: RunBlocks) -> str:
-    """What a shape parameter is in: its own unit, or that of the channel it stands for."""
+    """Unit of a shape parameter: its own, or that of the channel it names."""
     return _filled(parameter.unit_of_measure, run, is_alone=True)
 
 

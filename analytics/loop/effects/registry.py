@@ -1,16 +1,17 @@
-"""All effects, found by themselves in the files of this package."""
+"""The library of effects, found in the files of this package."""
 
 import difflib
 import functools
 import importlib
 import inspect
 import pkgutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import STANDARD_CHANNELS, RunBlocks
 from analytics.loop.effects.base import Effect
-from analytics.loop.effects.channel_linear import PREFIX, ChannelLinear
+from analytics.loop.effects.named_channels import PREFIX, channel_linear
 from analytics.loop.effects.turn_on import TURN_ON, TurnOnScatter
 from stream.errors import BadInput
 
@@ -27,10 +28,19 @@ def effects() -> Mapping[str, Effect]:
     'warm-up after power-on'
     """
     package = importlib.import_module(_PACKAGE)
-    for module in pkgutil.iter_modules(package.__path__):
-        importlib.import_module(f"{_PACKAGE}.{module.name}")
-    found = [instance for cls in _concrete() for instance in cls.instances()]
-    return MappingProxyType({instance.name: instance for instance in sorted(found, key=lambda e: e.name)})
+    found = [each for module in pkgutil.iter_modules(package.__path__) for each in _effects_in(module.name)]
+    return MappingProxyType({each.name: each for each in sorted(found, key=lambda each: each.name)})
+
+
+def _effects_in(module: str) -> Iterator[Effect]:
+    """Effects of a file: the instances in its ``EFFECTS``, and each of its own classes that has a name."""
+    found = importlib.import_module(f"{_PACKAGE}.{module}")
+    yield from getattr(found, "EFFECTS", ())
+    for _, cls in inspect.getmembers(found, inspect.isclass):
+        if cls.__module__ != found.__name__ or cls is TurnOnScatter:  # noise, which is not searched for
+            continue
+        if issubclass(cls, Effect) and hasattr(cls, "name"):
+            yield cls()
 
 
 def effect(name: str) -> Effect:
@@ -54,7 +64,7 @@ def effect(name: str) -> Effect:
     if name == TURN_ON:
         return TurnOnScatter()
     if name.startswith(PREFIX) and len(name) > len(PREFIX):
-        return ChannelLinear(name.removeprefix(PREFIX))
+        return channel_linear(name.removeprefix(PREFIX))
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
     plain = [each for each in known if "*" not in each]
     hint = (
@@ -64,32 +74,20 @@ def effect(name: str) -> Effect:
 
 
 def effects_for(runs: Sequence[RunBlocks]) -> Mapping[str, Effect]:
-    """The effects that can be looked for in these runs, with the linear effect of each channel of another name."""
-    candidates = {**effects(), **{each.name: each for each in _of_other_channels(runs)}}
+    """The effects that these runs allow to search for, with the linear effect of each channel of another name."""
+    candidates = _candidates(runs)
     return MappingProxyType({name: each for name, each in candidates.items() if each.unavailable(runs) is None})
 
 
-def unavailable_effects(runs: Sequence[RunBlocks]) -> Mapping[str, str]:
-    """Why each of the other effects cannot be looked for in these runs."""
-    candidates = {**effects(), **{each.name: each for each in _of_other_channels(runs)}}
-    reasons = {name: each.unavailable(runs) for name, each in candidates.items()}
+def unavailable_effects(runs: Sequence[RunBlocks]) -> Mapping[str, Bilingual]:
+    """Why these runs do not allow a search for each of the other effects."""
+    reasons = {name: each.unavailable(runs) for name, each in _candidates(runs).items()}
     return MappingProxyType({name: reason for name, reason in reasons.items() if reason is not None})
 
 
-def _of_other_channels(runs: Sequence[RunBlocks]) -> list[ChannelLinear]:
+def _candidates(runs: Sequence[RunBlocks]) -> dict[str, Effect]:
     present = {channel for run in runs for channel in run.channels}
     others = present - set(STANDARD_CHANNELS)
     if "temperature" not in present:
         others |= present & {"case_temperature"}  # else it is temperature and temperature_gradient together
-    return [ChannelLinear(channel) for channel in sorted(others)]
-
-
-def _concrete() -> list[type[Effect]]:
-    found: set[type[Effect]] = set()
-    waiting = list(Effect.__subclasses__())
-    while waiting:
-        each = waiting.pop()
-        waiting.extend(each.__subclasses__())
-        if not inspect.isabstract(each) and each.__module__.startswith(f"{_PACKAGE}."):
-            found.add(each)
-    return list(found)
+    return {**effects(), **{each.name: each for each in map(channel_linear, sorted(others))}}

@@ -1,13 +1,14 @@
-"""Auxiliary channels that freeze or drop out, so that the model goes on with a reading that is no longer true."""
+"""Auxiliary channels that freeze or drop out: the model then uses an outdated reading."""
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
-from analytics.loop.effects.base import Effect, Role, Shape
+from analytics.loop.effects.base import Effect, Inputs, Role, Shape
 from stream.batch import FloatArray
 
 Mask = npt.NDArray[np.bool_]
@@ -19,9 +20,7 @@ _SLOPE_BLOCKS = 12
 
 
 def frozen_blocks(channel: Channel) -> Mask:
-    """Blocks in which the channel repeats the very same reading, four blocks or more in a row.
-
-    A drop-out to zero is one kind of that.
+    """Blocks in which the channel repeats one reading, four blocks or more in a row; a drop-out to zero is one case.
 
     Examples
     --------
@@ -39,19 +38,22 @@ def frozen_blocks(channel: Channel) -> Mask:
 
 
 class _StaleChannel(Effect):
-    """Reading minus what the channel truly was, in the blocks where it is frozen."""
+    """Reading minus true value of a channel, in the blocks where it is frozen."""
 
     role = Role.ALIAS
     reference = "IEEE 1431-2004, test instrumentation; IEEE 952-2020, data acquisition"
 
     @abstractmethod
     def _truth(self, run: RunBlocks, is_frozen: Mask) -> FloatArray:
-        """What the channel was in its frozen blocks, as far as it can be known."""
+        """Estimate of the true values in the frozen blocks."""
 
-    def unavailable(self, runs: Sequence[RunBlocks]) -> str | None:
+    def unavailable(self, runs: Sequence[RunBlocks]) -> Bilingual | None:
         reason = super().unavailable(runs)
         if reason is None and not any(np.any(self.regressors(run, {})) for run in runs):
-            reason = f"channel {self.needs[0]} is nowhere frozen while it should move in these runs"
+            reason = Bilingual(
+                f"channel {self.needs[0]} is nowhere frozen while it should move in these runs",
+                f"通道{self.needs[0]}在应当变化时从未停滞",
+            )
         return reason
 
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
@@ -62,21 +64,19 @@ class _StaleChannel(Effect):
             error[is_frozen] = channel.mean[is_frozen] - self._truth(run, is_frozen)
         return error[:, None]
 
-    def recorded(self, time_s: FloatArray, channels: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
+    def recorded(self, time_s: FloatArray, channels: Inputs) -> Inputs:
         held = channels[self.needs[0]].copy()
         for hang in _HANGS_FROM_TO:
             first, end = np.searchsorted(time_s, np.quantile(time_s, hang))
             held[first:end] = held[first]
         return {**channels, self.needs[0]: held}
 
-    def simulate(
-        self, time_s: FloatArray, channels: Mapping[str, FloatArray], coefficients: Sequence[float], shape: Shape
-    ) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         return coefficients[0] * (self.recorded(time_s, channels)[self.needs[0]] - channels[self.needs[0]])
 
 
 class StaleTemperature(_StaleChannel):
-    """Of the gyro temperature: the truth lies on a smooth bridge from the last true readings to the next ones."""
+    """Frozen gyro temperature; its true values are estimated by a cubic from the readings before to those after."""
 
     name = "stale_temperature"
     en = "temperature reading frozen or dropped out"
@@ -84,12 +84,12 @@ class StaleTemperature(_StaleChannel):
     needs = ("temperature",)
     per = "{temperature}"
     cause = (
-        "The reader of the sensor hangs or its line drops out, and the last reading (or zero) is repeated. The model "
-        "then takes off the wrong temperature until the sensor comes back."
+        "The data acquisition of the sensor hangs or its line drops out, and the last reading (or zero) is repeated. "
+        "The model then uses the wrong temperature until the sensor recovers."
     )
     cause_zh = "传感器读取挂起或线路中断，上一读数（或零）被重复记录。恢复之前模型扣除的是错误的温度。"
     aliases = ("thermal_lag", "temperature")
-    separating_test = "repeat the run with a second temperature sensor on another reader"
+    separating_test = "repeat the run with a second temperature sensor on another acquisition channel"
     separating_test_zh = "用另一采集通道的第二个温度传感器重复测试"
 
     def _truth(self, run: RunBlocks, is_frozen: Mask) -> FloatArray:
@@ -101,10 +101,10 @@ class StaleTemperature(_StaleChannel):
         good = np.flatnonzero(np.isfinite(mean) & ~held_on)
         truth = mean.copy()
         for first, end in _stretches(held_on):
-            # the block in which the sensor comes back is frozen in part
+            # the block in which the sensor recovers is frozen in part
             before, after = good[good < first], good[good > end]
             if not (before.size and after.size):
-                continue  # without a reading on both sides nothing tells the truth
+                continue  # unknown without a reading on both sides
             left, right = before[-1], after[0]
             slopes = [_slope(slot[near], mean[near]) for near in (before[-_SLOPE_BLOCKS:], after[:_SLOPE_BLOCKS])]
             bridge = CubicHermiteSpline(slot[[left, right]], mean[[left, right]], slopes)
@@ -113,7 +113,7 @@ class StaleTemperature(_StaleChannel):
 
 
 class StaleInputRate(_StaleChannel):
-    """Of the rate reference: the truth is told by the table's own rate, as far as the input axis goes along with it."""
+    """Frozen rate reference; its true values are estimated from the table rate, by their ratio beside the gap."""
 
     name = "stale_input_rate"
     en = "rate reference frozen or dropped out"
@@ -121,12 +121,12 @@ class StaleInputRate(_StaleChannel):
     needs = ("input_rate", "table_rate")
     per = "{input_rate}"
     cause = (
-        "The link to the rate reference hangs and its last value is repeated while the table goes on. The model takes "
-        "off a rate that is no longer true, which leaves the whole difference times the scale factor."
+        "The link to the rate reference hangs and its last value is repeated while the table keeps moving. The model "
+        "then uses a wrong rate, which leaves the difference times the scale factor."
     )
     cause_zh = "与速率基准的通信挂起，转台仍在运动而上一数值被重复。模型扣除的角速率已不真实，留下标度因数乘以其差。"
     aliases = ("rate_time_offset", "dead_zone")
-    separating_test = "repeat the run with the rate taken from the table's angle by a second reader"
+    separating_test = "repeat the run with the rate derived from the table angle by a second acquisition channel"
     separating_test_zh = "用第二采集通道由转台角度求得速率并重复测试"
 
     def _truth(self, run: RunBlocks, is_frozen: Mask) -> FloatArray:
@@ -141,8 +141,8 @@ class StaleInputRate(_StaleChannel):
             turning = float(table[near] @ table[near])
             if turning > 0.0:
                 along = float(rate[near] @ table[near]) / turning
-                told = along * table[first:end]
-                truth[first:end] = np.where(np.isfinite(told), told, rate[first:end])
+                estimated = along * table[first:end]
+                truth[first:end] = np.where(np.isfinite(estimated), estimated, rate[first:end])
         return truth[is_frozen]
 
 

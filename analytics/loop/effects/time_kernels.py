@@ -1,4 +1,4 @@
-"""Filters over blocks that stand at uneven times: gaps are stepped over by true time, blocks without reading too."""
+"""Filters over blocks at uneven times: gaps and blocks without a reading count by their true duration."""
 
 import math
 
@@ -23,7 +23,7 @@ def _lagged(time_s: FloatArray, value: FloatArray, time_constant_s: float) -> Fl
         else:
             step_s = time_s[i] - time_s[before]
             slope = (value[i] - value[before]) / step_s
-            # exact for an input that runs straight between two readings
+            # exact for an input that is linear between two readings
             start = lagged[before] - value[before] + slope * time_constant_s
             lagged[i] = value[i] - slope * time_constant_s + start * math.exp(-step_s / time_constant_s)
         before = i
@@ -49,7 +49,7 @@ def _play(value: FloatArray, width: float) -> FloatArray:
 
 @numba.njit(cache=True)
 def _slope_to_neighbours(slot: IntArray, value: FloatArray, i: int) -> float:
-    """Slope per slot from the last reading before block i to the first after it, wherever they are."""
+    """Slope per slot from the last reading before block i to the first after it."""
     before = i - 1
     while before >= 0 and math.isnan(value[before]):
         before -= 1
@@ -96,7 +96,7 @@ def _edge_slope(slot: IntArray, value: FloatArray, spread: FloatArray) -> FloatA
     """Change of a channel from start to end of each block, per slot.
 
     The value at the edge between two blocks is their mean weighted by 1/spread**2: where the channel steps within one
-    of them, the other one, in which it rests, tells the value at the edge.
+    of them, the other, in which it is constant, determines the value at the edge.
     """
     slope = np.full(value.size, np.nan)
     for i in range(value.size):
@@ -115,7 +115,7 @@ def _edge_slope(slot: IntArray, value: FloatArray, spread: FloatArray) -> FloatA
 
 
 def lagged(run: RunBlocks, channel: str, time_constant_s: float) -> FloatArray:
-    """A channel behind a first-order lag that was in equilibrium at the run's first reading.
+    """A channel after a first-order lag that is in equilibrium at the run's first reading.
 
     Examples
     --------
@@ -131,17 +131,15 @@ def lagged(run: RunBlocks, channel: str, time_constant_s: float) -> FloatArray:
 
 
 def played(run: RunBlocks, channel: str, width: float) -> FloatArray:
-    """A channel behind a play (backlash) of full width `width`, which the run's first reading stands in the middle of.
+    """Output of a play (backlash) of full width `width`, centred on the run's first reading.
 
-    The play follows only after the channel has turned and used up the width.
+    After a reversal the output follows only when the channel has passed the width.
     """
     return np.asarray(_play(run.mean(channel), width))
 
 
 def slope_per_s(run: RunBlocks, channel: str, values: FloatArray | None = None) -> FloatArray:
-    """Time derivative of a slow, noisy channel, or of `values` made from it: slope of a line through the blocks within
-    60 s, per second; NaN where the channel is.
-    """
+    """Time derivative per second of a slow, noisy channel, or of `values` derived from it: slope over +-60 s."""
     half_width = max(1, round(_SLOPE_HALF_WIDTH_S / run.block_s))
     slope = _local_slope(run.slot, run.mean(channel) if values is None else values, half_width)
     return np.asarray(slope / run.block_s)

@@ -1,18 +1,18 @@
-"""A bias of its own after each power-on: what runs differ by where nothing recorded says why."""
+"""Turn-on scatter: the bias differs from power-on to power-on."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Kind, Shape
+from analytics.loop.effects.base import Effect, Inputs, Kind, Shape
 from stream.batch import FloatArray
 
 TURN_ON = "turn_on"
 
 
 class TurnOnScatter(Effect):
-    """One constant per run, drawn anew at each power-on. It is noise and not searched for; it is one explanation."""
+    """One constant per run. It is noise and not searched for, but may explain a difference between runs."""
 
     name = TURN_ON
     en = "turn-on scatter"
@@ -21,21 +21,15 @@ class TurnOnScatter(Effect):
     kind = Kind.EVENT
     cause = (
         "Each power-on leaves the loop, the source or the suspension in a slightly different state. The bias then "
-        "differs from run to run by an amount that nothing recorded predicts."
+        "differs from run to run by an amount that no recorded channel predicts."
     )
     cause_zh = "每次上电后回路、光源或支承的状态略有不同。零偏因此逐次不同，其大小无法由任何记录预测。"
     reference = "IEEE 528-2019, turn-on to turn-on bias; JJF 2014-2022 7.2.15"
     separating_test = "power on six times or more with temperature, position and supply held"
     separating_test_zh = "保持温度、位置和供电不变，重复上电六次以上"
 
-    @classmethod
-    def instances(cls) -> Sequence[Effect]:
-        return ()
-
     def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
         return np.ones((len(run), 1))
 
-    def simulate(
-        self, time_s: FloatArray, channels: Mapping[str, FloatArray], coefficients: Sequence[float], shape: Shape
-    ) -> FloatArray:
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
         return np.full(time_s.size, float(coefficients[0]))

@@ -1,12 +1,17 @@
-"""Means over a block of functions that are not smooth, from mean and spread of the channel within the block.
+"""Means over a block of functions of a channel, from its mean and spread, or its phasors, within the block.
 
-The readings within a block are taken as normally distributed; where the channel rests, the functions are plain.
+The readings within a block are assumed normally distributed; at zero spread the function of the mean results.
 """
 
 import numpy as np
+import numpy.typing as npt
 
-from analytics.loop.blocks.run_blocks import Channel
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from stream.batch import FloatArray
+from stream.errors import BadInput, UnknownUnit
+from stream.quantities import conversion
+
+Phasor = npt.NDArray[np.complex128]
 
 _LEAST_SPREAD = 1e-12
 
@@ -59,7 +64,7 @@ def mean_inside(channel: Channel, half_width: float) -> FloatArray:
 
 
 def mirrored(channel: Channel) -> Channel:
-    """The channel with its sign turned."""
+    """The channel with its sign reversed."""
     return Channel(-channel.mean, channel.spread, channel.unit_of_measure)
 
 
@@ -72,3 +77,37 @@ def _below(z: FloatArray) -> FloatArray:
 def _density(z: FloatArray) -> FloatArray:
     clipped = np.clip(z, -40.0, 40.0)
     return np.asarray(np.exp(-0.5 * clipped**2) / np.sqrt(2.0 * np.pi))
+
+
+def radians_per_unit(channel: Channel) -> float:
+    """Factor from the unit of an angle to radians.
+
+    Raises
+    ------
+    BadInput: If it is not a unit of angle, such as counts of an encoder.
+
+    Examples
+    --------
+    >>> round(radians_per_unit(Channel(np.zeros(1), np.zeros(1), "deg")) * 180, 9)
+    3.141592654
+    """
+    try:
+        factor, _ = conversion(channel.unit_of_measure, "rad")
+    except UnknownUnit as error:
+        raise BadInput(f"an angle is needed in deg or rad, not in {channel.unit_of_measure}: convert it") from error
+    if channel.unit_of_measure in {"count", "LSB", "1"}:
+        raise BadInput(f"an angle is needed in deg or rad, not in {channel.unit_of_measure}: give it a scale")
+    return factor
+
+
+def phasor(run: RunBlocks, channel: str, harmonic: int) -> Phasor:
+    """Mean of exp(1j*harmonic*angle) in each block.
+
+    Without recorded phasors the angle is assumed to move uniformly within the block, over a range given by its spread.
+    """
+    angle = run.channels[channel]
+    if angle.phasors is not None and harmonic <= len(angle.phasors):
+        return np.asarray(angle.phasors[harmonic - 1], np.complex128)
+    factor = harmonic * radians_per_unit(angle)
+    swept = factor * np.sqrt(12.0) * angle.spread
+    return np.asarray(np.exp(1j * factor * angle.mean) * np.sinc(swept / (2.0 * np.pi)), np.complex128)

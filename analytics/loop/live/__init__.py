@@ -1,1 +1,1 @@
-"""Error models in use on live signals."""
+"""Error models applied to live signals."""

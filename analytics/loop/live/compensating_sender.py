@@ -1,4 +1,4 @@
-"""A source's way to its bus that compensates on the way: for sources and pipelines in one process."""
+"""A sender that adds compensated samples, for sources and pipelines in one process."""
 
 import msgspec
 
@@ -10,14 +10,9 @@ from stream.identity import EventKey, SampleKey, event_key, parse_key, sample_ke
 
 
 class CompensatingSender:
-    """Sends what it is given, and beside it what live error models make of it.
+    """Passes batches and documents to a sender, such as an EmbeddedPipeline, and adds compensated samples.
 
-    The end of a run goes out behind its last compensated sample, and counts them.
-
-    Parameters
-    ----------
-    sender: Where to send, such as an EmbeddedPipeline.
-    compensator: What compensates.
+    The end of a run follows its last compensated sample, and its totals include them.
     """
 
     def __init__(self, sender: Sender, compensator: LiveCompensator) -> None:
@@ -25,7 +20,7 @@ class CompensatingSender:
         self._compensator = compensator
 
     def send_batch(self, key: str, batch: SampleBatch) -> None:
-        """Send samples, and the compensated samples that can be told by now."""
+        """Send samples, and the compensated samples that are ready."""
         self._sender.send_batch(key, batch)
         parsed = parse_key(key)
         assert isinstance(parsed, SampleKey)

@@ -1,9 +1,9 @@
-"""Compensation beside a recorder: reads what is recorded, in the order of the log, and sends compensated samples."""
+"""Compensation beside a recorder: reads the log of a store and sends compensated samples to its recorder."""
 
 from collections.abc import Callable
 from uuid import UUID
 
-from analytics.loop.live.live_compensation import SUFFIX
+from analytics.loop.live.epoch_compensation import SUFFIX
 from analytics.loop.live.live_compensator import LiveCompensator, Out, lacking_uid
 from analytics.loop.model.model_registry import ModelRegistry
 from analytics.loop.model.model_use import logged_documents, uses_of
@@ -27,21 +27,19 @@ from stream.wire.batches import decode_batch
 
 
 class CompensationWorker:
-    """Follows the log of a store, and sends what its live error models make of it to the store's recorder.
+    """Reads the log of a store and sends the compensated samples of its live error models to the store's recorder.
 
-    It keeps nothing of its own. What it sends is a function of the log: of runs that go on it reads everything again
-    when it starts, and sends what the log does not have yet; what was on its way when it was killed comes with the
-    same numbers, and is dropped.
+    It has no state of its own: its output is a function of the log. At the start it reads the running runs again and
+    sends what the log lacks; samples sent before it was killed have the same numbers and are dropped.
 
     Parameters
     ----------
-    store: Which store.
-    publisher: Connected to the recorder that writes it.
-    on_document: Hears every document that is sent.
+    publisher: Connected to the recorder of the store.
+    on_document: Called with every document that is sent.
     """
 
     pause_s = 2.0
-    """Seconds between looks into the log."""
+    """Seconds between two reads of the log."""
 
     def __init__(
         self, store: Store, publisher: DurablePublisher, *, on_document: Callable[[AnyDocument], None] | None = None
@@ -49,18 +47,18 @@ class CompensationWorker:
         self._publisher = publisher
         self._on_document = on_document
         self._log = LogTail(store)
-        told = logged_documents(store, (ModelActivated, CompensationStarted, NoteAdded))
+        documents = logged_documents(store, (ModelActivated, CompensationStarted, NoteAdded))
         begun = {
             (each.run, each.unit, each.signal, each.epoch.replace("-", "")): each.model
-            for each in told
+            for each in documents
             if isinstance(each, CompensationStarted)
         }
-        self._known = {each.uid for each in told}
-        self._compensator = LiveCompensator(ModelRegistry(store), uses_of(told), begun)
+        self._known = {each.uid for each in documents}
+        self._compensator = LiveCompensator(ModelRegistry(store), uses_of(documents), begun)
         beginning = self._log.beginning()
         self._positions, self._ended = beginning.positions, beginning.ended
         ended = _ended(store)
-        if incomplete := _incomplete(store, told) & ended:  # one ended while none was at work
+        if incomplete := _incomplete(store, documents) & ended:  # a run ended while no worker ran
             self._positions, self._ended = {}, frozenset(ended - incomplete)
         self._sent = {
             message.stream: message.next_seq
@@ -70,7 +68,7 @@ class CompensationWorker:
         self.samples = 0
 
     def look(self, given_up: Callable[[], bool] = lambda: False) -> None:
-        """Take in what the log has beyond what was seen, and send what comes of it; until `given_up` says so.
+        """Read the new messages of the log and send their compensated samples, until `given_up` returns true.
 
         Raises
         ------
@@ -83,7 +81,7 @@ class CompensationWorker:
             try:
                 self._take(message.stream.key, message.payload)
             except WireError:
-                continue  # the recorder has kept it aside and reports it
+                continue  # the recorder quarantines and reports it
 
     def _take(self, key: str, payload: bytes) -> None:
         try:
@@ -99,7 +97,7 @@ class CompensationWorker:
         elif isinstance(parsed, EventKey):
             document = decode_event(payload).document
             if isinstance(document, ModelActivated) and document.uid in self._known:
-                return  # what was in use when it started is known already
+                return  # known since the start
             if document.run not in self._ended:
                 self._send(self._compensator.take_document(parsed.place, document))
 
@@ -114,13 +112,13 @@ class CompensationWorker:
                 self._known.add(what.uid)
                 self._publisher.send_event(event_key(place), what)
                 if isinstance(what, CompensationStarted):
-                    self._publisher.drain()  # by which model is on disk before the first sample is
+                    self._publisher.drain()  # the model is on disk before the first sample
                 if self._on_document is not None:
                     self._on_document(what)
 
 
 def _ended(store: Store) -> set[str]:
-    """Runs that have ended and were not resumed."""
+    """Runs that ended and were not resumed."""
     ended: set[str] = set()
     for document in logged_documents(store, (RunEnded, RunResumed)):
         if isinstance(document, RunEnded):
@@ -130,12 +128,12 @@ def _ended(store: Store) -> set[str]:
     return ended
 
 
-def _incomplete(store: Store, told: list[AnyDocument]) -> set[str]:
-    """Runs with a signal of which there are fewer compensated than raw samples in the lake."""
-    known = {each.uid for each in told}
+def _incomplete(store: Store, documents: list[AnyDocument]) -> set[str]:
+    """Runs with fewer compensated than raw samples of a signal in the lake."""
+    known = {each.uid for each in documents}
     begun = [
         each
-        for each in told
+        for each in documents
         if isinstance(each, CompensationStarted) and lacking_uid(UUID(each.compensated_epoch)) not in known
     ]
     if not begun:

@@ -1,4 +1,4 @@
-"""Which signals of a stream are compensated, by what, and from which channels: batches and documents in and out."""
+"""Compensation of all signals with live error models: batches and documents in and out."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from uuid import UUID, uuid5
 
-from analytics.loop.live.live_compensation import PATIENCE_BATCHES, PATIENCE_S, SUFFIX, EpochCompensation
+from analytics.loop.live.epoch_compensation import PATIENCE_BATCHES, PATIENCE_S, SUFFIX, EpochCompensation
 from analytics.loop.model.live_terms import live_part, needed_channels
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
 from analytics.loop.model.model_use import InUse, Uses
@@ -31,12 +31,12 @@ _KEPT_NS = round(PATIENCE_S * 1e9)
 _AUTHOR = "gyrofleet compensate"
 
 Out = tuple[Place, SampleBatch | AnyDocument]
-"""Something to be sent, and the station that it belongs to."""
+"""Output, and the station that it belongs to."""
 
 
 @dataclass
 class _Run:
-    """What is known of a run that goes on."""
+    """State of a running run."""
 
     place: Place
     epochs: dict[tuple[str, str, str], EpochCompensation] = field(default_factory=dict)
@@ -53,21 +53,19 @@ class _Run:
 class LiveCompensator:
     """Compensates every signal that has a live error model, power-on by power-on.
 
-    A power-on keeps the model that was live when its first sample came: a model that is promoted or taken out acts
-    from the next power-on or run on. What `begun` names keeps the model that is named there.
+    A power-on keeps the model that is live at its first sample: a promotion or rollback acts from the next power-on or
+    run on.
 
     Parameters
     ----------
-    registry: Where the versions are.
-    uses: What is in use, by unit and signal; later activations are heard as documents.
-    begun: Hash of the model by which a signal of a power-on in a run is compensated already, by run, unit, signal and
-        epoch (in hexadecimal digits).
+    uses: Models in use by unit and signal; later activations arrive as documents.
+    begun: Hash of the model of each compensation that has started, by run, unit, signal and epoch (hexadecimal).
 
     Notes
     -----
-    A channel is the unit's own signal of that name, else that of the one instrument of the run that has it. Without
-    ``input_rate`` it is ``table_rate``, unless the position or axis of a step says how the unit lies. The channels'
-    readings of the last ten minutes are kept for a power-on whose first sample comes behind them.
+    A channel is the unit's own signal of that name, else that of the only instrument of the run that has it.
+    ``table_rate`` replaces a missing ``input_rate`` unless a step gives a position or axis. The channel readings of the
+    last ten minutes are kept for a power-on whose first sample arrives after them.
     """
 
     def __init__(
@@ -82,7 +80,7 @@ class LiveCompensator:
         self.samples = 0
 
     def take(self, place: Place, batch: SampleBatch) -> list[Out]:
-        """Take in samples; what is to be sent now."""
+        """Add samples; the output that is ready."""
         if batch.signal.endswith(SUFFIX):
             return []
         run = self._runs.setdefault(batch.run, _Run(place))
@@ -94,12 +92,12 @@ class LiveCompensator:
         if (own := run.epochs.get(stream)) is not None:
             own.take(batch)
             self.samples += len(batch)
-            out += self._told(place, own)
+            out += self._ready(place, own)
         out += self._offer(place, run, batch)
         return out + self._finish_if_complete(run)
 
     def take_document(self, place: Place, document: AnyDocument) -> list[Out]:
-        """Take in a document; what is to be sent now."""
+        """Add a document; the output that is ready."""
         match document:
             case ModelActivated():
                 whose = (document.unit, document.signal)
@@ -122,7 +120,7 @@ class LiveCompensator:
         return []
 
     def finish(self, run_name: str) -> list[Out]:
-        """End a run, nothing of which comes any more; what is left to be sent of it."""
+        """End a run that is complete; its remaining output."""
         run = self._runs.pop(run_name, None)
         if run is None:
             return []
@@ -134,7 +132,7 @@ class LiveCompensator:
         return out
 
     def totals(self, run_name: str) -> tuple[StreamTotal, ...]:
-        """How many compensated samples of a run there will be in all, if nothing more of it comes."""
+        """Numbers of compensated samples of a run if it is complete."""
         run = self._runs.get(run_name)
         if run is None:
             return ()
@@ -145,7 +143,7 @@ class LiveCompensator:
         )
 
     def _begin(self, place: Place, run: _Run, batch: SampleBatch) -> list[Out]:
-        """Begin to compensate a power-on, if there is a model for it."""
+        """Start the compensation of a power-on if it has a model."""
         stream = (batch.unit, batch.signal, batch.epoch.hex)
         model = self._begun.get((batch.run, *stream))
         is_begun = model is not None
@@ -196,7 +194,7 @@ class LiveCompensator:
         return self._versions[unit, model]
 
     def _offer(self, place: Place, run: _Run, batch: SampleBatch) -> list[Out]:
-        """Give readings to those who need them, and keep the last ones for those who come later."""
+        """Pass readings to the compensations that need them, and keep recent ones for later power-ons."""
         if batch.signal not in self._wanted():
             return []
         kept = run.kept.setdefault((batch.unit, batch.signal), deque())
@@ -208,24 +206,24 @@ class LiveCompensator:
         out: list[Out] = []
         for (unit, _, _), own in run.epochs.items():
             if self._give(run, unit, own, batch):
-                out += self._told(place, own)
+                out += self._ready(place, own)
         return out
 
     def _wanted(self) -> frozenset[str]:
-        """Signals that any model may need."""
+        """Signals that any live model reads."""
         if self._wanted_now is None:
             for (unit, _), use in self._uses.items():
                 if use.live is not None:
-                    with suppress(GyrofleetError):  # told when the unit begins
+                    with suppress(GyrofleetError):  # reported when the compensation of the unit starts
                         self._version(unit, use.live.model)
             self._wanted_now = frozenset(name for each in self._versions.values() for name in _names(each))
         return self._wanted_now
 
     @staticmethod
     def _give(run: _Run, unit: str, own: EpochCompensation, batch: SampleBatch) -> bool:
-        """Give a batch to a compensation if it is a channel of it."""
+        """Pass a batch to a compensation if it is one of its channels."""
         if batch.unit != unit and batch.unit in run.units:
-            return False  # of another unit under test
+            return False  # a signal of another unit under test
         if batch.signal in own.channels:
             own.take_reading(batch.signal, batch, _OWN if batch.unit == unit else _INSTRUMENT)
             return True
@@ -235,12 +233,12 @@ class LiveCompensator:
         return False
 
     @staticmethod
-    def _told(place: Place, own: EpochCompensation) -> list[Out]:
+    def _ready(place: Place, own: EpochCompensation) -> list[Out]:
         out: list[Out] = [(place, batch) for batch in own.due()]
         return out + [(place, _stopped(own, name, at_s)) for name, at_s in own.newly_held().items()]
 
     def _finish_if_complete(self, run: _Run) -> list[Out]:
-        """End a run whose end has come, and all of whose samples have."""
+        """End a run if its end and all its samples have arrived."""
         if run.ended is None:
             return []
         for total in run.ended.totals:
@@ -251,7 +249,7 @@ class LiveCompensator:
 
 
 def lacking_uid(epoch: UUID) -> str:
-    """Identity of the note that a compensated epoch has no samples, since a channel is lacking."""
+    """Identity of the note that an epoch is not compensated, since a channel is missing."""
     return uuid5(epoch, "lacking").hex
 
 
@@ -265,8 +263,8 @@ def _cannot(own: EpochCompensation) -> NoteAdded:
     return _note(
         own,
         lacking_uid(own.epoch),
-        f"is not compensated: version {own.version.version} of its error model cannot do without {lacking}; record it "
-        "once, or take the term out of the model",
+        f"is not compensated: version {own.version.version} of its error model needs {lacking}; record it once, or "
+        "remove the term from the model",
     )
 
 
@@ -274,8 +272,8 @@ def _stopped(own: EpochCompensation, name: str, at_s: float) -> NoteAdded:
     return _note(
         own,
         uuid5(own.epoch, f"{name} stops").hex,
-        f"is compensated with a last reading from now on: channel {name} stops at {at_s:.0f} s, and has not come for "
-        f"{own.patience_s:.0f} s; look at its source",
+        f"is compensated with the last reading of channel {name} from now on: it stops at {at_s:.0f} s and has been "
+        f"missing for {own.patience_s:.0f} s; check its source",
     )
 
 

@@ -1,4 +1,4 @@
-"""Watches models in use: does each recorded stretch of a run fit them better than the model that they replaced?"""
+"""Residual watch: a CUSUM on the log-likelihood of each model in use against the model that it replaced."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -8,7 +8,7 @@ from uuid import UUID, uuid5
 
 import numpy as np
 
-from analytics.loop.blocks.reduction import BlockReducer
+from analytics.loop.blocks.block_reducer import BlockReducer
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
 from analytics.loop.model.model_use import (
@@ -19,7 +19,7 @@ from analytics.loop.model.model_use import (
     rollback_documents,
     uses_of,
 )
-from analytics.loop.tracing.whitened_residual import whitened_residual
+from analytics.loop.tracing.whitening.whitener import whitened_residual
 from storage.sql.catalog import Catalog
 from storage.store import Store
 from stream.batch import FloatArray
@@ -27,24 +27,16 @@ from stream.errors import GyrofleetError
 from stream.events import AnyDocument, ModelActivated, ResidualWatched
 
 THRESHOLD = math.log(200.0)
-"""Log-likelihood that may be lost: with the odds of 200 to 1 against it, a model is refused."""
+"""Loss of log-likelihood beyond which a model is refused: odds of 200 to 1 against it."""
 STRETCH_S = 6 * 3600.0
-"""Length of the stretches of which long runs are judged one by one, seconds."""
+"""Length of the stretches into which long runs are divided, seconds."""
 
 _BY = "residual watch"
 _FEWEST_BLOCKS = 8
 
 
-class Stretch(NamedTuple):
-    """What a stretch of a run says of a model.
-
-    Parameters
-    ----------
-    number: From 0 on, counted from the beginning of the run.
-    end_ns: Where its last block ends.
-    blocks: How many blocks it has.
-    gain: Log-likelihood gained against the model before.
-    """
+class WatchedStretch(NamedTuple):
+    """A stretch of a run, its end, its number of blocks, and the gain in log-likelihood over the previous model."""
 
     number: int
     end_ns: int
@@ -53,10 +45,9 @@ class Stretch(NamedTuple):
 
 
 def gains(version: ModelVersion, run: RunBlocks) -> FloatArray:
-    """Whitened log-likelihood of each block by the version, less that by the model before; NaN without a channel.
+    """Whitened log-likelihood of each block with the version, less that with the previous model; NaN without a channel.
 
-    Both are compared with the same noise, the version's, so that only what they predict counts; a bias that is another
-    at each power-on is part of that noise.
+    Both are evaluated with the noise of the version, which includes turn-on scatter.
 
     Raises
     ------
@@ -71,13 +62,8 @@ def gains(version: ModelVersion, run: RunBlocks) -> FloatArray:
     return np.asarray(0.5 * (old**2 - new**2))
 
 
-def stretches(version: ModelVersion, run: RunBlocks, *, is_ended: bool) -> list[Stretch]:
-    """What the stretches of a run say of a version; of a run that goes on, those that are complete.
-
-    Raises
-    ------
-    BadInput: As `gains`.
-    """
+def stretches(version: ModelVersion, run: RunBlocks, *, is_ended: bool) -> list[WatchedStretch]:
+    """The stretches of a run; of a running run, the complete ones."""
     gain = gains(version, run)
     number = (run.slot * run.block_s // STRETCH_S).astype(np.int64)
     last = int(number[-1])
@@ -87,12 +73,12 @@ def stretches(version: ModelVersion, run: RunBlocks, *, is_ended: bool) -> list[
         count = int(np.count_nonzero(is_in))
         if count >= _FEWEST_BLOCKS:
             end_ns = run.t0_ns + round((int(run.slot[is_in][-1]) + 1) * run.block_s * 1e9)
-            found.append(Stretch(each, end_ns, count, float(gain[is_in].sum())))
+            found.append(WatchedStretch(each, end_ns, count, float(gain[is_in].sum())))
     return found
 
 
 def cusum(before: float, gain: float) -> float:
-    """What a model has lost in all, after one more stretch; not below 0.
+    """Accumulated loss of a model after one more stretch; not below 0.
 
     Examples
     --------
@@ -103,44 +89,44 @@ def cusum(before: float, gain: float) -> float:
 
 
 def watch_store(store: Store) -> list[AnyDocument]:
-    """Judge every model in use by what was recorded since; roll back a live one that is refused, or cannot be read.
+    """Judge every model in use by the runs recorded since; roll back a live model that is refused or unreadable.
 
-    The documents are in the store's log when this returns, and are given back. Done again it says nothing twice.
+    Returns the documents that were written to the store's log. A repeated call writes nothing twice.
 
     Raises
     ------
     GyrofleetError: If the store cannot be read, or the recorder does not acknowledge.
     """
-    told = logged_documents(store, (ModelActivated, ResidualWatched))
-    uses = uses_of(told)
+    logged = logged_documents(store, (ModelActivated, ResidualWatched))
+    uses = uses_of(logged)
     if not any(use.activations for use in uses.values()):
         return []
     registry = ModelRegistry(store)
-    said: list[AnyDocument] = []
+    documents: list[AnyDocument] = []
     with Catalog(store) as catalog:
         for use in uses.values():
             for activated in use.activations:
                 try:
                     version = registry.by_hash(activated.unit, activated.model)
-                except GyrofleetError as error:  # what cannot be read cannot be used
-                    said += rollback_documents(registry, use, Stage(activated.stage), reason=str(error), by=_BY)
+                except GyrofleetError as error:  # an unreadable model cannot be used
+                    documents += rollback_documents(registry, use, Stage(activated.stage), reason=str(error), by=_BY)
                     continue
                 history = [
-                    each for each in told if isinstance(each, ResidualWatched) and each.activation == activated.uid
+                    each for each in logged if isinstance(each, ResidualWatched) and each.activation == activated.uid
                 ]
-                fresh = _Watch(catalog, version, activated, history).documents()
-                said += fresh
+                fresh = _ModelWatch(catalog, version, activated, history).documents()
+                documents += fresh
                 if fresh and fresh[-1].is_refused and activated.stage == Stage.LIVE:
-                    said += _rolled_back(registry, use, fresh[-1])
-    if said:
-        enter_activations(store, said)
-    return said
+                    documents += _rolled_back(registry, use, fresh[-1])
+    if documents:
+        enter_activations(store, documents)
+    return documents
 
 
 def _rolled_back(registry: ModelRegistry, use: InUse, why: ResidualWatched) -> Sequence[AnyDocument]:
     reason = (
-        f"the residual watch refuses it: up to {why.stretch} it explains what was recorded worse than the model before "
-        f"it, by {why.cusum:.1f} in log-likelihood ({why.threshold:.1f} may be); trace the unit anew"
+        f"the residual watch refuses it: up to {why.stretch} it predicts the record worse than the previous model, by "
+        f"{why.cusum:.1f} in log-likelihood (limit {why.threshold:.1f}); diagnose the unit again"
     )
     return rollback_documents(registry, use, Stage.LIVE, reason=reason, by=_BY)
 
@@ -152,8 +138,8 @@ class _Recorded(NamedTuple):
     last_ns: int
 
 
-class _Watch:
-    """One version that is in use, and what was said of it since."""
+class _ModelWatch:
+    """A version in use and its history."""
 
     def __init__(
         self, catalog: Catalog, version: ModelVersion, activated: ModelActivated, history: Sequence[ResidualWatched]
@@ -165,17 +151,17 @@ class _Watch:
         self._cusum = history[-1].cusum if history else 0.0
 
     def documents(self) -> list[ResidualWatched]:
-        """What is to be said now; nothing behind what refuses a live version."""
-        said: list[ResidualWatched] = []
+        """The new documents, up to the one that refuses a live version."""
+        documents: list[ResidualWatched] = []
         for recorded in self._fresh():
             for document in self._judged(recorded):
-                said.append(document)
+                documents.append(document)
                 if document.is_refused and self._activated.stage == Stage.LIVE:
-                    return said
-        return said
+                    return documents
+        return documents
 
     def _fresh(self) -> Iterator[_Recorded]:
-        """Runs that were recorded since, of which something may be left to be said."""
+        """Runs recorded since the activation that are not fully judged."""
         rows = self._catalog.rows(
             """
             select s.run, r.run is not null, (s.t_last_ns - s.t_first_ns) / 1e9, s.t_last_ns
@@ -186,9 +172,9 @@ class _Watch:
         )
         for run, is_ended, span_s, last_ns in rows:
             of_run = [each for each in self._history if each.run == run]
-            is_told = any(each.t_ns >= last_ns - 2e9 * self._version.block_s for each in of_run)
+            is_judged = any(each.t_ns >= last_ns - 2e9 * self._version.block_s for each in of_run)
             waits = not is_ended and len(of_run) >= span_s // STRETCH_S
-            if run not in self._version.runs and not is_told and not waits:
+            if run not in self._version.runs and not is_judged and not waits:
                 yield _Recorded(str(run), bool(is_ended), float(span_s), int(last_ns))
 
     def _judged(self, recorded: _Recorded) -> Iterator[ResidualWatched]:
@@ -198,7 +184,7 @@ class _Watch:
             reducer = BlockReducer(self._catalog, version.signal, block_s=version.block_s, runs=[recorded.run])
             parts = reducer.reduce(version.unit).runs
             if not recorded.is_ended and len(parts) > 1:
-                return  # which of its power-ons goes on is known at its end
+                return  # which power-on is still running is known at the end
             found = [
                 (f"{part.run.removesuffix('#1')} from {each.number * STRETCH_S / 3600:g} h", each)
                 for part in parts

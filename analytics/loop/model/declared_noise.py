@@ -1,4 +1,4 @@
-"""Noise to start from where nobody declares it: a unit's own Allan fits, and the scatter of its bias over runs."""
+"""Initial noise where none is declared: from a unit's own Allan fits, and the scatter of its bias over runs."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from analytics.curves.noise_coefficients import MOST_MISFIT
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.noise import NoiseCoefficients
@@ -22,39 +23,42 @@ _OF_LIMIT = 1.0 / 3.0
 _NORMAL_PER_MAD = 1.4826
 _RATES = ("input_rate", "table_rate")
 _MOST_DRIVEN = 4.0
-"""Variance of a run's blocks over what a line in the rate leaves of it: above, the Allan fit is of the motion."""
+"""Ratio of a run's variance to its residual from a line in the rate above which the Allan fit is of the motion."""
 
 
 def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorModel) -> NoiseCoefficients | NoEstimate:
-    """Noise coefficients of a unit by the Allan fits of its runs, or why there are none.
+    """Noise coefficients of a unit from the Allan fits of its runs, or why there are none.
 
     Parameters
     ----------
     catalog: The store, which has the fit of every finished run.
-    runs: Of one unit; runs in which the unit was powered on anew count with the fit of the whole.
-    model: Declared; what it leaves tells the turn-on scatter.
+    runs: Of one unit; a power-on within a run has the fit of the whole run.
+    model: Declared; its residual gives the turn-on scatter.
 
     Notes
     -----
-    An Allan deviation holds the effects as well as the noise, so that of several runs the lower quartile is taken; of a
-    term that a run does not show, a third of what it leaves room for, if the fit says nothing better. Fits that are
-    off by more than a quarter do not count, nor do runs in which the unit was turned: their Allan deviation is that of
-    the motion, a million times the noise. The turn-on scatter is that of the runs' constants by least squares
-    (1.4826 times the median distance from the median); of a single run it is not known, and the bias instability is
-    taken in its place. Flicker and random walk are seen at long averaging times only, where a short run shows its
-    effects: they are taken from the runs at least half as long as the longest of those whose fits count.
+    An Allan deviation contains the effects as well as the noise: of several runs the lower quartile is taken; of a term
+    that a run does not show, a third of its upper bound. Fits with a misfit above a quarter do not count, nor do runs
+    in which the unit was rotated: their Allan deviation is that of the motion, a million times the noise. The turn-on
+    scatter is that of the runs' constants by least squares (1.4826 times the median distance from the median); of a
+    single run it is unknown, and the bias instability is taken instead. Flicker and random walk appear at long
+    averaging times only, where a short run shows its effects: they are taken from the runs at least half as long as the
+    longest of those whose fits count.
     """
     unit, signal = runs[0].unit, runs[0].signal
     if runs[0].unit_of_measure != ANGULAR_RATE_UNIT:
-        return NoEstimate(
-            f"signal {signal} is in {runs[0].unit_of_measure}: the noise terms are those of an angular rate"
+        unit_of_measure = runs[0].unit_of_measure
+        return _unknown(
+            f"signal {signal} is in {unit_of_measure}: the noise terms are those of an angular rate",
+            f"信号{signal}的单位为{unit_of_measure}：噪声各项是针对角速率的",
         )
     names = {name for run in runs for name in _names(run)}
     turned = {name for run in runs if _is_turned(run) for name in _names(run)}
     if names == turned:
-        return NoEstimate(
+        return _unknown(
             f"unit {unit}, signal {signal}: it was turned in all runs, whose Allan fits are of the motion; noise is "
-            "estimated from these runs alone, or give --noise"
+            "estimated from these runs alone, or give --noise",
+            f"产品{unit}，信号{signal}：各次试验均在转动，其Allan拟合反映的是运动；噪声仅由这些试验估计，或用--noise给出",
         )
     rows = catalog.rows(
         "select run, document->'$.coefficients' as coefficients from events "
@@ -64,9 +68,11 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
     fits = {str(run): msgspec.json.decode(text) for run, text in rows if text and run in names - turned}
     usable = {run: fit for run, fit in fits.items() if fit is not None and fit.get("misfit", 0.0) <= MOST_MISFIT}
     if not usable:
-        return NoEstimate(
-            f"unit {unit}, signal {signal}: none of {len(names - turned)} runs has an Allan fit that describes it; "
-            "noise is estimated from these runs alone, or give --noise"
+        count = len(names - turned)
+        return _unknown(
+            f"unit {unit}, signal {signal}: none of {count} runs has an Allan fit that describes it; noise is "
+            "estimated from these runs alone, or give --noise",
+            f"产品{unit}，信号{signal}：{count}次试验均无可用的Allan拟合；噪声仅由这些试验估计，或用--noise给出",
         )
     lengths_s = _lengths_s(runs)
     longest_s = max(lengths_s[run] for run in usable)
@@ -80,7 +86,7 @@ def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorMode
 
 
 class GivenNoise(NamedTuple):
-    """Noise as it is given: N, B and K in the units of `NoiseCoefficients`, turn-on scatter where it is known."""
+    """Noise given by the user: N, B and K in the units of `NoiseCoefficients`, and turn-on scatter if known."""
 
     N: float
     B: float
@@ -89,7 +95,7 @@ class GivenNoise(NamedTuple):
 
 
 def with_turn_on(noise: GivenNoise, runs: Sequence[RunBlocks], model: ErrorModel) -> NoiseCoefficients:
-    """Return noise with turn-on scatter: as given, else that of the runs' constants, of a single run the flicker."""
+    """Noise with turn-on scatter: as given, else that of the runs' constants, for a single run the flicker."""
     white, flicker, walk, turn_on = noise
     if turn_on is None:
         constants = _constants(runs, model)
@@ -100,13 +106,17 @@ def with_turn_on(noise: GivenNoise, runs: Sequence[RunBlocks], model: ErrorModel
 
 
 def _names(run: RunBlocks) -> tuple[str, ...]:
-    """The run, and the run that it is a power-on of."""
+    """Name of the run, and of the whole run if it is a power-on."""
     whole = run.run.rpartition("#")[0]
     return (run.run, whole) if whole else (run.run,)
 
 
+def _unknown(en: str, zh: str) -> NoEstimate:
+    return NoEstimate(Bilingual(en, zh))
+
+
 def _lengths_s(runs: Sequence[RunBlocks]) -> dict[str, float]:
-    """Length of each run, and of each run that power-ons are of."""
+    """Length of each run, and of each whole run of power-ons."""
     found: dict[str, float] = defaultdict(float)
     for run in runs:
         for name in _names(run):
@@ -115,7 +125,7 @@ def _lengths_s(runs: Sequence[RunBlocks]) -> dict[str, float]:
 
 
 def _is_turned(run: RunBlocks) -> bool:
-    """Whether the signal of a run is mostly the rate at which the unit was turned."""
+    """Whether the signal of a run is mostly the rate at which the unit was rotated."""
     for name in _RATES:
         if name not in run.channels:
             continue
@@ -152,6 +162,6 @@ def _constants(runs: Sequence[RunBlocks], model: ErrorModel) -> FloatArray:
     means = (own.T @ np.column_stack([terms, value])) / own.sum(axis=0)[:, None]
     terms, value = terms - own @ means[:, :-1], value - own @ means[:, -1]
     scale = np.sqrt(np.sum(terms**2, axis=0))
-    is_told = scale > 1e-9 * (np.abs(means[:, :-1]).max(axis=0, initial=0.0) + 1e-300) * np.sqrt(len(row))
-    found, *_ = np.linalg.lstsq(terms[:, is_told], value, rcond=None)
-    return np.asarray(means[:, -1] - means[:, :-1][:, is_told] @ found, dtype=np.float64)
+    is_known = scale > 1e-9 * (np.abs(means[:, :-1]).max(axis=0, initial=0.0) + 1e-300) * np.sqrt(len(row))
+    found, *_ = np.linalg.lstsq(terms[:, is_known], value, rcond=None)
+    return np.asarray(means[:, -1] - means[:, :-1][:, is_known] @ found, dtype=np.float64)

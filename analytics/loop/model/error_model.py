@@ -1,4 +1,4 @@
-"""The error model of a gyro: named terms, their coefficients with covariance, and the noise that is left."""
+"""The error model of a gyro: named terms, their coefficients with covariance, and the remaining noise."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Self
@@ -7,7 +7,6 @@ import msgspec
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.coefficient_units import coefficient_unit
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.model_text import BIAS, ParsedTerm, parse_model, term_text
 from stream.batch import FloatArray
@@ -30,12 +29,7 @@ class ModelTerm(msgspec.Struct, frozen=True, omit_defaults=True):
         return term_text(ParsedTerm(self.name, self.shape))
 
     def columns(self, run: RunBlocks) -> FloatArray:
-        """Columns of the term in a run, shape (blocks, columns).
-
-        Raises
-        ------
-        BadInput: If the run lacks a channel that the effect needs.
-        """
+        """Columns of the term in a run, shape (blocks, columns)."""
         if self.name == BIAS:
             return np.ones((len(run), 1))
         found = effect(self.name)
@@ -43,14 +37,11 @@ class ModelTerm(msgspec.Struct, frozen=True, omit_defaults=True):
         if missing:
             raise BadInput(
                 f"run {run.run}, unit {run.unit}: term {self} of the error model needs channel {', '.join(missing)}; "
-                f"the run has {', '.join(sorted(run.channels)) or 'none'}: record it, or take the term out"
+                f"the run has {', '.join(sorted(run.channels)) or 'none'}: record it, or remove the term"
             )
         if not self.is_shaped():
             names = ", ".join(f"{parameter.name}=..." for parameter in found.parameters)
-            raise BadInput(
-                f"error model: {self.name} has no value of its parameters; write {self.name}({names}), or let "
-                f"ErrorModel.shaped find them"
-            )
+            raise BadInput(f"error model: {self.name} has no value of its parameters; write {self.name}({names})")
         return found.regressors(run, self.shape)
 
     def is_shaped(self) -> bool:
@@ -65,19 +56,16 @@ class ModelTerm(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What a signal is made of, beside noise: a sum of terms.
+    """A signal as a sum of terms, plus noise.
 
-    Without coefficients it is declared, with them it is fitted. `bias` is the constant; every other term is an effect.
+    Without coefficients the model is declared, with them it is fitted. `bias` is the constant; every other term is an
+    effect and occurs at most once.
 
     Parameters
     ----------
-    terms: Each at most once.
-    signal: Name of the signal that it is a model of.
-    unit_of_measure: Of what it predicts.
-    coefficients: One for each column; empty while the model is only declared.
-    units: Units of measure of the coefficients.
-    covariance: Of the coefficients.
-    noise: What is left, such as ``{"N": 0.005, "B": 0.02, "K": 0.01, "turn_on": 0.3}`` in deg/sqrt(h), deg/h,
+    signal, unit_of_measure: Of the prediction.
+    coefficients, units, covariance: One for each column; empty in a declared model.
+    noise: Remaining noise, such as ``{"N": 0.005, "B": 0.02, "K": 0.01, "turn_on": 0.3}`` in deg/sqrt(h), deg/h,
         deg/h/sqrt(h), deg/h.
 
     Examples
@@ -100,10 +88,10 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     noise: dict[str, float] = {}
 
     def __post_init__(self) -> None:
-        """Check that the parts fit together; this is the border for models that come as JSON."""
+        """Check that the parts are consistent; models that come as JSON are validated here."""
         names = [str(term) for term in self.terms]
         if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise BadInput(f"error model: {', '.join(twice)} is there twice; name each term once")
+            raise BadInput(f"error model: {', '.join(twice)} occurs twice; name each term once")
         n = len(self.coefficients)
         if any(len(row) != len(self.covariance) for row in self.covariance) or len(self.covariance) not in (0, n):
             raise BadInput(f"error model: {n} coefficients, but a covariance of {len(self.covariance)} rows")
@@ -112,28 +100,19 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     @classmethod
     def parse(cls, text: str, channels: Collection[str] = ()) -> Self:
-        """Read a model from text: terms joined by ``+``; what stands before ``=`` is the signal.
+        """Read a model from text; see `parse_model`.
 
         Parameters
         ----------
         text: Such as ``rate = bias + scale_factor*input_rate + warm_up(time_constant=1800)``.
-        channels: Names of channels that may stand as linear terms of their own.
-
-        Raises
-        ------
-        BadInput: If a term is not known; the message names those that look alike.
+        channels: Names of channels that may be linear terms.
         """
         signal, parsed = parse_model(text, channels)
         return cls(signal=signal, terms=tuple(ModelTerm(each.name, dict(each.shape)) for each in parsed))
 
     @classmethod
     def from_json(cls, document: str | bytes) -> Self:
-        """Read a model that `to_json` has written.
-
-        Raises
-        ------
-        BadInput: If it is not one, or has terms that this gyrofleet does not know.
-        """
+        """Read a model that `to_json` has written."""
         try:
             model = msgspec.json.decode(document, type=cls)
         except msgspec.MsgspecError as error:
@@ -155,11 +134,6 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         return bool(self.coefficients)
 
     @property
-    def has_bias(self) -> bool:
-        """Whether a constant is among its terms."""
-        return any(term.name == BIAS for term in self.terms)
-
-    @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects among its terms."""
         return tuple(term.name for term in self.terms if term.name != BIAS)
@@ -176,24 +150,13 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         return tuple(label for term in self.terms for label in term.labels())
 
     def columns(self, run: RunBlocks) -> FloatArray:
-        """Columns of the regression in a run, shape (blocks, columns); NaN where a channel that is needed is NaN."""
+        """Columns of the regression, shape (blocks, columns); NaN where a needed channel is NaN."""
         if not self.terms:
             return np.empty((len(run), 0))
         return np.column_stack([term.columns(run) for term in self.terms])
 
-    def coefficient_units(self, run: RunBlocks) -> tuple[str, ...]:
-        """Unit of measure of each coefficient, for the signal and the channels of a run."""
-        return tuple(
-            run.unit_of_measure if term.name == BIAS else coefficient_unit(effect(term.name), run.unit_of_measure, run)
-            for term in self.terms
-            for _ in term.labels()
-        )
-
     def shaped(self, runs: Sequence[RunBlocks]) -> Self:
-        """Return the model with shapes for the terms that have none yet: those that leave the least residual.
-
-        By least squares, of the shapes that each effect itself proposes for these runs, one term after the other.
-        """
+        """Return the model with shapes for the terms without one, by least squares, one term after the other."""
         terms = list(self.terms)
         for at, term in enumerate(terms):
             if term.is_shaped():
@@ -202,16 +165,11 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             tried = [ModelTerm(term.name, dict(shape)) for shape in effect(term.name).shapes(runs)]
             if not tried:
                 raise BadInput(f"error model: {term.name} has no shape to try on these runs; give its parameters")
-            terms[at] = min(tried, key=lambda each: _left(runs, [*others, each]))
+            terms[at] = min(tried, key=lambda each: _residual_squares(runs, [*others, each]))
         return msgspec.structs.replace(self, terms=tuple(terms))
 
     def predict(self, run: RunBlocks) -> FloatArray:
-        """What the fitted model says of each block, in `unit_of_measure`; NaN where a channel that is needed is NaN.
-
-        Raises
-        ------
-        BadInput: If the model has no coefficients, or is of another unit of measure than the run.
-        """
+        """Prediction of the fitted model for each block; NaN where a needed channel is NaN."""
         if not self.is_fitted:
             raise BadInput(f"error model '{self}' has no coefficients yet: fit it first")
         if self.unit_of_measure not in (None, run.unit_of_measure):
@@ -221,13 +179,12 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             )
         columns = self.columns(run)
         if columns.shape[1] != len(self.coefficients):
-            raise BadInput(
-                f"error model '{self}': {len(self.coefficients)} coefficients for {columns.shape[1]} columns; fit anew"
-            )
+            count = len(self.coefficients)
+            raise BadInput(f"error model '{self}': {count} coefficients for {columns.shape[1]} columns; fit it again")
         return np.asarray(columns @ np.array(self.coefficients))
 
     def residual(self, run: RunBlocks) -> FloatArray:
-        """What the fitted model leaves of each block."""
+        """Signal minus prediction of each block."""
         return run.value - self.predict(run)
 
     def fitted(
@@ -255,19 +212,9 @@ class ErrorModel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             self, terms=(*self.terms, ModelTerm(name, dict(shape or {}))), coefficients=(), covariance=(), units=()
         )
 
-    def without_term(self, name: str) -> Self:
-        """Return the model without the terms of an effect, to be fitted."""
-        return msgspec.structs.replace(
-            self,
-            terms=tuple(term for term in self.terms if term.name != name),
-            coefficients=(),
-            covariance=(),
-            units=(),
-        )
 
-
-def _left(runs: Sequence[RunBlocks], terms: Sequence[ModelTerm]) -> float:
-    """Sum of squares that least squares leaves, with a constant for each run."""
+def _residual_squares(runs: Sequence[RunBlocks], terms: Sequence[ModelTerm]) -> float:
+    """Residual sum of squares of a least-squares fit with a constant for each run."""
     columns, values = [], []
     for run in runs:
         block = np.column_stack([run.value, *(term.columns(run) for term in terms if term.name != BIAS)])

@@ -1,4 +1,4 @@
-"""Terms of an error model that can be taken off a signal while its run goes on."""
+"""Terms of an error model that can be subtracted from a signal during its run."""
 
 import functools
 
@@ -13,12 +13,12 @@ from stream.batch import FloatArray
 from stream.errors import BadInput, GyrofleetError
 
 LIVE_BLOCK_S = 5.0
-"""Length of the blocks on which terms are evaluated, seconds; between their middles it is interpolated."""
+"""Length of the blocks on which terms are evaluated, seconds; terms are interpolated between their middles."""
 LOOK_AHEAD_BLOCKS = 13
-"""So many blocks later a term's value has to stand: a slope is taken over 60 s to both sides."""
+"""Blocks after which the value of a term must be final: a slope is taken over 60 s to both sides."""
 TIME_SINCE_POWER_ON = "time_since_power_on"
 
-_STAY = (BIAS, "scale_factor")
+_NOT_SUBTRACTED = (BIAS, "scale_factor")
 _NOT_LIVE = {
     "table_angle": f"it moves within blocks of {LIVE_BLOCK_S:g} s",
     "table_acceleration": "it is derived once a run is recorded",
@@ -29,10 +29,10 @@ _PROBE_BLOCKS = 240
 
 
 def live_part(model: ErrorModel) -> ErrorModel:
-    """The terms that are taken off, with their coefficients: all but the bias and the scale factor.
+    """The terms that are subtracted, with their coefficients: all but the bias and the scale factor.
 
-    Those two are what a gyro's own calibration gives, and what its tests are about; temperatures count from 25 degC, so
-    that the bias that stays is the one at 25 degC.
+    Those two belong to the gyro's own calibration and are what its tests measure; temperatures are relative to 25 degC,
+    so that the remaining bias is that at 25 degC.
 
     Examples
     --------
@@ -45,7 +45,7 @@ def live_part(model: ErrorModel) -> ErrorModel:
     at = 0
     for term in model.terms:
         width = len(term.labels())
-        if term.name not in _STAY:
+        if term.name not in _NOT_SUBTRACTED:
             terms.append(term)
             coefficients.extend(model.coefficients[at : at + width])
         at += width
@@ -60,24 +60,19 @@ def needed_channels(model: ErrorModel) -> tuple[str, ...]:
 
 
 def predicted(model: ErrorModel, run: RunBlocks) -> FloatArray:
-    """What the terms add to the signal in each block; the same for a block however many come behind it."""
+    """Sum of the terms in each block; independent of the number of later blocks."""
     total = np.zeros(len(run))
     column = 0
     for term in model.terms:
         columns = term.columns(run)
-        for at in range(columns.shape[1]):  # a matrix product rounds by the number of its rows
+        for at in range(columns.shape[1]):  # the rounding of a matrix product depends on the number of rows
             total = total + model.coefficients[column] * columns[:, at]
             column += 1
     return total
 
 
 def check_live(unit: str, model: ErrorModel) -> None:
-    """Refuse a model with a term that cannot be taken off while a run goes on.
-
-    Raises
-    ------
-    BadInput: If there is one, or if nothing is to be taken off; the message says what can be done.
-    """
+    """Refuse a model without a term to subtract, or with one that cannot be computed during a run."""
     part = live_part(model)
     if not part.terms:
         raise BadInput(
@@ -87,13 +82,13 @@ def check_live(unit: str, model: ErrorModel) -> None:
     for term in part.terms:
         if (why := why_not_live(term)) is not None:
             raise BadInput(
-                f"unit {unit}: term {term} of the error model cannot be taken off while a run goes on: {why}; put the "
+                f"unit {unit}: term {term} of the error model cannot be computed during a run: {why}; put the "
                 "model to use with --shadow, or leave the term out"
             )
 
 
 def why_not_live(term: ModelTerm) -> str | None:
-    """Why a term cannot be evaluated while a run goes on; None where it can.
+    """Why a term cannot be computed during a run; None where it can.
 
     Examples
     --------
@@ -102,22 +97,22 @@ def why_not_live(term: ModelTerm) -> str | None:
     "channel day: it counts from the unit's first day in the store"
     """
     if effect(term.name).name.startswith("stale_"):
-        return "it marks readings that repeat, which blocks of another length show otherwise"
+        return "it marks readings that repeat, which depends on the length of the blocks"
     for name in effect(term.name).needs:
         if name in _NOT_LIVE:
             return f"channel {name}: {_NOT_LIVE[name]}"
     key = msgspec.json.encode(term).decode()
-    return None if _stands(key) else "its value at a moment depends on what comes more than a minute later"
+    return None if _is_final(key) else "its value at a time depends on samples more than a minute later"
 
 
 @functools.cache
-def _stands(encoded: str) -> bool:
-    """Whether a term's values stay as they are when more blocks come, but for the last ones."""
+def _is_final(encoded: str) -> bool:
+    """Whether the values of a term, except the last ones, do not change when more blocks come."""
     term = msgspec.json.decode(encoded, type=ModelTerm)
     whole = _probe(term, _PROBE_BLOCKS)
     half = _PROBE_BLOCKS // 2
     try:
-        before, after = term.columns(_cut(whole, half)), term.columns(whole)
+        before, after = term.columns(whole.part(slice(half))), term.columns(whole)
     except GyrofleetError:
         return False
     stands = half - LOOK_AHEAD_BLOCKS
@@ -139,7 +134,7 @@ def _probe(term: ModelTerm, blocks: int) -> RunBlocks:
 def live_blocks(
     name: tuple[str, str, str], t0_ns: int, unit_of_measure: str, channels: dict[str, Channel], blocks: int
 ) -> RunBlocks:
-    """Blocks of a run that goes on, for its channels only; `name` is unit, run and signal."""
+    """Blocks of a run in progress, with its channels and no signal; `name` is unit, run and signal."""
     unit, run, signal = name
     nothing = np.zeros(blocks)
     return RunBlocks(
@@ -151,11 +146,3 @@ def live_blocks(
 def middles_s(blocks: int) -> FloatArray:
     """Middles of the first blocks, seconds from where the first begins."""
     return np.asarray((np.arange(blocks) + 0.5) * LIVE_BLOCK_S, dtype=np.float64)
-
-
-def _cut(run: RunBlocks, blocks: int) -> RunBlocks:
-    channels = {
-        name: Channel(each.mean[:blocks], each.spread[:blocks], each.unit_of_measure)
-        for name, each in run.channels.items()
-    }
-    return live_blocks((run.unit, run.run, run.signal), run.t0_ns, run.unit_of_measure, channels, blocks)

@@ -1,4 +1,4 @@
-"""What `gyrofleet verify` says of the error models in a store: each is what was written, and none in use is gone."""
+"""The part of `gyrofleet verify` on error models: each is as it was written, and each model in use exists."""
 
 from analytics.loop.model.model_registry import FOLDER, ModelRegistry
 from analytics.loop.model.model_use import read_uses
@@ -10,20 +10,20 @@ _REMEDY = "bring the file back from a copy of the store, or `gyrofleet model rol
 
 
 def model_findings(store: Store) -> list[Finding]:
-    """What is wrong with a store's error models; an entry point in the group `gyrofleet.verify`."""
+    """Findings on a store's error models; an entry point in the group `gyrofleet.verify`."""
     registry = ModelRegistry(store)
     found = []
     for unit in registry.units():
         where = str(store.folder / FOLDER / unit)
         try:
             damaged = list(registry.readable(unit)[1].values())
-        except GyrofleetError as error:  # the folder has no unit's name
+        except GyrofleetError as error:  # the folder's name is not that of a unit
             damaged = [str(error)]
         found += [Finding("model_damaged", Severity.DAMAGE, where, why, _REMEDY) for why in damaged]
     try:
         uses = read_uses(store)
     except StoreError:
-        return found  # of a log or a lake that is damaged, which is said of these
+        return found  # the log or the lake is damaged, which its own check reports
     for (unit, signal), use in uses.items():
         for activated in use.activations:
             try:
@@ -33,5 +33,5 @@ def model_findings(store: Store) -> list[Finding]:
                 what = f"version {activated.version} of the error model of {signal}, which is in use, is not there"
                 found.append(Finding("model_missing", Severity.DAMAGE, where, what, _REMEDY))
             except StoreError:
-                continue  # said above
+                continue  # reported above
     return found

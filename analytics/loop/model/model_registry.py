@@ -1,4 +1,4 @@
-"""Versions of the units' error models in a store: written once, never changed, and checked whenever they are read."""
+"""Versions of the units' error models in a store: written once, never changed, and checked at each reading."""
 
 import hashlib
 import os
@@ -23,28 +23,22 @@ _NAME = re.compile(r"(?P<version>\d{4,})-(?P<hash>[0-9a-f]{32})\.json")
 
 
 class ModelVersion(msgspec.Struct, frozen=True, kw_only=True):
-    """A version of the error model of a unit's signal, and everything that it rests on.
+    """A version of the error model of a unit's signal, with the data that it is based on.
 
     Parameters
     ----------
-    unit, signal: Whose.
     version: From 1 on, for each unit.
-    parent: Hash of the version that was in use when it was made.
-    text: The model as people write it.
-    model: Terms, coefficients, covariance, noise.
-    before: The model that it takes the place of, fitted to the same runs.
-    noise: What `model` leaves.
-    block_s: Length of the blocks that it was fitted to, seconds.
-    longest_s: Length of the longest run among them, seconds.
-    runs: Each run that it was fitted to or confirmed by, with a hash of what the store held of it.
+    parent: Hash of the version in use when this one was made.
+    text, model: The model as text, and with its coefficients, covariance and noise.
+    before: The model that it replaces, fitted to the same runs.
+    noise: Remaining noise of `model`.
+    block_s, longest_s: Length of the blocks and of the longest run that it was fitted to, seconds.
+    runs: Each run that it was fitted to or confirmed by, with a hash of its stored data.
     training_runs: Those that it was fitted to.
     verdict: Of the trace that it comes from.
-    added: Effects that the declared model lacked.
-    holdout: What the runs said that were held out.
-    made_ns: When, ns UTC.
-    by: Who made it.
-    note: Free words.
-    confounded: Effects that explain the training runs as well as the added ones.
+    added, confounded: Effects that the declared model lacked, and effects that explain the training runs as well.
+    holdout: Result of the held-out runs.
+    made_ns, by, note: Time in ns UTC, author, and free text.
     """
 
     unit: str
@@ -69,24 +63,24 @@ class ModelVersion(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether nothing was added that the held-out runs have not confirmed."""
+        """Whether the held-out runs have confirmed everything that was added."""
         return not self.added or bool(self.holdout and self.holdout.get("accepted"))
 
     def content(self) -> bytes:
-        """What stands in its file."""
+        """Content of its file."""
         fields: dict[str, Any] = msgspec.to_builtins(self)
         if not self.confounded:
-            del fields["confounded"]  # versions without it keep the hash under which they were written
+            del fields["confounded"]  # versions without it keep their hash
         return msgspec.json.format(msgspec.json.encode(fields, order="sorted"), indent=1) + b"\n"
 
     @property
     def hash(self) -> str:
-        """Hash of its content, by which it is named."""
+        """Hash of its content; part of its file name."""
         return hash_of(self.content())
 
 
 def no_version(unit: str) -> str:
-    """Say that a unit has no version, and how its first one is made.
+    """Message that a unit has no version, and how to make the first one.
 
     Examples
     --------
@@ -111,12 +105,7 @@ def hash_of(content: bytes) -> str:
 
 
 class ModelRegistry:
-    """The versions in a store: one file each, ``models/UNIT/NNNN-HASH.json``.
-
-    Parameters
-    ----------
-    store: Which store.
-    """
+    """The versions in a store: one file each, ``models/UNIT/NNNN-HASH.json``."""
 
     def __init__(self, store: Store) -> None:
         self._folder = store.folder / FOLDER
@@ -133,19 +122,14 @@ class ModelRegistry:
         return sorted(each.name for each in self._folder.iterdir() if each.is_dir() and any(_files(each)))
 
     def versions(self, unit: str) -> list[ModelVersion]:
-        """All versions of a unit, the first first.
-
-        Raises
-        ------
-        StoreError: If one is damaged.
-        """
-        return [self._read(path) for path in _files(self._folder / check_name("unit", unit))]
+        """All versions of a unit by increasing number; StoreError if one is damaged."""
+        return [self._read(path) for path in self._paths(unit)]
 
     def readable(self, unit: str) -> tuple[list[ModelVersion], dict[int, str]]:
-        """Versions of a unit, the first first, and why others cannot be read, by number."""
+        """Versions of a unit by increasing number, and the errors of damaged ones by number."""
         found: list[ModelVersion] = []
         damaged: dict[int, str] = {}
-        for path in _files(self._folder / check_name("unit", unit)):
+        for path in self._paths(unit):
             try:
                 found.append(self._read(path))
             except StoreError as error:
@@ -153,14 +137,8 @@ class ModelRegistry:
         return found, damaged
 
     def version(self, unit: str, number: int) -> ModelVersion:
-        """Return a version by its number.
-
-        Raises
-        ------
-        NotFound: If there is none; the message says which there are.
-        StoreError: If it is damaged.
-        """
-        paths = {_number(path): path for path in _files(self._folder / check_name("unit", unit))}
+        """Return a version by its number; raises NotFound if there is none, StoreError if it is damaged."""
+        paths = {_number(path): path for path in self._paths(unit)}
         if number not in paths:
             if not paths:
                 raise NotFound(no_version(unit))
@@ -171,7 +149,7 @@ class ModelRegistry:
 
     def by_hash(self, unit: str, wanted: str) -> ModelVersion:
         """Return a version by its hash; raises as `version` does."""
-        for path in _files(self._folder / check_name("unit", unit)):
+        for path in self._paths(unit):
             if path.name.endswith(f"-{wanted}.json"):
                 return self._read(path)
         raise NotFound(
@@ -180,16 +158,11 @@ class ModelRegistry:
         )
 
     def add(self, version: ModelVersion) -> ModelVersion:
-        """Write a version down, under the next number of its unit; it is on disk when this returns.
-
-        Returns
-        -------
-        ModelVersion
-            As written, with its number.
+        """Write a version under the next number of its unit and return it as written; it is then on disk.
 
         Raises
         ------
-        StoreError: If it cannot be written, or another process writes one at this moment.
+        StoreError: If it cannot be written, or another process is writing one.
         """
         folder = self._folder / check_name("unit", version.unit)
         try:
@@ -204,6 +177,9 @@ class ModelRegistry:
             raise StoreError(f"unit {version.unit}: its error model cannot be written to {folder}: {error}") from error
         return written
 
+    def _paths(self, unit: str) -> list[Path]:
+        return _files(self._folder / check_name("unit", unit))
+
     @staticmethod
     def _read(path: Path) -> ModelVersion:
         advice = "bring the file back from a copy of the store, or roll back to another version"
@@ -214,7 +190,7 @@ class ModelRegistry:
         match = _NAME.fullmatch(path.name)
         if match is None or hash_of(content) != match["hash"]:
             raise StoreError(
-                f"error model {path} is not what was written: its content does not have its hash; {advice}"
+                f"error model {path} is not as it was written: its content does not match its hash; {advice}"
             )
         try:
             found = msgspec.json.decode(content, type=ModelVersion)
@@ -224,16 +200,16 @@ class ModelRegistry:
             raise StoreError(f"error model {path} is not one of this gyrofleet ({error}); upgrade it") from error
         if found.unit != path.parent.name or found.version != _number(path):
             raise StoreError(
-                f"error model {path} is version {found.version} of unit {found.unit}: it was copied to where it does "
-                "not belong; take it away"
+                f"error model {path} is version {found.version} of unit {found.unit}: it was copied to the wrong "
+                "place; remove it"
             )
         return found
 
 
 def run_hashes(catalog: Catalog, runs: Mapping[str, object] | tuple[str, ...]) -> dict[str, str]:
-    """What the store holds of runs, as a hash: every recorded signal with its samples, times and meaning.
+    """Hash of the stored data of each run: every recorded signal with its samples, times and meaning.
 
-    Signals that gyrofleet makes itself, such as ``rate_compensated``, do not count.
+    Without signals that gyrofleet makes itself, such as ``rate_compensated``.
     """
     names = {name.partition("#")[0] for name in runs}
     rows = catalog.rows(

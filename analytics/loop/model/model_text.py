@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from analytics.loop.blocks.run_blocks import STANDARD_CHANNELS
 from analytics.loop.effects.base import Kind
-from analytics.loop.effects.channel_linear import PREFIX
+from analytics.loop.effects.named_channels import PREFIX
 from analytics.loop.effects.registry import effect, effects
 from stream.errors import BadInput
 
@@ -52,7 +52,7 @@ def parse_model(text: str, channels: Collection[str] = ()) -> tuple[str | None, 
     terms = tuple(_parse_term(each, text, channels) for each in _split_terms(right))
     written = Counter(map(term_text, terms))
     if twice := sorted(term for term, times in written.items() if times > 1):
-        raise BadInput(f"error model {text!r}: {', '.join(twice)} is there twice; name each term once")
+        raise BadInput(f"error model {text!r}: {', '.join(twice)} occurs twice; name each term once")
     return signal or None, terms
 
 
@@ -77,7 +77,7 @@ def _value_text(value: object) -> str:
 
 
 def _split_signal(text: str) -> tuple[str, str, str]:
-    """What stands before the first ``=`` that is not within parentheses, the sign, and what stands after."""
+    """Text before the first ``=`` outside parentheses, the sign, and the text after it."""
     depth = 0
     for at, letter in enumerate(text):
         depth += (letter == "(") - (letter == ")")
@@ -87,7 +87,7 @@ def _split_signal(text: str) -> tuple[str, str, str]:
 
 
 def _split_terms(text: str) -> Iterator[str]:
-    """Terms between the ``+`` signs that are not within parentheses."""
+    """Terms between the ``+`` signs outside parentheses."""
     depth, start = 0, 0
     for at, letter in enumerate(text):
         depth += (letter in "([") - (letter in ")]")
@@ -100,7 +100,7 @@ def _split_terms(text: str) -> Iterator[str]:
 def _parse_term(written: str, text: str, channels: Collection[str]) -> ParsedTerm:
     found = _TERM.fullmatch(written)
     if found is None:
-        what = f"{written!r} is no term" if written else "a term is missing beside a '+'"
+        what = f"{written!r} is not a term" if written else "a term is missing beside a '+'"
         raise BadInput(f"error model {text!r}: {what}; {_EXAMPLE}")
     spaced = re.sub(r"\s*\*\s*", "*", found["name"].strip())
     name = next((own for own, form in _WRITTEN.items() if spaced == form), spaced)
@@ -108,7 +108,7 @@ def _parse_term(written: str, text: str, channels: Collection[str]) -> ParsedTer
 
 
 def _resolved(name: str, channels: Collection[str]) -> str:
-    """Name of the effect that a term means."""
+    """Name of the effect of a term."""
     if name == BIAS or name in effects():
         return name
     bare = name.removeprefix(PREFIX)
@@ -138,7 +138,7 @@ def _shape(written: str | None, term: str, text: str) -> dict[str, Any]:
 
 
 def _checked(name: str, shape: dict[str, Any]) -> ParsedTerm:
-    """The term, if its shape parameters are those of the effect; all of them, or none."""
+    """The term, if it has all shape parameters of the effect, or none."""
     if name == BIAS:
         expected, is_free = [], False
     else:

@@ -1,4 +1,4 @@
-"""Which version of a unit's error model is in use: the last word of the store's log, not a file."""
+"""Which version of a unit's error model is in use: the latest document in the store's log, not a file."""
 
 import time
 from collections.abc import Iterable, Sequence
@@ -21,23 +21,22 @@ _SQL = "select document from events where list_contains($kinds, kind) order by t
 
 
 class Stage(StrEnum):
-    """How far a version is in use."""
+    """Use of a version."""
 
     LIVE = "live"
     """It compensates the live stream."""
     SHADOW = "shadow"
-    """It is only watched."""
+    """It is only monitored."""
     OFF = "off"
 
 
 @dataclass(frozen=True)
 class InUse:
-    """What a unit's signal uses.
+    """Versions in use for a unit's signal, each as the document that activated it.
 
     Parameters
     ----------
-    live, shadow: The document that put the version to use; None where there is none.
-    before: Live versions in whose place the live one came, the last one last.
+    before: Live versions that the live one replaced, the latest last.
     """
 
     live: ModelActivated | None = None
@@ -45,7 +44,7 @@ class InUse:
     before: tuple[ModelActivated, ...] = ()
 
     def after(self, document: ModelActivated) -> "InUse":
-        """What is in use when a document has come.
+        """Use after a document.
 
         Examples
         --------
@@ -66,7 +65,7 @@ class InUse:
         return InUse(live, shadow, before)
 
     def _before(self, document: ModelActivated) -> tuple[ModelActivated, ...]:
-        """What a version that goes live comes in place of; one that comes back has what was before it then."""
+        """Versions that a new live one replaces; one that returns has those that were before it then."""
         models = [each.model for each in self.before]
         if self.live is None:
             return self.before[: models.index(document.model)] if document.model in models else ()
@@ -74,28 +73,23 @@ class InUse:
         return tuple(each for each in others if each.model != document.model)
 
     def stage(self, model: str) -> Stage:
-        """How far a version with that hash is in use."""
+        """Use of the version with that hash."""
         if self.live is not None and self.live.model == model:
             return Stage.LIVE
         return Stage.SHADOW if self.shadow is not None and self.shadow.model == model else Stage.OFF
 
     @property
     def activations(self) -> tuple[ModelActivated, ...]:
-        """The documents that put what is in use to use."""
+        """The documents that activated the versions in use."""
         return tuple(each for each in (self.live, self.shadow) if each is not None)
 
 
 Uses = dict[tuple[str, str], InUse]
-"""What is in use, by unit and signal."""
+"""Versions in use, by unit and signal."""
 
 
 def logged_documents(store: Store, kinds: Iterable[type[AnyDocument]]) -> list[AnyDocument]:
-    """Documents of some kinds that the store has, those not yet in the lake included, in the order of their times.
-
-    Raises
-    ------
-    StoreError: If the lake or the log is damaged.
-    """
+    """Documents of some kinds in a store, those not yet in the lake included, in the order of their times."""
     wanted = tuple(kinds)
     in_lake = read_manifest(store).segments
     found: dict[str, AnyDocument] = {}
@@ -107,7 +101,7 @@ def logged_documents(store: Store, kinds: Iterable[type[AnyDocument]]) -> list[A
         except (QueryError, msgspec.MsgspecError, UnicodeDecodeError) as error:
             raise StoreError(
                 f"documents in the lake of {store.folder} cannot be read ({error}); `gyrofleet verify` says what is "
-                f"damaged, `gyrofleet recover` makes it anew from the log"
+                f"damaged, `gyrofleet recover` rebuilds it from the log"
             ) from error
     for document, _ in documents_beyond(store, in_lake):
         if isinstance(document, wanted):
@@ -116,7 +110,7 @@ def logged_documents(store: Store, kinds: Iterable[type[AnyDocument]]) -> list[A
 
 
 def uses_of(documents: Iterable[AnyDocument]) -> Uses:
-    """What is in use when these documents have come in their order."""
+    """Versions in use after these documents, in their order."""
     found: Uses = {}
     for document in documents:
         if isinstance(document, ModelActivated):
@@ -126,17 +120,12 @@ def uses_of(documents: Iterable[AnyDocument]) -> Uses:
 
 
 def read_uses(store: Store) -> Uses:
-    """What is in use in a store now."""
+    """Versions in use in a store now."""
     return uses_of(logged_documents(store, (ModelActivated,)))
 
 
 def activation(version: ModelVersion, stage: Stage, reason: str, by: str, *, after_ns: int | None) -> ModelActivated:
-    """The document that puts a version to use, later than the one before it.
-
-    Raises
-    ------
-    BadInput: If the version adds what the held-out runs have not confirmed, and is to go live.
-    """
+    """The document that puts a version to use, later than the one before it; BadInput if it must not go live."""
     if stage is Stage.LIVE and not version.is_confirmed:
         raise BadInput(
             f"unit {version.unit}, version {version.version}: {', '.join(version.added)} was not confirmed by held-out "
@@ -157,12 +146,7 @@ def activation(version: ModelVersion, stage: Stage, reason: str, by: str, *, aft
 
 
 def activate(store: Store, version: ModelVersion, stage: Stage, *, reason: str, by: str) -> ModelActivated:
-    """Put a version to use; the log has it when this returns.
-
-    Raises
-    ------
-    BadInput: If it is so already, or must not go live.
-    """
+    """Put a version to use; the log has it when this returns. BadInput if it must not, or is in that use already."""
     use = read_uses(store).get((version.unit, version.signal), InUse())
     if use.stage(version.hash) is stage:
         raise BadInput(f"unit {version.unit}: version {version.version} of its error model is {stage.value} already")
@@ -172,19 +156,14 @@ def activate(store: Store, version: ModelVersion, stage: Stage, *, reason: str, 
 
 
 def enter_activations(store: Store, documents: Sequence[AnyDocument]) -> None:
-    """Bring documents into the store's log; they are on disk when this returns."""
+    """Write documents to the store's log; they are then on disk."""
     enter(store.folder, documents, role=_ROLE)
 
 
 def rollback_documents(
     registry: ModelRegistry, use: InUse, stage: Stage, *, reason: str, by: str
 ) -> list[ModelActivated]:
-    """The documents that take the live or the shadow version out of use; in a live one's place comes the one before.
-
-    Raises
-    ------
-    BadInput: If none is in use at that stage.
-    """
+    """The documents that end the use of the live or shadow version; the previous live version replaces a live one."""
     taken = use.live if stage is Stage.LIVE else use.shadow
     if taken is None:
         raise BadInput(f"no version of the error model is {stage.value}: there is nothing to roll back")
@@ -195,7 +174,7 @@ def rollback_documents(
     earlier = use.before[-1]
     try:
         back = registry.by_hash(taken.unit, earlier.model)
-    except (NotFound, StoreError):  # what is live goes out of use all the same
+    except (NotFound, StoreError):  # the live version is taken out of use all the same
         lost = f"{reason}; version {earlier.version}, live before it, cannot be read and does not take its place"
         return [msgspec.structs.replace(off, reason=lost)]
     why = f"in place of version {taken.version}: {reason}"

@@ -1,4 +1,4 @@
-"""Noise coefficients of a signal as the closed loop has them: white, flicker, random walk and turn-on scatter."""
+"""Noise coefficients of a signal in the closed loop: white, flicker, random walk and turn-on scatter."""
 
 import msgspec
 

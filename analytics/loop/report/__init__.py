@@ -1,1 +1,1 @@
-"""The report of a diagnosis: in words, in tables, in pictures, as one HTML file."""
+"""Reports of a diagnosis: sentences, tables, figures and an HTML file."""

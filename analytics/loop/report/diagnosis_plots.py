@@ -1,4 +1,4 @@
-"""Pictures of a diagnosis: residual over the driver, coefficient by run, whitened spectrum, Allan deviation."""
+"""Figures of a diagnosis: residual over the driver, coefficient by run, whitened spectrum, Allan deviation."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -11,12 +11,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from analytics.loop.report.drivers import Drawn, drawn
-from analytics.loop.report.residual_allan import DeviationAt, residual_allan
+from analytics.loop.report.effect_driver import Drawn, drawn
+from analytics.loop.report.residual_curves import DeviationAt, WhitenedSpectrum, residual_allan, whitened_spectrum
 from analytics.loop.report.residuals import residuals_of
-from analytics.loop.report.whitened_spectrum import WhitenedSpectrum, whitened_spectrum
 from analytics.loop.report.wording import Wording
-from analytics.loop.tracing.result import FoundEffect, HoldoutSlope
+from analytics.loop.tracing.result.finding import FoundEffect
+from analytics.loop.tracing.result.holdout import HoldoutSlope
 from analytics.loop.unit_diagnosis import UnitDiagnosis
 from analytics.plots.allan_marks import FLEET, INK, SOFT
 from analytics.plots.figure_file import logarithmic_grid, write_figure
@@ -32,10 +32,7 @@ _FEW_DECADES = 300.0
 
 
 def figures_of(found: UnitDiagnosis, words: Wording) -> dict[str, Figure]:
-    """Figures of a diagnosed unit by name; none where there was not enough data.
-
-    Labels are Chinese only where a font for that is installed.
-    """
+    """Figures of a diagnosed unit by name; none without enough data; Chinese labels need a Chinese font."""
     residuals = residuals_of(found.data.runs, found.diagnosis)
     if residuals is None:
         return {}
@@ -61,12 +58,7 @@ def figures_of(found: UnitDiagnosis, words: Wording) -> dict[str, Figure]:
 
 
 def write_figures(found: UnitDiagnosis, folder: Path, words: Wording) -> list[Path]:
-    """Write the figures of a unit into a folder as PNG; the files.
-
-    Raises
-    ------
-    BadInput: If they cannot be written there.
-    """
+    """Write the figures of a unit into a folder as PNG; returns the files."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -79,8 +71,8 @@ def write_figures(found: UnitDiagnosis, folder: Path, words: Wording) -> list[Pa
 
 
 def residual_figure(effect: FoundEffect, over: Drawn, unit_of_measure: str, words: Wording) -> Figure:
-    """Residual with one effect left in over its driver, and what the effect predicts."""
-    freed = words.of("each run freed of its own constant", "已去除各试验常值")
+    """Residual with one effect left in over its driver, and the prediction of the effect."""
+    freed = words.of("less the constant of each run", "已去除各试验常值")
     figure, axes = _figure(words.of("Residual over its driver", "残差与驱动量"), f"{words.effect(effect)}; {freed}")
     for mask, colour, label in (
         (~over.held_out, FLEET, words.of("blocks of the training runs", "训练试验的数据块")),
@@ -92,7 +84,7 @@ def residual_figure(effect: FoundEffect, over: Drawn, unit_of_measure: str, word
     order = np.argsort(over.driver, kind="stable")
     axes.plot(over.driver[order], over.predicted[order], color=AFTER, linewidth=2, label=words.of("effect", "效应"))
     axes.plot(*over.binned(), "o", color=INK, markersize=4.5, label=words.of("means of the blocks", "数据块均值"))
-    what = words.of("residual with the effect left in", "未扣除该效应的残差")
+    what = words.of("residual including the effect", "未扣除该效应的残差")
     _labels(axes, over.label, f"{what} ({unit_of_measure})")
     low, high = np.quantile(over.partial, [0.001, 0.999])
     low, high = min(low, over.predicted.min()), max(high, over.predicted.max())
@@ -101,7 +93,7 @@ def residual_figure(effect: FoundEffect, over: Drawn, unit_of_measure: str, word
 
 
 def coefficient_figure(effect: FoundEffect, slope: HoldoutSlope | None, words: Wording) -> Figure:
-    """First coefficient of an effect in each run that excites it, with 95 % limits, and what the held-out runs say."""
+    """First coefficient of an effect in each run that excites it and in the held-out runs, with 95 % bounds."""
     figure, axes = _figure(words.of("Coefficient by run", "各试验的系数"), words.effect(effect))
     pooled = effect.coefficients[0]
     runs: Mapping[str, tuple[float, float]] = effect.by_run
@@ -133,7 +125,7 @@ def coefficient_figure(effect: FoundEffect, slope: HoldoutSlope | None, words: W
 
 
 def short_names(names: Sequence[str]) -> list[str]:
-    """Names of runs without the words that all begin with, the last of these kept.
+    """Names of runs without their common leading words but the last.
 
     Examples
     --------
@@ -149,7 +141,7 @@ def short_names(names: Sequence[str]) -> list[str]:
 def spectrum_figure(spectrum: WhitenedSpectrum, words: Wording) -> Figure:
     """Whitened spectrum before and after."""
     subtitle = words.of(
-        "1 everywhere where only the fitted noise is left; band: 95 % of the bins then",
+        "1 if only the fitted noise is left; band: 95 % of the bins in that case",
         "仅剩拟合噪声时各处为1；色带：此时95 %的频段",
     )
     figure, axes = _figure(words.of("Whitened spectrum", "白化谱"), subtitle)
@@ -209,7 +201,7 @@ def _figure(title: str, subtitle: str) -> tuple[Figure, Axes]:
 
 
 def _logarithmic(axes: Axes) -> None:
-    """Grid of logarithmic axes; with few decades to see, 2 and 5 are labelled as well."""
+    """Grid of logarithmic axes; over few decades, 2 and 5 are labelled as well."""
     logarithmic_grid(axes)
     for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
         if high / low < _FEW_DECADES:

@@ -1,4 +1,4 @@
-"""The error over temperature and over rate, before and after, beside what noise alone would leave."""
+"""The error over temperature and over rate, before and after, beside the error due to noise."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from stream.quantities import conversion
 CLASSES = 8
 FEWEST_BLOCKS = 5
 AT_REST = 0.01
-"""A unit is at rest below this part of its largest rate."""
+"""Rate relative to the largest rate below which a unit is at rest."""
 TEMPERATURES = ("temperature", "case_temperature", "chamber_temperature")
 RATES = ("input_rate", "table_rate")
 PPM = 1e6
@@ -20,15 +20,7 @@ PPM = 1e6
 
 @dataclass(frozen=True)
 class ErrorInClass:
-    """Error in one class of a driver.
-
-    Parameters
-    ----------
-    lo, hi: Least and largest value of the driver in this class.
-    blocks: How many blocks are in it.
-    before, after: With the declared model and with the model found.
-    floor: Standard deviation that noise alone would give it, turn-on scatter included.
-    """
+    """Error in one class of a driver between `lo` and `hi`; `floor` is its standard deviation due to noise."""
 
     lo: float
     hi: float
@@ -40,14 +32,7 @@ class ErrorInClass:
 
 @dataclass(frozen=True)
 class ErrorOverDriver:
-    """Error over a driver.
-
-    Parameters
-    ----------
-    channel, channel_unit: The driver.
-    unit_of_measure: Of the errors.
-    classes: In the order of the driver.
-    """
+    """Error in classes of a driver, in their order."""
 
     channel: str
     channel_unit: str
@@ -56,7 +41,7 @@ class ErrorOverDriver:
 
 
 def bias_over_temperature(residuals: Residuals) -> ErrorOverDriver | None:
-    """Mean residual in classes of temperature, of blocks at rest where there are such; None without a temperature."""
+    """Mean residual in classes of temperature, of blocks at rest if there are enough; None without a temperature."""
     channel = _first(residuals, TEMPERATURES)
     if channel is None:
         return None
@@ -72,9 +57,9 @@ def bias_over_temperature(residuals: Residuals) -> ErrorOverDriver | None:
 
 
 def scale_factor_over_rate(residuals: Residuals) -> ErrorOverDriver | None:
-    """Error of the scale factor in classes of rate, ppm where rate and signal are rates; None without a rate.
+    """Error of the scale factor in classes of rate, in ppm if the signal is a rate; None without a rate.
 
-    That of a class is the least-squares slope through zero of its residuals on the rate.
+    It is the least-squares slope of the residuals on the rate, through zero.
     """
     channel = _first(residuals, RATES)
     if channel is None:
@@ -94,7 +79,7 @@ def scale_factor_over_rate(residuals: Residuals) -> ErrorOverDriver | None:
 
 
 def _first(residuals: Residuals, names: tuple[str, ...]) -> str | None:
-    """The first of these channels that all runs have and that varies where errors are told."""
+    """The first of these channels that all runs have and that varies over the judged blocks."""
     for name in names:
         if name in residuals.channels and np.ptp(residuals.channel(name)[residuals.judged]) > 0:
             return name
@@ -102,7 +87,7 @@ def _first(residuals: Residuals, names: tuple[str, ...]) -> str | None:
 
 
 def _classes(driver: FloatArray, chosen: BoolArray) -> list[BoolArray]:
-    """Classes of equal width; those with few blocks are left out."""
+    """Classes of equal width that have enough blocks."""
     if not chosen.any():
         return []
     low, high = float(driver[chosen].min()), float(driver[chosen].max())

@@ -1,15 +1,14 @@
-"""Tables of a diagnosis, as rows of text: for the terminal and for the report."""
+"""Tables of a diagnosis as rows of text, for the terminal and the report."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
 from analytics.loop.report.error_by_driver import ErrorOverDriver
-from analytics.loop.report.residual_allan import DeviationAt
-from analytics.loop.report.wording import Wording, measured, number, told_unit
-from analytics.loop.tracing.error_result import ErrorGain, ErrorTable
-from analytics.loop.tracing.result import Diagnosis
+from analytics.loop.report.residual_curves import DeviationAt
+from analytics.loop.report.wording import Wording, measured, number, shown_unit
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis
+from analytics.loop.tracing.result.error_table import ErrorGain, ErrorTable
 from stream.quantities import ANGULAR_RATE_UNIT
 
 _NUMBER_STARTS = "0123456789-\N{EN DASH}"
@@ -17,21 +16,14 @@ _NUMBER_STARTS = "0123456789-\N{EN DASH}"
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of text.
-
-    Parameters
-    ----------
-    title: What it shows.
-    columns: Heads.
-    rows: Cells; the first is a name or a class.
-    """
+    """A table of text; the first cell of a row is a name or a class."""
 
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
 
     def is_numeric(self, column: int) -> bool:
-        """Whether a column holds numbers, which stand to the right.
+        """Whether a column holds numbers, which are aligned to the right.
 
         Examples
         --------
@@ -46,53 +38,60 @@ def error_rows(table: ErrorTable, words: Wording) -> TextTable:
     """RMS of averages before and after, and the floor."""
     where = words.of("held-out runs", "留出试验") if table.is_held_out else words.of("all runs", "全部试验")
     unit = table.unit_of_measure
-    title = words.of(f"RMS error of averages, {where} ({unit})", f"平均值的均方根误差，{where}（{unit}）")
     rows = [
-        (f"{row.averaging_s:g} s", number(row.before), number(row.after), number(row.floor),
+        (_seconds(row.averaging_s), number(row.before), number(row.after), number(row.floor),
          _excited(row.excited_before, row.excited_after, row.excited_floor), f"{row.averages:,}")
         for row in table.rows
     ]  # fmt: skip
-    head = (
-        words.of("averages of", "平均时间"),
-        *_before_after(words),
-        words.of("where the effect is excited", "效应被激励处"),
-        words.of("averages", "平均值个数"),
+    return TextTable(
+        words.of(f"RMS error of averages, {where} ({unit})", f"平均值的均方根误差，{where}（{unit}）"),
+        (
+            words.of("averaging time", "平均时间"),
+            *_before_after(words),
+            words.of("where the effect is excited", "效应被激励处"),
+            words.of("averages", "平均值个数"),
+        ),
+        tuple(rows),
     )
-    return TextTable(title, head, tuple(rows))
 
 
 def gain_rows(table: ErrorTable, words: Wording) -> TextTable:
-    """RMS of averages about the mean of their run, and the share of the squared error that is won, raw and within."""
+    """RMS of averages about the mean of their run, and the decrease of the squared error, raw and within runs."""
     rows = [
-        (f"{row.averaging_s:g} s", number(row.before_within), number(row.after_within), number(row.floor_within),
+        (_seconds(row.averaging_s), number(row.before_within), number(row.after_within), number(row.floor_within),
          _gain(row.gain_within), _gain(row.gain))
         for row in table.rows
         if row.before_within > 0
     ]  # fmt: skip
     unit = table.unit_of_measure
-    title = words.of(
-        f"The same about the mean of each run ({unit}), and squared error won with its limits over runs",
-        f"去除各次试验均值后（{unit}），以及平方误差减少量及其试验间置信限",
+    return TextTable(
+        words.of(
+            f"The same about the mean of each run ({unit}), and decrease of the squared error with bounds over runs",
+            f"去除各次试验均值后（{unit}），以及平方误差减少量及其试验间置信限",
+        ),
+        (
+            words.of("averaging time", "平均时间"),
+            *_before_after(words),
+            words.of("decrease", "减少"),
+            words.of("decrease with turn-on bias", "含启动零偏的减少"),
+        ),
+        tuple(rows),
     )
-    head = (
-        words.of("averages of", "平均时间"),
-        *_before_after(words),
-        words.of("won", "减少"),
-        words.of("won with turn-on bias", "含启动零偏的减少"),
-    )
-    return TextTable(title, head, tuple(rows))
 
 
 def achieved(table: ErrorTable, words: Wording) -> str | None:
-    """Say how much of what could be won was won; None where nothing could be."""
+    """The share of the achievable decrease of the error; None if nothing is achievable."""
     whole, excited = table.achievable_fraction, table.achievable_fraction_excited
     if whole is None and excited is None:
         return None
     parts = [] if whole is None else [f"{whole:.0%}"]
     if excited is not None:
         parts.append(words.of(f"{excited:.0%} where the effect is excited", f"效应被激励处为{excited:.0%}"))
-    told = words.of(", ", "，").join(parts)
-    return words.of(f"Of the error that can be won at 1800 s, won: {told}.", f"1800 s处可消除的误差中已消除：{told}。")
+    shares = words.of(", ", "，").join(parts)
+    return words.of(
+        f"Achieved share of the possible decrease of the squared error at 1800 s: {shares}.",
+        f"1800 s处可消除的平方误差中已消除：{shares}。",
+    )
 
 
 def driver_rows(over: ErrorOverDriver, title: str, words: Wording) -> TextTable:
@@ -102,26 +101,26 @@ def driver_rows(over: ErrorOverDriver, title: str, words: Wording) -> TextTable:
          f"{each.blocks:,}")
         for each in over.classes
     ]  # fmt: skip
-    head = (f"{over.channel} ({over.channel_unit})", *_before_after(words, "±"), words.of("blocks", "数据块"))
+    head = (f"{over.channel} ({over.channel_unit})", *_before_after(words, "± "), words.of("blocks", "数据块"))
     return TextTable(f"{title} ({over.unit_of_measure})", head, tuple(rows))
 
 
 def allan_rows(deviations: Sequence[DeviationAt], unit_of_measure: str, words: Wording) -> TextTable:
     """Allan deviation of the residual."""
     rows = [
-        (f"{each.tau_s:g} s", number(each.before), f"{number(each.after)} ({number(each.lo)} .. {number(each.hi)})",
+        (_seconds(each.tau_s), number(each.before), f"{number(each.after)} ({number(each.lo)} .. {number(each.hi)})",
          number(each.floor), f"{each.differences:,}")
         for each in deviations
     ]  # fmt: skip
     name = words.of("Allan deviation of the residual", "残差的 Allan 标准差")
-    head = (words.of("averages of", "平均时间"), *_before_after(words), words.of("differences", "差分个数"))
+    head = (words.of("averaging time", "平均时间"), *_before_after(words), words.of("differences", "差分个数"))
     return TextTable(f"{name} ({unit_of_measure})", head, tuple(rows))
 
 
 def coefficient_rows(model: ErrorModel, title: str, words: Wording) -> TextTable:
     """Coefficients of a fitted model with their standard uncertainty."""
     rows = [
-        (label, measured(value, float(error)), number(float(error)), told_unit(unit))
+        (label, measured(value, float(error)), number(float(error)), shown_unit(unit))
         for label, value, error, unit in zip(model.labels(), model.coefficients, model.errors, model.units, strict=True)
     ]
     head = (words.of("term", "项"), words.of("coefficient", "系数"), "±", words.of("unit", "单位"))
@@ -132,15 +131,17 @@ def noise_rows(diagnosis: Diagnosis, words: Wording) -> TextTable:
     """Noise as declared and as fitted."""
     unit = "" if diagnosis.error is None else diagnosis.error.unit_of_measure
     root = "deg/√h" if unit == ANGULAR_RATE_UNIT else f"{unit}·√h"
-    units = (root, unit, f"{unit}/√h", unit)
-    names = (
-        words.of("N, white", "N，白噪声"),
-        words.of("B, flicker", "B，闪烁噪声"),
-        words.of("K, random walk", "K，随机游走"),
-        words.of("turn-on scatter", "逐次启动散布"),
+    terms = (
+        ("N", words.of("N, white", "N，白噪声"), root),
+        ("B", words.of("B, flicker", "B，闪烁噪声"), unit),
+        ("K", words.of("K, random walk", "K，随机游走"), f"{unit}/√h"),
+        ("turn_on", words.of("turn-on scatter", "逐次启动散布"), unit),
     )
-    known = [_four(each) for each in (diagnosis.declared_noise, diagnosis.noise)]
-    rows = [(name, number(known[0][at]), number(known[1][at]), units[at]) for at, name in enumerate(names)]
+    both = diagnosis.declared_noise, diagnosis.noise
+    rows = [
+        (name, *(number(None if noise is None else getattr(noise, term)) for noise in both), own_unit)
+        for term, name, own_unit in terms
+    ]
     head = (
         words.of("noise", "噪声"),
         words.of("declared", "已声明"),
@@ -151,42 +152,42 @@ def noise_rows(diagnosis: Diagnosis, words: Wording) -> TextTable:
 
 
 def absent_rows(diagnosis: Diagnosis, words: Wording) -> TextTable:
-    """How large effects that were not found can be at most."""
+    """Detection limits of effects that were not found."""
     rows = [
-        (words.name(name), number(limit.absent_above), number(limit.coefficient), told_unit(limit.unit_of_measure))
+        (words.name(name), number(limit.absent_above), number(limit.coefficient), shown_unit(limit.unit_of_measure))
         for name, limit in diagnosis.detection_limits.items()
     ]
-    title = words.of("Looked for and not found", "已查找而未发现")
-    head = (
-        words.of("effect", "效应"),
-        words.of("absent above (95 %)", "不高于（95 %）"),
-        words.of("would have been found from (90 %)", "可发现的最小值（90 %）"),
-        words.of("unit", "单位"),
+    return TextTable(
+        words.of("Tested and not found", "已检验而未发现"),
+        (
+            words.of("effect", "效应"),
+            words.of("absent above (95 %)", "不高于（95 %）"),
+            words.of("detection limit (90 %)", "检出限（90 %）"),
+            words.of("unit", "单位"),
+        ),
+        tuple(rows),
     )
-    return TextTable(title, head, tuple(rows))
+
+
+def _seconds(value: float) -> str:
+    return f"{value:g} s"
 
 
 def _before_after(words: Wording, mark: str = "") -> tuple[str, str, str]:
     return (
         words.of("declared model", "已声明模型"),
         words.of("model found", "所得模型"),
-        f"{mark} {words.of('noise alone', '仅噪声')}".strip(),
+        f"{mark}{words.of('noise alone', '仅噪声')}",
     )
 
 
-def _excited(*values: float | None) -> str:
-    return (
-        "" if values[0] is None else " \N{RIGHTWARDS ARROW} ".join(map(number, values[:2])) + f" ({number(values[2])})"
-    )
+def _excited(before: float | None, after: float | None, floor: float | None) -> str:
+    return "" if before is None else f"{number(before)} \N{RIGHTWARDS ARROW} {number(after)} ({number(floor)})"
 
 
 def _gain(gain: ErrorGain | None) -> str:
-    """Share of the squared error that is won, with its limits over runs."""
+    """Decrease of the squared error with its bounds over runs."""
     if gain is None:
         return ""
-    limits = "" if gain.lo is None or gain.hi is None else f" ({gain.lo:.0%} .. {gain.hi:.0%})"
-    return f"{gain.fraction:.0%}{limits}"
-
-
-def _four(noise: NoiseCoefficients | None) -> tuple[float | None, ...]:
-    return (None,) * 4 if noise is None else (noise.N, noise.B, noise.K, noise.turn_on)
+    bounds = "" if gain.lo is None or gain.hi is None else f" ({gain.lo:.0%} .. {gain.hi:.0%})"
+    return f"{gain.fraction:.0%}{bounds}"

@@ -1,4 +1,4 @@
-"""Residuals of a diagnosed unit before and after, block by block: what the tables and pictures of a report show."""
+"""Residuals of a diagnosed unit before and after, for the tables and figures of a report."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,27 +7,26 @@ import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.model.noise import NoiseCoefficients
-from analytics.loop.tracing.diagnosis import case_of
-from analytics.loop.tracing.noise_floor import correlated_variance
-from analytics.loop.tracing.record import Record
-from analytics.loop.tracing.result import Diagnosis
-from analytics.loop.tracing.white_variance import record_of
+from analytics.loop.tracing.case import case_of
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis
+from analytics.loop.tracing.whitening.noise_variance import correlated_variance
+from analytics.loop.tracing.whitening.unit_record import UnitRecord
+from analytics.loop.tracing.whitening.white_variance import record_of
 from stream.batch import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """What the declared model and the model found leave of each block that takes part.
+    """Residuals of the declared model and of the model found, with the coefficients of the training.
 
     Parameters
     ----------
     record: The blocks, training and held out.
-    noise: As fitted with the model found.
-    before, after: shape (n,); residual of the declared model, and of the model found; coefficients of the training.
-    held_out: shape (n,); blocks that took no part in the fit; none where no runs were held out.
+    noise: Fitted with the model found.
+    held_out: Marks the held-out blocks.
     """
 
-    record: Record
+    record: UnitRecord
     noise: NoiseCoefficients
     before: FloatArray
     after: FloatArray
@@ -35,12 +34,12 @@ class Residuals:
 
     @property
     def unit_of_measure(self) -> str:
-        """Of the residuals."""
+        """Unit of the residuals."""
         return self.record.stack.runs[0].unit_of_measure
 
     @property
     def judged(self) -> BoolArray:
-        """Blocks on which errors are told: those held out, or all where none are."""
+        """Marks the blocks on which errors are reported: the held-out blocks, or all if there are none."""
         return self.held_out if self.held_out.any() else np.ones(len(self.record), dtype=bool)
 
     def channel(self, name: str) -> FloatArray:
@@ -53,7 +52,7 @@ class Residuals:
         return set.intersection(*(set(run.channels) for run in self.record.stack.runs))
 
     def noise_variance(self, weights: FloatArray) -> float:
-        """Variance that the noise gives to a sum of the blocks' values with these weights."""
+        """Variance of a weighted sum of the blocks due to the noise."""
         record = self.record
         space = record.noise_model.space(self.noise)
         total = float(space.white * np.sum(record.white * weights**2))
@@ -64,7 +63,7 @@ class Residuals:
 
 
 def residuals_of(runs: Sequence[RunBlocks], diagnosis: Diagnosis) -> Residuals | None:
-    """Return the residuals of a diagnosed unit; None where there was not enough data for a diagnosis."""
+    """Residuals of a diagnosed unit; None if there was not enough data for a diagnosis."""
     if diagnosis.judged is None or diagnosis.model is None or diagnosis.noise is None:
         return None
     held_out = [run for run in diagnosis.runs if run not in diagnosis.training_runs]

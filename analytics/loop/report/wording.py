@@ -1,14 +1,14 @@
-"""How a report names things: effects, their parameters, numbers with their limits; in English or Chinese."""
+"""Names and numbers of a report in English or Chinese: effects, parameters, coefficients with bounds."""
 
 import math
 from collections.abc import Sequence
 from typing import Literal
 
+from analytics.loop.bilingual import chinese
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.coefficient_units import parameter_unit
 from analytics.loop.effects.registry import effect
-from analytics.loop.report.remarks_zh import in_chinese
-from analytics.loop.tracing.result import Coefficient, ConfoundedEffect, FoundEffect
+from analytics.loop.tracing.result.finding import ConfoundedEffect, EffectCoefficient, FoundEffect
 
 Language = Literal["en", "zh"]
 
@@ -18,7 +18,7 @@ _RUN = {"en": "run", "zh": "试验"}
 
 
 def number(value: float | None) -> str:
-    """A number with three digits; a dash where there is none.
+    """A number with three digits; a dash if there is none.
 
     Examples
     --------
@@ -35,7 +35,7 @@ def number(value: float | None) -> str:
 
 
 def measured(value: float, error: float) -> str:
-    """A number down to the second digit of its standard uncertainty, and with three digits at least.
+    """A number to two digits of its standard uncertainty, and at least three digits.
 
     Examples
     --------
@@ -54,13 +54,7 @@ def measured(value: float, error: float) -> str:
 
 
 class Wording:
-    """Names in one language, with the units of measure of the channels of a run.
-
-    Parameters
-    ----------
-    language: Which.
-    run: Whose channels give the units of shape parameters.
-    """
+    """Names in one language; the channels of `run` give the units of shape parameters."""
 
     def __init__(self, language: Language, run: RunBlocks | None = None) -> None:
         self.language: Language = language
@@ -70,12 +64,12 @@ class Wording:
         """The text in this language."""
         return zh if self.language == "zh" else en
 
-    def remark(self, text: str) -> str:
-        """A limit, a note or a reason in this language."""
-        return in_chinese(text) if self.language == "zh" else text
+    def text(self, text: str) -> str:
+        """A caveat, a note or a reason in this language."""
+        return chinese(text) if self.language == "zh" else str(text)
 
     def listed(self, parts: Sequence[str], last: tuple[str, str] = ("and", "和")) -> str:
-        """Parts as a list in a sentence.
+        """A list in a sentence.
 
         Examples
         --------
@@ -94,11 +88,11 @@ class Wording:
 
     def effect(self, found: FoundEffect | ConfoundedEffect) -> str:
         """Name of an effect with the values of its parameters."""
-        told = self.parameters(found)
-        return f"{self.name(found.name)} ({told})" if told else self.name(found.name)
+        parameters = self.parameters(found)
+        return f"{self.name(found.name)} ({parameters})" if parameters else self.name(found.name)
 
     def parameters(self, found: FoundEffect | ConfoundedEffect) -> str:
-        """Values of the shape parameters; lists, such as the knots of a free function, are left out."""
+        """Values of the shape parameters, without lists such as the knots of a free function."""
         known = {parameter.name: parameter for parameter in effect(found.name).parameters}
         parts = []
         for key, value in found.parameters.items():
@@ -107,30 +101,30 @@ class Wording:
             if key in known:
                 parameter = known[key]
                 unit = parameter.unit_of_measure if self._run is None else parameter_unit(parameter, self._run)
-                parts.append(f"{self.of(parameter.en, parameter.zh)} {_short(value)} {told_unit(unit)}".rstrip())
+                parts.append(f"{self.of(parameter.en, parameter.zh)} {_short(value)} {shown_unit(unit)}".rstrip())
             else:
                 parts.append(f"{self.of(key, _RUN['zh']) if key == 'run' else key} {_short(value)}")
         return ", ".join(parts)
 
     def coefficient(self, found: FoundEffect) -> str:
-        """Coefficients with their limits, or how many there are."""
+        """Coefficients with their confidence bounds, or their number."""
         if len(found.coefficients) > _MOST_COLUMNS:
             count = len(found.coefficients)
             return self.of(f"{count} coefficients", f"{count}个系数")
         return self.of("; ", "；").join(self._one(each) for each in found.coefficients)
 
-    def _one(self, found: Coefficient) -> str:
+    def _one(self, found: EffectCoefficient) -> str:
         head = f"{found.name} " if found.name else ""
-        limits = self.of(f"{number(found.lo)} to {number(found.hi)}", f"{number(found.lo)} 至 {number(found.hi)}")
-        return f"{head}{number(found.value)} ({limits}) {told_unit(found.unit_of_measure)}"
+        bounds = f"{number(found.lo)} {self.of('to', '至')} {number(found.hi)}"
+        return f"{head}{number(found.value)} ({bounds}) {shown_unit(found.unit_of_measure)}"
 
 
-def told_unit(unit_of_measure: str) -> str:
-    """A unit of measure as it is read; nothing for the number one.
+def shown_unit(unit_of_measure: str) -> str:
+    """A unit of measure; empty for the number one.
 
     Examples
     --------
-    >>> told_unit("deg/h/(degC/s)"), told_unit("1")
+    >>> shown_unit("deg/h/(degC/s)"), shown_unit("1")
     ('deg/h/(degC/s)', '')
     """
     return "" if unit_of_measure == "1" else unit_of_measure

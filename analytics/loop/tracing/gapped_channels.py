@@ -1,31 +1,34 @@
-"""Channels with gaps that would cost other effects much: their effects are looked for where they have readings."""
+"""Channels with gaps: if dropping their gaps would affect other effects, their effects are tested where they exist."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.left_out import TOLD, LeftOut, Loss, left_out
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.effects.registry import effect, effects_for
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.tracing.stack import MOST_LOST, common_channels, known_blocks
+from analytics.loop.tracing.whitening.stack import MOST_LOST, common_channels, known_blocks
 from stream.batch import BoolArray
 
 LEAST_KNOWN = 0.2
-"""Share of the blocks in which a channel must have a value, for its effects to be looked for."""
+"""Least share of the blocks in which a channel must have a value for its effects to be tested."""
 MOST_GROUPS = 8
-"""Traces beside that of all blocks; each costs as much as that."""
+"""Largest number of additional traces; each costs as much as that of all blocks."""
+_NO_VALUE = Bilingual(
+    "it has no value there; effects that read it are tested where it has one", "该处无值；在有值处检验读取该通道的效应"
+)
 
 
 @dataclass(frozen=True)
 class GappedChannels:
-    """Channels that have their gaps in the same blocks.
+    """Channels with gaps in the same blocks.
 
     Parameters
     ----------
-    channels: The channels.
-    share: Part of the blocks in which they have no value.
+    share: Share of the blocks in which they have no value.
     runs: All runs, without other channels with gaps.
     """
 
@@ -33,26 +36,25 @@ class GappedChannels:
     share: float
     runs: tuple[RunBlocks, ...]
 
-    def limit(self) -> str:
-        """Say that the other blocks take no part in this diagnosis."""
-        return f"channel {', '.join(self.channels)} has gaps: this diagnosis is of the blocks in which it has a value"
+    def limit(self) -> Bilingual:
+        """Caveat of a diagnosis of these channels."""
+        names = ", ".join(self.channels)
+        return Bilingual(
+            f"channel {names} has gaps: this diagnosis is of the blocks in which it has a value",
+            f"通道{names}有缺段：本诊断只针对其有值的数据块",
+        )
 
     def left_out(self) -> LeftOut:
-        """What that leaves out."""
-        why = "it has no value there; effects that read it are looked for where it has"
-        return LeftOut(f"the blocks of channel {', '.join(self.channels)}", self.share, why)
+        """The blocks without a value."""
+        names = ", ".join(self.channels)
+        return LeftOut(Bilingual(f"the blocks of channel {names}", f"通道{names}的数据块"), self.share, _NO_VALUE)
 
 
 def gapped_channels(runs: Sequence[RunBlocks], model: ErrorModel) -> tuple[tuple[RunBlocks, ...], list[GappedChannels]]:
-    """Return the runs without the channels whose gaps would cost other effects much, and these; fewest gaps first.
+    """The runs without channels whose gaps would affect other effects, and these channels, fewest gaps first.
 
-    A gap in a fifth of the blocks is much, or one that takes away a fifth of a kind of run or of the excitation of
-    another channel. Channels of the declared model stay: without them there is no residual.
-
-    Parameters
-    ----------
-    runs: All runs.
-    model: The declared model.
+    These are gaps in a fifth of the blocks, of a kind of run, or of the excitation of another channel. Channels of the
+    declared model stay.
     """
     needed = {channel for name in model.effects for channel in effect(name).needs}
     blocks = sum(map(len, runs))
@@ -76,46 +78,37 @@ def gapped_channels(runs: Sequence[RunBlocks], model: ErrorModel) -> tuple[tuple
 def joined(
     runs: Sequence[RunBlocks], some: Sequence[GappedChannels], every: Sequence[GappedChannels]
 ) -> GappedChannels:
-    """Return several channels with gaps as one, for the blocks in which all of them have a value.
-
-    Parameters
-    ----------
-    runs: With all channels.
-    some: Those to be joined.
-    every: All that have gaps.
-    """
+    """Some of all channels with gaps as one, in the blocks in which each of them has a value."""
     names = tuple(name for each in some for name in each.channels)
     known = sum(int(np.logical_and.reduce([known_blocks(run.channels[name]) for name in names]).sum()) for run in runs)
     others = {name for each in every for name in each.channels} - set(names)
     return GappedChannels(names, 1.0 - known / sum(map(len, runs)), _less(runs, others))
 
 
-def untried(
+def untested(
     runs: Sequence[RunBlocks], traced: Sequence[Sequence[RunBlocks]], gapped: Sequence[GappedChannels]
-) -> dict[str, str]:
-    """Return the effects whose channels are there and that no trace has looked for, each with the reason.
-
-    Parameters
-    ----------
-    runs: With all channels.
-    traced: The runs of each trace.
-    gapped: All channels with gaps.
-    """
-    looked_for = {name for each in traced for name in effects_for(each)}
+) -> dict[str, Bilingual]:
+    """Effects with recorded channels that no trace tested, and why; `traced` are the runs of each trace."""
+    tested = {name for each in traced for name in effects_for(each)}
     names = {name for each in gapped for name in each.channels}
     reasons = {}
     for name, its in effects_for(runs).items():
-        if name not in looked_for:
+        if name not in tested:
             lacking = [channel for channel in its.needs if channel in names]
-            alone = f"has gaps in other blocks than {MOST_GROUPS} more channels"
-            reasons[name] = f"{', '.join(lacking)} {'have gaps in different blocks' if len(lacking) > 1 else alone}"
+            why = Bilingual("have gaps in different blocks", "在不同数据块中有缺段")
+            if len(lacking) < 2:
+                why = Bilingual(
+                    f"has gaps in other blocks than {MOST_GROUPS} more channels",
+                    f"的缺段与另外{MOST_GROUPS}个通道所在数据块不同",
+                )
+            reasons[name] = Bilingual(f"{', '.join(lacking)} {why}", f"{'、'.join(lacking)}{why.zh}")
     return reasons
 
 
 def _costs_much(runs: Sequence[RunBlocks], name: str, known: dict[str, BoolArray], share: float) -> bool:
     if share > MOST_LOST:
         return True
-    lost = left_out(runs, [Loss("", {run: ~each for run, each in known.items()})])
+    lost = left_out(runs, [Loss(Bilingual("", ""), {run: ~each for run, each in known.items()})])
     return any(each.share >= TOLD and each.what != f"the excitation of {name}" for each in lost)
 
 

@@ -11,7 +11,7 @@ from stream.errors import EstimatorError
 from stream.estimators.base import NoEstimate
 from stream.estimators.noise.noise_likelihood import CurveLikelihood, deviance_quantile
 from stream.estimators.noise.noise_markov import Offer, best_markov
-from stream.estimators.noise.noise_misfit import admitted
+from stream.estimators.noise.noise_misfit import admitted, misfit_chance
 from stream.estimators.noise.noise_model import MARKOV_NOISE, TERMS, Term, correlations, markov_column, term_columns
 from stream.events import EstimatePoint
 
@@ -63,7 +63,8 @@ class NoiseFit(msgspec.Struct, frozen=True, kw_only=True):
     confidence: Level of all bounds.
     points: How many averaging times were used.
     misfit: Relative standard deviation, root mean square over these, by which the Allan deviation departs from the
-        model beyond its own scatter; 0 where the model fits. The bounds allow for it.
+        model beyond its own scatter; 0 where the model is not rejected. The bounds allow for it.
+    misfit_chance: p-value of the test of the model against the scatter of the curve; below 0.05 it is rejected.
     """
 
     quantization_noise: NoiseCoefficient
@@ -75,6 +76,7 @@ class NoiseFit(msgspec.Struct, frozen=True, kw_only=True):
     confidence: float
     points: int
     misfit: float = 0.0
+    misfit_chance: float = 1.0
 
 
 def fit_noise(points: Sequence[EstimatePoint], *, confidence: float = 0.95) -> NoiseFit | NoEstimate:
@@ -167,7 +169,10 @@ def _fitted(taus_s: FloatArray, deviations: FloatArray, edf: FloatArray, confide
             correlation_hi_s=max(offer.hi_s, offer.correlation_s),
         )
     misfit = math.sqrt(float(np.mean(likelihoods[0].excess))) / 2.0
-    return NoiseFit(**found, markov=markov, confidence=confidence, points=len(taus_s), misfit=misfit)
+    tested = _of_mixture(likelihoods[0], taus_s, variances, edf) if misfit else likelihoods[0]
+    chance = misfit_chance(tested)
+    points = len(taus_s)
+    return NoiseFit(**found, markov=markov, confidence=confidence, points=points, misfit=misfit, misfit_chance=chance)
 
 
 def _and_markov(taus_s: FloatArray, correlation_s: float) -> FloatArray:

@@ -52,6 +52,15 @@ def admitted(likelihood: CurveLikelihood, taus_s: FloatArray) -> list[CurveLikel
     return sorted((_admitting(likelihood, shape, alike) for shape in shapes), key=CurveLikelihood.height)
 
 
+def misfit_chance(likelihood: CurveLikelihood) -> float:
+    """Probability of a deviance at least this large if the noise is a sum of the terms; the test of `admitted`."""
+    from scipy.special import chdtrc
+
+    theta, least = likelihood.minimum()
+    mean, degrees = likelihood.freedom(theta)
+    return 1.0 if degrees < 1.0 else float(chdtrc(degrees, least * degrees / mean))
+
+
 def _admitting(likelihood: CurveLikelihood, shape: FloatArray, alike: FloatArray) -> CurveLikelihood:
     from scipy.optimize import brentq
 

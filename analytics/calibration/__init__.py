@@ -1,1 +1,0 @@
-"""Calibrations that SQL cannot say."""

@@ -1,0 +1,249 @@
+"""From the store to blocks: runs of a unit as block means of its signal, with the channels of unit and station."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
+from functools import cached_property
+
+import numpy as np
+
+from analytics.loop.blocks import reduction_notes as notes_on
+from analytics.loop.blocks.derived import (
+    assumed_axis,
+    commanded_in,
+    source_of_input_rate,
+    split_at_power_ons,
+    with_motion,
+    with_times,
+    without_rest,
+)
+from analytics.loop.blocks.join import ChannelJoiner
+from analytics.loop.blocks.left_out import LeftOut
+from analytics.loop.blocks.outliers import RateSeries
+from analytics.loop.blocks.rate_edges import unresolved
+from analytics.loop.blocks.record_checks import check_channels, check_labels, check_runs, clock_offsets
+from analytics.loop.blocks.reduction_notes import LEAST_SHARE, Note
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.blocks.signal_blocks import Grid, SignalBlocks, block_means
+from analytics.loop.blocks.step_channels import position_numbers, read_steps
+from analytics.loop.blocks.stored_signals import ChannelSource, RecordedSignal, reach, records_of, sources_of
+from analytics.loop.blocks.unit_run import UnitRun, left_out_of, notes_on_samples
+from storage.sql.catalog import Catalog
+from stream.errors import BadInput, NotFound
+from stream.quantities import conversion, is_angular_rate, report_unit
+
+BLOCK_S = 30.0
+_FEWEST_BLOCKS = 2
+_MOST_SLOTS = 10_000_000
+_LONGEST_S = 1e9
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """Runs in the order of time, notes on them, and what was left out with its share of the record."""
+
+    runs: tuple[RunBlocks, ...]
+    notes: tuple[Note, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+
+    @property
+    def limits(self) -> tuple[str, ...]:
+        """The notes that limit what can be concluded, as sentences."""
+        return tuple(note.text for note in self.notes if note.is_limit)
+
+
+@dataclass
+class BlockReducer:
+    """Reduces units of a store one after the other; the station's channels are reduced once for all units of a run.
+
+    Parameters
+    ----------
+    catalog: The store.
+    signal: Name of the signal; an angular rate is returned in deg/h, another signal in its own unit.
+    block_s: Length of a block, seconds. Whole seconds are read from rollups, others from the samples.
+    runs: Runs to reduce; by default all that have the signal.
+    since_ns, until_ns: Time range of the samples.
+    tolerance_s: Longest time from a reading at which a channel is valid; by default a block, or the channel's own
+        interval where that is longer.
+    channels: Other outputs of the units that are to be channels.
+
+    Notes
+    -----
+    For the mean of a block and its uncertainty see `block_means`. A channel with four or more readings a block, or read
+    at the times of the samples, is its mean over the block's readings; one with fewer is interpolated at the mean time
+    of the signal's samples between readings at most two tolerances apart, else it is the nearest within the tolerance,
+    else NaN.
+    """
+
+    catalog: Catalog
+    signal: str
+    _: KW_ONLY
+    block_s: float = BLOCK_S
+    runs: Collection[str] | None = None
+    since_ns: int | None = None
+    until_ns: int | None = None
+    tolerance_s: float | None = None
+    channels: Collection[str] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse lengths that are not positive."""
+        if not 0 < self.block_s <= _LONGEST_S:
+            raise BadInput(f"blocks of {self.block_s:g} s: give a positive number of seconds, {_LONGEST_S:g} at most")
+        if self.tolerance_s is not None and not (np.isfinite(self.tolerance_s) and self.tolerance_s > 0):
+            raise BadInput(f"a tolerance of {self.tolerance_s:g} s: give a positive number of seconds")
+        self._joiner = ChannelJoiner(self.catalog, self.block_s, self.tolerance_s)
+
+    @cached_property
+    def _clock_offsets(self) -> dict[tuple[str, str], dict[str, float]]:
+        return clock_offsets(self.catalog)
+
+    def reduce(self, unit: str) -> Reduction:
+        """Runs of a unit as blocks, with notes on the reduction.
+
+        Raises
+        ------
+        NotFound: If the store lacks the signal in that time range, or a named run.
+        BadInput: If the runs have the signal in incompatible units of measure.
+        """
+        records = records_of(self.catalog, unit, self.signal, self.runs)
+        found = self._means(unit, records)
+        if not found:
+            raise NotFound(
+                f"unit {unit}, signal {self.signal}: no sample lies in the time that was asked for; the record "
+                f"reaches {reach(records)}"
+            )
+        records = {run: each for run, each in records.items() if run in found}
+        sources, notes = sources_of(self.catalog, unit, self.signal, list(records), self.channels)
+        runs = self._joined(unit, records, found, sources)
+        is_whole = self.since_ns is None and self.until_ns is None
+        notes += notes_on_samples(self.catalog, runs, self._clock_offsets, is_whole=is_whole)
+        notes += self._derive(runs)
+        parts = self._parts(unit, runs)
+        split = [each.name for each, own in zip(runs, parts, strict=True) if any(part.run != each.name for part in own)]
+        notes += notes_on.power_ons(split, len(runs))
+        blocks = [part for own in parts for part in own if len(part) > 0]
+        if not any(source.name == "table_acceleration" for each in runs for source in each.sources):
+            blocks = without_rest(blocks)
+        if not blocks:
+            raise NotFound(
+                f"unit {unit}, signal {self.signal}: no block is left: {'; '.join(note.text for note in notes)}"
+            )
+        notes += [*notes_on.no_scatter(blocks), *check_runs(blocks), *check_channels(blocks), *check_labels(blocks)]
+        return Reduction(tuple(blocks), tuple(notes), left_out_of(runs))
+
+    def _means(self, unit: str, records: Mapping[str, RecordedSignal]) -> dict[str, SignalBlocks]:
+        """Blocks of the signal by run, without runs that have none in the time range."""
+        longest_s = max((record.last_ns - record.first_ns) / 1e9 for record in records.values())
+        shortest_s = max(longest_s / _MOST_SLOTS, 1e-6)
+        if self.block_s < shortest_s:
+            raise BadInput(
+                f"unit {unit}, signal {self.signal}: blocks of {self.block_s:g} s in runs of up to {longest_s:g} s; "
+                f"give blocks from {shortest_s:.2g} s on, 30 s where in doubt"
+            )
+        gone = [run for run, record in records.items() if record.kept_raw < record.samples]
+        if gone and self.block_s % 1.0:
+            raise BadInput(
+                f"unit {unit}, signal {self.signal}, run {', '.join(gone)}: raw samples were dropped, what is kept "
+                f"are seconds: give blocks of whole seconds, not {self.block_s:g} s"
+            )
+        found: dict[str, SignalBlocks] = {}
+        for rolled_up in (False, True):
+            grids = {run: self._grid(each) for run, each in records.items() if each.is_rolled_up is rolled_up}
+            found |= block_means(self.catalog, unit, self.signal, grids, self.block_s, rolled_up=rolled_up)
+        return found
+
+    def _grid(self, record: RecordedSignal) -> Grid:
+        return record.grid(self.since_ns, self.until_ns)
+
+    def _joined(
+        self,
+        unit: str,
+        records: Mapping[str, RecordedSignal],
+        found: Mapping[str, SignalBlocks],
+        sources: Mapping[str, list[ChannelSource]],
+    ) -> list[UnitRun]:
+        """The runs with their recorded channels."""
+        grids = {run: self._grid(record) for run, record in records.items()}
+        sampled = {run: (record.interval_s, record.first_ns) for run, record in records.items()}
+        self._joiner.prepare(sources, grids, sampled)
+        steps, power_ons = read_steps(self.catalog, unit), self._power_ons(unit)
+        runs = []
+        for name, record in records.items():
+            blocks = found[name]
+            own = None
+            if is_angular_rate(record.unit_of_measure):
+                factor = conversion(record.unit_of_measure, "deg/s")[0]
+                own = RateSeries(blocks.mean * factor, blocks.is_far, blocks.far_reading)
+            channels, outliers, is_far = self._joiner.channels(sources[name], blocks, grids[name], own)
+            result_unit, factor = report_unit(record.unit_of_measure)
+            run = RunBlocks(
+                unit=unit,
+                run=name,
+                signal=self.signal,
+                slot=blocks.slot,
+                block_s=self.block_s,
+                t0_ns=grids[name].t0_ns,
+                value=blocks.mean * factor,
+                n=blocks.n,
+                white_variance=blocks.white_variance * factor**2,
+                unit_of_measure=result_unit,
+                channels=channels,
+                is_date_known=record.is_date_known,
+            )
+            runs.append(
+                UnitRun(
+                    name=name,
+                    record=record,
+                    found=blocks,
+                    sources=sources[name],
+                    steps=steps.get(name, []),
+                    power_on_ns=power_ons.get(name, []),
+                    blocks=run,
+                    outliers=outliers,
+                    is_far=is_far,
+                    is_partial=blocks.n < LEAST_SHARE * np.median(blocks.n),
+                    is_unresolved=np.zeros(len(run), dtype=np.bool_),
+                )
+            )
+        self._joiner.forget(unit)
+        return runs
+
+    def _derive(self, runs: Sequence[UnitRun]) -> list[Note]:
+        """Add the channels that follow from the record, mark the blocks that they do not resolve, and note both."""
+        recorded = [run.blocks for run in runs]
+        numbers = position_numbers(self.catalog)
+        turns, notes = assumed_axis({run.name: run.steps for run in runs}, recorded)
+        for run in runs:
+            run.blocks = with_motion(run.blocks, run.found, run.steps, turns, numbers)
+            if (source := run.reference) is not None:
+                changes = self._joiner.changes(source, run.blocks.slot, run.blocks.t0_ns)
+                commanded = commanded_in(run.blocks, run.found, run.steps)
+                run.is_unresolved = unresolved(run.blocks, changes, source.interval_s, commanded, run.is_lost)
+        notes += source_of_input_rate(recorded, [run.blocks for run in runs])
+        notes += notes_on.positions({step.position for run in runs for step in run.steps if step.position}, numbers)
+        notes += notes_on.no_power_on([run.name for run in runs if not run.has_power_on], len(runs))
+        interval_s = max((run.reference.interval_s for run in runs if run.reference is not None), default=0.0)
+        notes += notes_on.not_resolved({run.name: run.is_unresolved for run in runs}, interval_s, self.block_s)
+        return notes
+
+    def _parts(self, unit: str, runs: Sequence[UnitRun]) -> list[list[RunBlocks]]:
+        """The blocks of each run that are kept, each power-on as a run of its own."""
+        rows = self.catalog.rows(
+            "select min(s.t_first_ns) from signals s left join runs r using (run) "
+            "where s.unit = $unit and coalesce(r.date_known, true)",
+            {"unit": unit},
+        )
+        first_day_ns = None if rows[0][0] is None else int(rows[0][0])  # the same whichever runs are chosen
+        parts = []
+        for run in runs:
+            clean = run.blocks.part(~run.is_lost)
+            counted_from = run.power_on_ns or ([] if run.blocks.is_table else [run.record.first_ns])
+            timed = with_times(clean, counted_from, first_day_ns)
+            parts.append(split_at_power_ons(timed, run.power_on_ns, _FEWEST_BLOCKS))
+        return parts
+
+    def _power_ons(self, unit: str) -> dict[str, list[int]]:
+        found: dict[str, list[int]] = {}
+        sql = "select run, t_ns from events where kind = 'PowerOn' and unit = $unit order by t_ns"
+        for run, t_ns in self.catalog.rows(sql, {"unit": unit}):
+            found.setdefault(str(run), []).append(int(t_ns))
+        return found

@@ -1,0 +1,105 @@
+"""A run of a unit between the store and its blocks, notes on its samples, and what it loses."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from analytics.curves.isolated_outliers import isolated_outliers
+from analytics.loop.blocks import reduction_notes as notes_on
+from analytics.loop.blocks.join import Outliers
+from analytics.loop.blocks.left_out import FAR_OUTSIDE, FEW_SAMPLES, NOT_RESOLVED, LeftOut, Loss, left_out
+from analytics.loop.blocks.record_checks import check_clocks
+from analytics.loop.blocks.reduction_notes import Note
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.blocks.signal_blocks import SignalBlocks
+from analytics.loop.blocks.step_channels import Step, step_rows
+from analytics.loop.blocks.stored_signals import ChannelSource, RecordedSignal
+from storage.sql.catalog import Catalog
+from storage.sql.reading import find_signal
+from stream.batch import BoolArray
+
+
+@dataclass
+class UnitRun:
+    """A run of the unit between the store and its blocks.
+
+    Parameters
+    ----------
+    blocks: All blocks with their channels: first those recorded, then with those derived.
+    outliers: Of the channels.
+    is_far, is_partial, is_unresolved: Blocks to leave out: with an outlier of the signal, too few samples, an edge.
+    """
+
+    name: str
+    record: RecordedSignal
+    found: SignalBlocks
+    sources: list[ChannelSource]
+    steps: list[Step]
+    power_on_ns: list[int]
+    blocks: RunBlocks
+    outliers: dict[str, Outliers]
+    is_far: BoolArray
+    is_partial: BoolArray
+    is_unresolved: BoolArray
+
+    @property
+    def is_lost(self) -> BoolArray:
+        """Blocks to leave out for any reason."""
+        return np.asarray(self.is_far | self.is_partial | self.is_unresolved)
+
+    @property
+    def reference(self) -> ChannelSource | None:
+        """The recorded reference rate."""
+        by_name = {each.name: each for each in self.sources}
+        return by_name.get("input_rate", by_name.get("table_rate"))
+
+    @property
+    def has_power_on(self) -> bool:
+        """Whether the time since power-on is known, or has no meaning."""
+        return bool(self.power_on_ns) or "time_since_power_on" in self.blocks.channels or self.blocks.is_table
+
+
+def notes_on_samples(
+    catalog: Catalog, runs: Sequence[UnitRun], offsets: Mapping[tuple[str, str], Mapping[str, float]], *, is_whole: bool
+) -> list[Note]:
+    """Notes on samples that are not finite, outliers, far apart or on another clock, and on partial blocks.
+
+    `is_whole` says whether all samples of the runs were read.
+    """
+    unit, signal, block_s = runs[0].blocks.unit, runs[0].blocks.signal, runs[0].blocks.block_s
+    notes = []
+    if is_whole:
+        notes += notes_on.not_finite({run.name: run.record.samples - int(run.found.n.sum()) for run in runs})
+    isolated = {
+        run.name: found
+        for run in runs
+        if not run.record.is_rolled_up  # else a sample hardly changes its block
+        and (found := isolated_outliers(catalog, find_signal(catalog, unit, signal, run.name))).is_worth_a_word
+    }
+    notes += notes_on.isolated(signal, isolated, len(runs))
+    notes += notes_on.apart({run.name: run.record.interval_s for run in runs}, block_s)
+    instruments = sorted({(run.name, each.unit) for run in runs for each in run.sources if each.unit != unit})
+    notes += check_clocks(offsets, unit, signal, instruments)
+    far = {run.name: (int(run.is_far.sum()), run.found.farthest) for run in runs if run.is_far.any()}
+    units = {run.name: run.record.unit_of_measure for run in runs}
+    notes += notes_on.far_outside(signal, far, units, len(runs))
+    notes += notes_on.partial({run.name: run.is_partial for run in runs})
+    for name in sorted({each.name for run in runs for each in run.sources}):
+        units = {run.name: each.unit_of_measure for run in runs for each in run.sources if each.name == name}
+        outliers = {run.name: run.outliers[name] for run in runs if name in run.outliers}
+        notes += notes_on.far_outside(name, outliers, units, len(runs))
+    return notes
+
+
+def left_out_of(runs: Sequence[UnitRun]) -> tuple[LeftOut, ...]:
+    """What the blocks that are left out mean."""
+    losses = (
+        Loss(FAR_OUTSIDE, {run.name: run.is_far for run in runs}),
+        Loss(FEW_SAMPLES, {run.name: run.is_partial for run in runs}),
+        Loss(NOT_RESOLVED, {run.name: run.is_unresolved for run in runs}),
+    )
+    in_steps = {
+        (run.name, name): rows for run in runs for name, rows in step_rows(run.steps, run.blocks.middle_ns).items()
+    }
+    return left_out([run.blocks for run in runs], losses, in_steps)

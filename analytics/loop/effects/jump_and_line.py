@@ -1,0 +1,76 @@
+"""Events: a jump of the bias in one run, and periodic lines that no channel shows."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.effects.base import Effect, Inputs, Kind, Shape, ShapeParameter, number, positive
+from stream.batch import FloatArray
+
+
+class Jump(Effect):
+    """0 before `at_s` of the run named in the shape, 1 from then on; 0 in other runs."""
+
+    name = "jump"
+    en = "bias jump"
+    zh = "零偏跳变"
+    needs = ()
+    kind = Kind.EVENT
+    parameters = (ShapeParameter("at_s", "s", (), "moment from the run's start", "距测试开始的时刻"),)
+    cause = (
+        "A mode hop of the source, a contact that slips or a change of state in the electronics shifts the bias "
+        "abruptly. Its time is random, so that it cannot be reproduced, only observed again."
+    )
+    cause_zh = "光源跳模、接触面滑移或电路状态切换使零偏突然移动。其发生时刻不定，无法复现，只能再次观察到。"
+    reference = "IEEE 528-2019, random bias; GJB 2426A-2004, bias stability"
+    aliases = ("temperature_threshold",)
+    separating_test = (
+        "repeat the run several times and check whether the jump recurs at the same temperature, time or command"
+    )
+    separating_test_zh = "多次重复测试，观察是否在相同温度、时间或指令处跳变"
+
+    def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
+        if shape.get("run") != run.run:
+            return np.zeros((len(run), 1))
+        end_s = (run.slot + 1) * run.block_s
+        share = np.clip((end_s - number(shape, "at_s")) / run.block_s, 0.0, 1.0)
+        return np.asarray(share, np.float64)[:, None]
+
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+        return np.where(time_s >= number(shape, "at_s"), coefficients[0], 0.0)
+
+
+class PeriodicLine(Effect):
+    """Cosine and sine of one frequency; the phase counts from each run's start."""
+
+    name = "periodic_line"
+    en = "periodic line"
+    zh = "周期性谱线"
+    needs = ()
+    kind = Kind.LINE
+    parameters = (ShapeParameter("frequency_hz", "Hz", (), "frequency", "频率"),)
+    coefficients = ("cos", "sin")
+    cause = (
+        "A thermostat, a compressor, a beat of two clocks or an aliased vibration line repeats with a fixed period. "
+        "Its phase differs from run to run, its frequency does not."
+    )
+    cause_zh = "恒温器、压缩机、两时钟差拍或混叠的振动谱线以固定周期重复。各次测试相位不同而频率不变。"
+    reference = "IEEE 952-2020, annex on spectral analysis (sinusoidal noise)"
+    aliases = ("table_angle_harmonic_1",)
+    separating_test = (
+        "record at the full sampling rate with each suspected source (chamber, pump, table) switched off in turn"
+    )
+    separating_test_zh = "以全采样率记录，依次关闭温箱、泵、转台等可疑源"
+
+    def regressors(self, run: RunBlocks, shape: Shape) -> FloatArray:
+        frequency_hz = positive(shape, "frequency_hz")
+        phase = 2.0 * np.pi * frequency_hz * run.time_s
+        # averaging over a block attenuates the line
+        left = np.sinc(frequency_hz * run.block_s)
+        return np.stack([left * np.cos(phase), left * np.sin(phase)], axis=1)
+
+    def simulate(self, time_s: FloatArray, channels: Inputs, coefficients: Sequence[float], shape: Shape) -> FloatArray:
+        amplitude = complex(coefficients[0], -coefficients[1])
+        turning = np.exp(2j * np.pi * positive(shape, "frequency_hz") * time_s)
+        return np.asarray((amplitude * turning).real)

@@ -1,0 +1,260 @@
+"""The verdict of a diagnosis in one sentence, in English or Chinese."""
+
+from collections.abc import Sequence
+
+from analytics.loop.effects.turn_on import TURN_ON
+from analytics.loop.report.wording import Wording, number
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
+from analytics.loop.tracing.result.error_table import ErrorGain
+from analytics.loop.tracing.result.finding import ConfoundedEffect, FoundEffect
+from analytics.loop.tracing.result.holdout import HeldOutAnswer, HoldoutSlope
+from analytics.loop.tracing.search.fitted_candidates import JUMP
+
+_OR, _AND = ("or", "或"), ("and", "和")
+
+
+def verdict_sentence(diagnosis: Diagnosis, words: Wording) -> str:
+    """The verdict in one sentence; of several effects the one that explains most of the held-out error comes first.
+
+    Examples
+    --------
+    >>> none = Diagnosis(verdict=ModelVerdict.NOT_ENOUGH_DATA, units=("FOG-1",), signal="rate", missing=("9 blocks",))
+    >>> verdict_sentence(none, Wording("en"))
+    'Not enough data for a verdict: 9 blocks.'
+    """
+    match diagnosis.verdict:
+        case ModelVerdict.NOT_ENOUGH_DATA:
+            missing = words.of("; ", "；").join(map(words.text, diagnosis.missing))
+            text = words.of(f"not enough data for a verdict: {missing}", f"数据不足，无法判定：{missing}")
+        case ModelVerdict.NOTHING_MISSING:
+            text = _nothing_missing(diagnosis, words)
+        case ModelVerdict.UNREPLICATED:
+            text = _unreplicated(diagnosis, words)
+        case ModelVerdict.UNEXPLAINED:
+            text = _unexplained(diagnosis, words)
+        case ModelVerdict.EFFECT_FOUND | ModelVerdict.CONFOUNDED | ModelVerdict.UNKNOWN_FUNCTION:
+            text = _lacking(diagnosis, words)
+    return text[0].upper() + text[1:] + words.of(".", "。")
+
+
+def _nothing_missing(diagnosis: Diagnosis, words: Wording) -> str:
+    tested, count = len(diagnosis.detection_limits), len(diagnosis.runs)
+    data = words.of(f"{count} runs", f"{count}次试验")
+    if diagnosis.replication == "within_run":
+        data = words.of(f"{count} segments of the only run", f"唯一一次试验的{count}段")
+    if diagnosis.declared_noise is None:
+        return words.of(
+            f"no missing effect is detected: relative to the noise estimated from {data}, none of {tested} effects is "
+            "significant",
+            f"未检出缺项：以{data}自身估计的噪声衡量，所检验的{tested}种效应均不显著",
+        )
+    return words.of(
+        f"nothing is missing: the residual of the declared model in {data} is noise, and none of the {tested} effects "
+        "tested is present",
+        f"无缺项：已声明模型在{data}中的残差为噪声，所检验的{tested}种效应均不存在",
+    )
+
+
+def _lacking(diagnosis: Diagnosis, words: Wording) -> str:
+    """The missing effects, the largest first, then what was seen once, the answer of the held-out runs, the gain."""
+    lasting = [each for each in diagnosis.by_size if each.replicates]
+    if diagnosis.verdict is ModelVerdict.EFFECT_FOUND:
+        lasting = [each for each in lasting if each.confirmed] or lasting
+    others = [each for each in diagnosis.by_size if each not in lasting]
+    rest = "".join(words.of("; also, ", "；另") + _seen_once(each, diagnosis, words) for each in others)
+    if lasting[0].name == TURN_ON:
+        return f"{_runs_differ(lasting[0], diagnosis, words)}{rest}"
+    where = ""
+    if diagnosis.replication == "within_run":
+        where = words.of("judging by the only run, ", "就唯一一次试验而言，")
+    them = "it" if len(lasting) == 1 else "them"
+    rest = f"{rest}{_confirmation(diagnosis, them, words)}{_gain(diagnosis, words)}"
+    return f"{where}{_effects(lasting, words)}{rest}"
+
+
+def _effects(lasting: Sequence[FoundEffect], words: Wording) -> str:
+    """The missing effects; a single one in a form of its own."""
+    first, count = lasting[0], len(lasting)
+    if count > 1:
+        listed = _joined([_one_of_several(each, words) for each in lasting], _AND, words)
+        return words.of(
+            f"the declared model lacks {count} effects, the largest first: {listed}",
+            f"已声明模型缺少{count}种效应（按大小排列）：{listed}",
+        )
+    if first.unknown_function_of:
+        channels, nearest = words.listed(first.unknown_function_of), words.effect(first)
+        return words.of(
+            f"the error depends on {channels}, but not in the form of any effect of the library; the nearest is "
+            f"{nearest}",
+            f"误差随{channels}变化，但不符合库中任何效应的形式；最接近的是{nearest}",
+        )
+    if first.confounded:
+        choices = [_sized(first, words), *(_alternative(other, words) for other in first.confounded)]
+        listed = _joined(choices, _OR, words)
+        return words.of(
+            f"the declared model lacks one of several effects, which these data cannot separate: {listed}",
+            f"已声明模型缺少下列效应之一，现有数据无法区分：{listed}",
+        )
+    one = _sized(first, words)
+    return words.of(f"the declared model lacks one effect: {one}", f"已声明模型缺少1种效应：{one}")
+
+
+def _one_of_several(found: FoundEffect, words: Wording) -> str:
+    text = _sized(found, words)
+    if found.error_share is not None:
+        share = f"{found.error_share:.0%}"
+        text += words.of(f", {share} of the squared error", f"，占误差平方的{share}")
+    if found.unknown_function_of:
+        channels = words.listed(found.unknown_function_of)
+        text += words.of(
+            f" (of unknown form: the error depends on {channels} in another way)",
+            f"（形式未知：误差以其他方式随{channels}变化）",
+        )
+    if found.confounded:
+        others = words.listed([_alternative(other, words) for other in found.confounded], _OR)
+        text += words.of(f" (these data cannot separate it from {others})", f"（现有数据无法与{others}区分）")
+    return text
+
+
+def _sized(found: FoundEffect, words: Wording) -> str:
+    return f"{words.effect(found)}{words.of(': ', '：')}{words.coefficient(found)}"
+
+
+def _joined(parts: Sequence[str], last: tuple[str, str], words: Wording) -> str:
+    """Join parts that contain commas."""
+    if len(parts) < 2:
+        return "".join(parts)
+    return words.of("; ", "；").join([*parts[:-1], f"{words.of(f'{last[0]} ', last[1])}{parts[-1]}"])
+
+
+def _alternative(other: ConfoundedEffect, words: Wording) -> str:
+    name = words.effect(other)
+    if not other.is_plausible and other.implied is not None:
+        needed = f"{number(other.implied)} {other.implied_unit}"
+        return words.of(f"{name} (unlikely: it would need {needed})", f"{name}（须达{needed}，不大可能）")
+    return name + ("" if other.recorded else words.of(" (not recorded)", "（未记录）"))
+
+
+def _runs_differ(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
+    size, runs = words.coefficient(found), len(diagnosis.runs)
+    causes = words.listed([*(_alternative(other, words) for other in found.confounded), words.effect(found)])
+    return words.of(
+        f"the runs differ by {size}; {causes} differ between them, and {runs} runs cannot separate these causes",
+        f"各次试验相差{size}；其间{causes}均不同，{runs}次试验无法区分",
+    )
+
+
+def _unreplicated(diagnosis: Diagnosis, words: Wording) -> str:
+    lasting = [each for each in diagnosis.by_size if each.replicates]
+    if diagnosis.replication == "within_run" and lasting:
+        effects, gain = _joined([_sized(each, words) for each in lasting], _AND, words), _gain(diagnosis, words)
+        return words.of(
+            f"the only run shows {effects}, repeated in its segments; another run is needed to show whether this is an "
+            f"effect or specific to this run{gain}",
+            f"唯一一次试验显示{effects}，其各段均重现；是效应还是仅属本次试验，须由另一次试验证实{gain}",
+        )
+    seen = (*diagnosis.by_size, *diagnosis.unreplicated)
+    listed = words.of("; ", "；").join(_seen_once(each, diagnosis, words) for each in seen)
+    if lasting:
+        return words.of(f"seen but not confirmed: {listed}", f"见到但未证实：{listed}")
+    return words.of(f"no effect that repeats: {listed}", f"未发现可重现的效应：{listed}")
+
+
+def _seen_once(found: FoundEffect, diagnosis: Diagnosis, words: Wording) -> str:
+    name, sized = words.effect(found), _sized(found, words)
+    if found.name == JUMP:
+        size = words.coefficient(found)
+        return words.of(f"a {name} of {size} happened once", f"{name}（{size}）仅出现一次")
+    if found.confirmed is False:
+        slope = None if diagnosis.holdout is None else diagnosis.holdout.slope(found.name)
+        size = "" if slope is None else words.of(f" (slope {_slope(slope)})", f"（斜率{_slope(slope)}）")
+        return words.of(
+            f"{name} was seen in the training runs, but the held-out runs do not confirm it{size}",
+            f"训练试验中见到{name}，但留出试验未予证实{size}",
+        )
+    if not found.replicates:
+        share = f"{found.largest_share:.0%}"
+        return words.of(
+            f"{name} was seen, but {share} of its evidence comes from one run",
+            f"见到{name}，但其证据的{share}来自同一次试验",
+        )
+    if diagnosis.holdout is None:
+        return words.of(f"{sized}; no runs were held out to confirm it", f"{sized}；无留出试验可供证实")
+    return words.of(
+        f"{sized}; the held-out runs do not excite it and can neither confirm nor refuse it",
+        f"{sized}；留出试验未激励该效应，既不能证实也不能否定",
+    )
+
+
+def _unexplained(diagnosis: Diagnosis, words: Wording) -> str:
+    if diagnosis.unexplained is not None:
+        why = words.text(diagnosis.unexplained)
+        return words.of(
+            f"the declared model lacks something that no channel explains: {why}",
+            f"存在缺项，但通道中无可解释者：{why}",
+        )
+    if diagnosis.effects:
+        effects = _joined([words.effect(each) for each in diagnosis.effects], _AND, words)
+        return words.of(
+            f"the error has changes that happened once each and that no channel explains: {effects}",
+            f"误差有若干仅出现一次的变化，通道中无可解释者：{effects}",
+        )
+    ratio = number(diagnosis.noise_excess)
+    return words.of(
+        f"at averages of 300 to 3600 s the variance is {ratio} times that of the declared noise, and no channel "
+        "explains it",
+        f"在300至3600 s平均时间上方差为已声明噪声的{ratio}倍，通道中无可解释者",
+    )
+
+
+def _confirmation(diagnosis: Diagnosis, them: str, words: Wording) -> str:
+    if diagnosis.holdout is None:
+        return words.of(f"; no runs were held out to confirm {them}", "；无留出试验可供证实")
+    count, slope = len(diagnosis.holdout.runs), _slope(diagnosis.holdout.total)
+    if diagnosis.holdout.overall is HeldOutAnswer.NO_POWER:
+        return words.of(
+            f"; the held-out runs do not excite {them} and cannot confirm {them} (slope {slope})",
+            f"；留出试验未激励该效应，不能证实（斜率{slope}）",
+        )
+    if diagnosis.replication == "within_run":
+        return words.of(
+            f"; the {count} held-out segments confirm {them} (slope {slope})",
+            f"；留出的{count}段予以证实（斜率{slope}）",
+        )
+    runs = "run confirms" if count == 1 else "runs confirm"
+    return words.of(f"; {count} held-out {runs} {them} (slope {slope})", f"；{count}次留出试验予以证实（斜率{slope}）")
+
+
+def _gain(diagnosis: Diagnosis, words: Wording) -> str:
+    table = diagnosis.error
+    row = None if table is None else table.reference
+    if table is None or row is None or row.gain is None:
+        return ""
+    seconds, falls = f"{row.averaging_s:g} s", "falls" if row.gain.is_significant else "goes"
+    where = ("there", "其") if table.is_held_out else ("in the training runs", "训练试验的")
+    before, after = number(row.before), f"{number(row.after)} {table.unit_of_measure}"
+    mark = _significance(row.gain, words)
+    text = words.of(
+        f", and the RMS error over {seconds} {where[0]} {falls} from {before} to {after}{mark}",
+        f"，{where[1]}{seconds}均方根误差由{before}变为{after}{mark}",
+    )
+    if row.gain.runs < 2 or row.gain_within is None:
+        return text
+    before, after, noise = (number(each) for each in (row.before_within, row.after_within, row.floor_within))
+    mark = _significance(row.gain_within, words)
+    return text + words.of(
+        f"; about the mean of each run from {before} to {after}{mark} (noise alone {noise})",
+        f"；去除各次试验均值后由{before}变为{after}{mark}（仅噪声{noise}）",
+    )
+
+
+def _significance(gain: ErrorGain, words: Wording) -> str:
+    if gain.lo is None:
+        return words.of(" (one run: no confidence bounds)", "（仅一次试验：无置信限）")
+    if gain.is_significant or gain.is_loss:
+        return ""
+    return words.of(" (not significant)", "（不显著）")
+
+
+def _slope(found: HoldoutSlope) -> str:
+    return f"{found.slope:.2f} ± {found.slope_se:.2f}"

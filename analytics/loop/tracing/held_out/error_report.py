@@ -1,0 +1,187 @@
+"""The error before and after at several averaging times, the noise floor, and the gain with its bounds over runs."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from analytics.loop.tracing.held_out.held_out_set import HeldOutSet
+from analytics.loop.tracing.held_out.slopes import information
+from analytics.loop.tracing.result.error_table import REFERENCE_S, ErrorAt, ErrorGain, ErrorTable
+from analytics.loop.tracing.search.effect_search import Search
+from analytics.loop.tracing.whitening.least_squares import solve
+from analytics.loop.tracing.whitening.noise_variance import (
+    Averages,
+    averages_of,
+    expected_variance,
+    within_run_variance,
+)
+from stream.batch import FloatArray, IntArray
+
+AVERAGING_S = (300.0, 1800.0, 3600.0)
+MOST_BY_CHANCE = 0.999
+LEAST_TO_GAIN = 0.02
+"""Excess of the squared error over the floor, relative to the floor, below which nothing can be gained."""
+LEAST_SPANNED = 0.9
+"""Share of an averaging time that the longest run must span, since a run may begin or end within a block."""
+EXCITED = 0.25
+"""An average excites the effect if the prediction exceeds this part of its maximum."""
+_CONFIDENCE = 0.975  # two-sided 95 %
+
+
+class _Squares(NamedTuple):
+    """Squared averages before and after, and the noise variance of each."""
+
+    before: FloatArray
+    after: FloatArray
+    floor: FloatArray
+
+
+def error_table(box: HeldOutSet, found: Search, names: Sequence[str], *, is_held_out: bool) -> ErrorTable:
+    """Errors on the blocks of a held-out set, the runs `names`.
+
+    The floor is the noise in these runs, including the error of the declared coefficients: the residual less the likely
+    error of the sizes of the effects, as noise model and training separate the two. If it exceeds the noise model by
+    more than chance, each run counted once, structure is left, and the floor is the largest value expected by chance.
+    """
+    record = box.record
+    rows = np.flatnonzero(box.held_out)
+    noise = found.joint.noises[0]
+    left, error = _noise_alone(box, found)
+    trained = np.unique(record.stack.run_number[~box.held_out]).size if is_held_out else 1
+    runs = np.unique(record.stack.run_number[rows]).size, trained
+    has_effect = bool(box.predictions.any())
+    table, fractions = [], {}
+    for seconds, averages in _averages(box):
+        allowed = expected_variance(record, noise, averages)
+        raw = averages.of(box.before_alone), averages.of(box.after)
+        squares = _Squares(raw[0] ** 2, raw[1] ** 2, _floor(averages, left, error, box, allowed, runs))
+        driven = np.abs(averages.of(box.predictions.sum(axis=1)))
+        excited = driven > EXCITED * driven.max(initial=0.0)
+        rms = [float(np.sqrt(each.mean())) for each in squares]
+        on = [float(np.sqrt(each[excited].mean())) if excited.any() else None for each in squares]
+        run = np.array([record.stack.run_number[rows[0]] for rows in averages.rows])
+        within = less_run_means(raw[0], run), less_run_means(raw[1], run)
+        table.append(
+            ErrorAt(
+                averaging_s=seconds,
+                before=rms[0],
+                after=rms[1],
+                floor=rms[2],
+                averages=run.size,
+                excited_before=on[0],
+                excited_after=on[1],
+                excited_floor=on[2],
+                before_within=float(np.sqrt(np.mean(within[0] ** 2))),
+                after_within=float(np.sqrt(np.mean(within[1] ** 2))),
+                floor_within=float(np.sqrt(within_run_variance(record, noise, averages))),
+                gain=error_gain(*raw, run) if has_effect else None,
+                gain_within=error_gain(*within, run) if has_effect else None,
+            )
+        )
+        fractions[seconds] = _fraction(squares), _fraction(_Squares(*(each[excited] for each in squares)))
+    whole, on_excited = fractions.get(REFERENCE_S, (None, None)) if has_effect else (None, None)
+    return ErrorTable(tuple(names), is_held_out, record.stack.runs[0].unit_of_measure, tuple(table), whole, on_excited)
+
+
+def error_shares(box: HeldOutSet, found: Search) -> dict[str, float]:
+    """Share of the squared error before that each common effect explains, at the reference averaging time.
+
+    sum(p * s) / sum(b**2) with the prediction p of the effect, the sum s of all predictions, and the error b before.
+    The shares add up to sum(s**2) / sum(b**2). The error after is noise, and is left out.
+    """
+    tables = [averages for seconds, averages in _averages(box) if seconds <= REFERENCE_S]
+    if not tables:
+        return {}
+    whole = max(float(np.sum(tables[-1].of(box.before) ** 2)), 1e-300)
+    predictions = tables[-1].of(box.predictions)
+    shares = predictions.T @ predictions.sum(axis=1) / whole
+    return {each.name: float(share) for each, share in zip(found.common, shares, strict=True)}
+
+
+def _averages(box: HeldOutSet) -> list[tuple[float, Averages]]:
+    """The averages of the held-out blocks at each averaging time that the runs are long enough for."""
+    record, rows = box.record, np.flatnonzero(box.held_out)
+    block_s = record.noise_model.block_s
+    number, slot = record.stack.run_number[rows], record.stack.slot[rows]
+    longest_s = max(np.ptp(slot[number == run]) + 1 for run in np.unique(number)) * block_s
+    times = [block_s, *(each for each in AVERAGING_S if each > block_s and LEAST_SPANNED * each <= longest_s)]
+    found = [(seconds, averages_of(record, max(1, round(seconds / block_s)), rows)) for seconds in times]
+    return [(seconds, averages) for seconds, averages in found if averages.rows]
+
+
+def _noise_alone(box: HeldOutSet, found: Search) -> tuple[FloatArray, FloatArray]:
+    """Residual less the likely error of the sizes of the effects, and the covariance of the remaining size error."""
+    width = box.predictions.shape[1]
+    whitened = box.whitened[:, 1:]
+    known = np.zeros((whitened.shape[1], whitened.shape[1]))
+    known[width:, width:] = np.linalg.pinv(box.covariance)
+    for number, each in enumerate(found.common):
+        known[number, number] = information(found, each)
+    solution = solve(known + whitened.T @ whitened, whitened.T @ box.whitened_after)
+    return box.after - box.predictions @ solution.coefficients[:width], solution.covariance[:width, :width]
+
+
+def _floor(
+    averages: Averages, left: FloatArray, error: FloatArray, box: HeldOutSet, allowed: FloatArray, runs: tuple[int, int]
+) -> FloatArray:
+    predictions = averages.of(box.predictions)
+    present = averages.of(left) ** 2 + np.einsum("ij,jk,ik->i", predictions, error, predictions)
+    most = float(stats.f.ppf(MOST_BY_CHANCE, *runs))
+    return np.asarray(present * min(1.0, most * allowed.sum() / max(float(present.sum()), 1e-300)))
+
+
+def _fraction(squares: _Squares) -> float | None:
+    """Share of the achievable gain; None if the error was at the floor before."""
+    could = float(squares.before.sum() - squares.floor.sum())
+    if could <= LEAST_TO_GAIN * float(squares.floor.sum()):
+        return None
+    return float(squares.before.sum() - squares.after.sum()) / could
+
+
+def error_gain(before: FloatArray, after: FloatArray, run: IntArray) -> ErrorGain | None:
+    """Relative decrease of the squared error of averages, with bounds over runs; None without an error.
+
+    Parameters
+    ----------
+    before, after: shape (averages,); errors with the declared model and with the model found.
+    run: shape (averages,); the run of each average.
+
+    Notes
+    -----
+    Averages of one run share its turn-on bias and drift, so that the runs are the sample (Diebold and Mariano,
+    clustered by run). The fraction is the ratio of the sums over runs of before**2 - after**2 and of before**2; its
+    standard error is that of a ratio estimate, with Student's t of (runs - 1) degrees of freedom.
+
+    Examples
+    --------
+    >>> before, after = np.array([3.0, 3.0, 3.1, 2.9]), np.array([1.0, 1.1, 0.9, 1.0])
+    >>> error_gain(before, after, np.array([0, 0, 1, 1])).is_significant
+    True
+    """
+    squares = float(np.sum(before**2))
+    if squares == 0:
+        return None
+    numbers, of_run = np.unique(run, return_inverse=True)
+    gained = np.bincount(of_run, before**2 - after**2)
+    fraction = float(gained.sum()) / squares
+    count = numbers.size
+    if count < 2:
+        return ErrorGain(fraction, None, None, count)
+    left = gained - fraction * np.bincount(of_run, before**2)
+    se = float(np.sqrt(count / (count - 1) * np.sum(left**2))) / squares
+    half = float(stats.t.ppf(_CONFIDENCE, count - 1)) * se
+    return ErrorGain(fraction, fraction - half, fraction + half, count)
+
+
+def less_run_means(values: FloatArray, run: IntArray) -> FloatArray:
+    """Values less the mean of their run.
+
+    Examples
+    --------
+    >>> less_run_means(np.array([1.0, 3.0, 5.0]), np.array([0, 0, 7])).tolist()
+    [-1.0, 1.0, 0.0]
+    """
+    _, of_run = np.unique(run, return_inverse=True)
+    return np.asarray(values - (np.bincount(of_run, values) / np.bincount(of_run))[of_run])

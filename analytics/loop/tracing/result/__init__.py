@@ -1,0 +1,1 @@
+"""The result of a diagnosis as data, and its JSON."""

@@ -1,0 +1,253 @@
+"""The search for missing effects: rounds of fitted candidates, then replacement and pruning."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from analytics.loop.effects.base import Kind, Role
+from analytics.loop.tracing.search.candidates import Candidates
+from analytics.loop.tracing.search.evidence import PRICE
+from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, fitted_candidates
+from analytics.loop.tracing.search.pair_round import best_pair
+from analytics.loop.tracing.search.screening import screen
+from analytics.loop.tracing.whitening.joint_fit import Hypothesis, JointFit, fit_jointly, nothing_more
+from analytics.loop.tracing.whitening.unit_record import UnitRecord
+from stream.batch import FloatArray
+
+MOST_EFFECTS = 4
+_MOST_SWEEPS = 3
+
+
+@dataclass(frozen=True)
+class Selected:
+    """A selected effect and the candidates that cannot be separated from it.
+
+    Parameters
+    ----------
+    confounded: Candidates that it does not lead by 12, or 3 %, of evidence.
+    companions: Names of the proxies among them.
+    leading_proxy: A proxy that explains far more than this cause: the form of the cause is wrong.
+    """
+
+    fitted: FittedCandidate
+    confounded: tuple[FittedCandidate, ...]
+    companions: tuple[str, ...]
+    leading_proxy: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.fitted.name
+
+    @property
+    def is_common(self) -> bool:
+        """Whether its coefficients hold for all units."""
+        return self.fitted.is_common
+
+
+@dataclass(frozen=True)
+class Search:
+    """Result of the search.
+
+    Parameters
+    ----------
+    selected: In the order of selection.
+    null, joint: Fits of the declared model alone, and with all selected effects.
+    unreplicated: Candidates with evidence in the first round that do not replicate.
+    """
+
+    selected: tuple[Selected, ...]
+    null: JointFit
+    joint: JointFit
+    unreplicated: tuple[FittedCandidate, ...]
+
+    @property
+    def common(self) -> list[Selected]:
+        """The selected effects but lines and jumps."""
+        return [each for each in self.selected if each.is_common]
+
+    def common_columns(self, which: Selected) -> slice:
+        """Position of the columns of an effect among the common ones."""
+        start = 0
+        for each in self.common:
+            width = each.fitted.columns[0].shape[1]
+            if each is which:
+                return slice(start, start + width)
+            start += width
+        return slice(0, 0)
+
+    def common_fit(self, which: Selected) -> tuple[FloatArray, FloatArray]:
+        """Common coefficients of an effect, and their covariance."""
+        at = self.common_columns(which)
+        return self.joint.common.coefficients[at], self.joint.common.covariance[at, at]
+
+    def own_fit(self, which: Selected, places: Iterable[int]) -> tuple[FloatArray, FloatArray]:
+        """Coefficients of a line or a jump in these records, and the variance of each."""
+        solutions = [(self.joint.own[place], self._own_columns(which, place)) for place in places]
+        return (
+            np.concatenate([solution.coefficients[at] for solution, at in solutions]),
+            np.concatenate([np.diag(solution.covariance)[at] for solution, at in solutions]),
+        )
+
+    def _own_columns(self, which: Selected, number: int) -> slice:
+        start = self.null.hypothesis.own[number].shape[1]
+        for each in self.selected:
+            width = 0 if each.is_common else each.fitted.columns[number].shape[1]
+            if each is which:
+                return slice(start, start + width)
+            start += width
+        return slice(0, 0)
+
+    def without(self, names: Sequence[str]) -> "Search":
+        """The search without some effects, the others fitted again."""
+        if not names:
+            return self
+        kept = tuple(each for each in self.selected if each.name not in names)
+        records = self.joint.records
+        joint = fit_jointly(records, _hypothesis_of(records, kept), self.joint.noises, restricted=True)
+        return replace(self, selected=kept, joint=joint)
+
+
+def search(records: Sequence[UnitRecord], candidates: Candidates, rng: np.random.Generator) -> Search:
+    """Find the effects that the declared model lacks, one record for each unit."""
+    null = fit_jointly(records, nothing_more(records))
+    joint = null
+    selected: list[Selected] = []
+    unreplicated: tuple[FittedCandidate, ...] = ()
+    for _ in range(MOST_EFFECTS):
+        found = fitted_candidates(records, candidates, joint, rng, [each.name for each in selected])
+        if not selected:
+            unreplicated = tuple(each for each in found if not each.replicates and each.evidence > 0)
+        best = _chosen(found)
+        if best is None:
+            break
+        selected.append(best)
+        joint = best.fitted.joint
+    common = sum(each.is_common for each in selected)
+    if common < 2 and len(selected) - common + 2 <= MOST_EFFECTS:
+        selected, joint = _with_pair(records, candidates, selected, joint, rng)
+    elif common >= 2:
+        selected, joint = _refined(records, candidates, selected, joint, rng)
+    joint = fit_jointly(records, _hypothesis_of(records, selected), joint.noises, restricted=True)
+    return Search(tuple(selected), null, joint, unreplicated)
+
+
+def _with_pair(
+    records: Sequence[UnitRecord],
+    candidates: Candidates,
+    selected: list[Selected],
+    joint: JointFit,
+    rng: np.random.Generator,
+) -> tuple[list[Selected], JointFit]:
+    """Replace none or one effect by two that mask each other, if each is selected beside the other.
+
+    The difference of two such effects may resemble a third effect, which is then the only one found.
+    """
+    events = [each for each in selected if not each.is_common]
+    least = sum(each.fitted.evidence + each.fitted.lead for each in selected if each.is_common)
+    base = fit_jointly(records, _hypothesis_of(records, events), joint.noises) if least else joint
+    pair = best_pair(
+        records, candidates, base, lambda: screen(candidates, base.hypothesis.designs, base.noises, rng).tests
+    )
+    if not pair or pair[0].evidence <= least:
+        return selected, joint
+    both = [*events, *(Selected(each, (), ()) for each in pair)]
+    refined, after = _refined(records, candidates, both, pair[0].joint, rng)
+    is_kept = sum(each.is_common for each in refined) == len(pair)
+    return (refined, after) if is_kept else (selected, joint)
+
+
+def _chosen(found: Sequence[FittedCandidate]) -> Selected | None:
+    """The best candidate that replicates; a proxy or an alias only if no cause explains the data."""
+    usable = [each for each in found if each.replicates]
+    if not usable or usable[0].evidence <= 0:
+        return None
+    best, leading = usable[0], None
+    if best.effect.kind is Kind.EVENT and _has_rivals(best, found):
+        return None
+    causes = [each for each in usable if each.effect.role is Role.CAUSE and each.is_common and each.evidence > 0]
+    if best.effect.role is Role.PROXY and causes:
+        leading = best.name if best.evidence - causes[0].evidence > best.lead else None
+        best = causes[0]
+    elif best.effect.role is Role.ALIAS and causes and best.evidence - causes[0].evidence < best.lead:
+        best = causes[0]
+    near = [each for each in usable if each is not best and (each.is_near(best) or _by_design(each, best))]
+    return Selected(
+        fitted=best,
+        confounded=tuple(each for each in near if each.effect.role is not Role.PROXY and not _contains(each, best)),
+        companions=tuple(each.name for each in near if each.effect.role is Role.PROXY),
+        leading_proxy=leading,
+    )
+
+
+def _by_design(first: FittedCandidate, second: FittedCandidate) -> bool:
+    """Whether one is a general function with the other among its aliases.
+
+    The design of the test separates them, not the data: for example gravity and the bias of a mounting.
+    """
+    return any(
+        function.effect.kind is Kind.FUNCTION and other.name in function.effect.aliases
+        for function, other in ((first, second), (second, first))
+    )
+
+
+def _has_rivals(jump: FittedCandidate, found: Sequence[FittedCandidate]) -> bool:
+    """Whether an effect explains the one run as well as a jump, though it does not replicate."""
+    near = max(0.0, jump.evidence - PRICE)
+    return any(not each.replicates and each.evidence > near for each in found)
+
+
+def _contains(function: FittedCandidate, other: FittedCandidate) -> bool:
+    """Whether a candidate is a general function of the channels of an effect: it is no alternative to it."""
+    is_function = function.effect.kind is Kind.FUNCTION and other.is_common
+    return is_function and set(function.effect.needs) <= set(other.effect.needs)
+
+
+def _refined(
+    records: Sequence[UnitRecord],
+    candidates: Candidates,
+    selected: list[Selected],
+    joint: JointFit,
+    rng: np.random.Generator,
+) -> tuple[list[Selected], JointFit]:
+    """Select each effect again beside the others, and drop those that become unnecessary."""
+    for _ in range(_MOST_SWEEPS):
+        before = [each.name for each in selected]
+        for old in [each for each in selected if each.is_common]:
+            others = [each for each in selected if each is not old]
+            base = fit_jointly(records, _hypothesis_of(records, others), joint.noises)
+            taken = [each.name for each in others]
+            best = _chosen(fitted_candidates(records, candidates, base, rng, taken, with_events=False))
+            if best is None:
+                selected, joint = [_as_before(old, each) for each in others], base
+            else:
+                selected, joint = [*others, _as_before(old, best)], best.fitted.joint
+        if [each.name for each in selected] == before:
+            break
+    return selected, joint
+
+
+def _as_before(old: Selected, new: Selected) -> Selected:
+    """The replacement of an effect, confounded with all candidates of the first selection.
+
+    A further effect may only correct imperfect channels and forms; it must not decide between the first candidates.
+    """
+    before = (old.fitted, *old.confounded)
+    first = next((each for each in before if each.name == new.name), None)
+    if first is None:
+        return new
+    shift, most = new.fitted.evidence - first.evidence, new.fitted.evidence
+    known = {new.name, *(each.name for each in new.confounded)}
+    more = [each for each in before if each.name not in known]
+    carried = (replace(each, evidence=min(each.evidence + shift, most), at_most=None) for each in more)
+    return replace(new, confounded=(*new.confounded, *carried))
+
+
+def _hypothesis_of(records: Sequence[UnitRecord], selected: Sequence[Selected]) -> Hypothesis:
+    """The declared model with selected effects."""
+    hypothesis = nothing_more(records)
+    for each in selected:
+        add = hypothesis.with_common if each.is_common else hypothesis.with_own
+        hypothesis = add(each.fitted.columns)
+    return hypothesis

@@ -1,0 +1,284 @@
+"""Candidates of one round that pass the screening, each fitted together with the noise, and their evidence."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from analytics.loop.effects.base import Effect, Kind, Role
+from analytics.loop.effects.registry import effect
+from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.tracing.search.candidates import Candidates
+from analytics.loop.tracing.search.evidence import PRICE, Replication, evidence, leave_one_out, one_degree
+from analytics.loop.tracing.search.jump_scan import jump_column, scan_jumps
+from analytics.loop.tracing.search.line_scan import line_columns, scan_lines
+from analytics.loop.tracing.search.noise_inflation import noise_inflation
+from analytics.loop.tracing.search.screening import Screen, Screened, family_p_value, screen
+from analytics.loop.tracing.whitening.joint_fit import JointFit, fit_jointly
+from analytics.loop.tracing.whitening.unit_record import UnitRecord, as_array, from_array
+from stream.batch import FloatArray
+
+ALPHA = 0.01
+"""Family-wise error rate of the library, and of jumps."""
+LINE_ALPHA = 0.001
+"""The same for lines: imperfectly whitened noise resembles a line most of all."""
+SCREENED, SCREENED_FROM_FEW = 1e-3, 2.0
+"""P-value of the screening for a fit: 0.001, or with few tests twice the p-value that one of them needs."""
+MOST_FITTED, MOST_FITTED_IN_FLEET = 10, 5
+UNMASKED = 1e-4
+MOST_UNMASKED = 8
+SWALLOWED = 0.25
+"""Excess of the logarithm of a fitted noise coefficient over the declared one that may hide an effect."""
+EXCESS_AVERAGE_S, GROSS_EXCESS = 3600.0, 4.0
+"""Ratio of fitted to declared variance of hourly averages beyond which the noise model is not trusted."""
+LEAST_LEAD, LEAST_SHARE_OF_LEAD = 12.0, 0.03
+"""Evidence, and share of the evidence of a large effect, by which it has to lead others."""
+ALIAS_SHARE_OF_LEAD = 0.25
+"""The same between causes that are aliases of each other, such as the rate of temperature and a temperature gradient:
+both follow one cause, and the noise of their channels must not decide."""
+_SAME_EVIDENCE = 6
+"""Decimals of the evidence that decide; beyond them, candidates are ordered by name on every machine."""
+LINE, JUMP = "periodic_line", "jump"
+LINE_MOST_FROM_ONE = 0.9
+
+
+@dataclass(frozen=True)
+class FittedCandidate:
+    """One explanation of the residual, fitted together with the noise.
+
+    Parameters
+    ----------
+    columns: On each record, in natural units.
+    joint: Fit with it.
+    likelihood_ratio: Twice the gain in log likelihood, noise fitted with and without it, over the noise inflation.
+    degrees: Degrees of freedom.
+    replication: None for a line or a jump.
+    at_most: Evidence before the noise inflation was taken into account; None if it was not.
+    """
+
+    effect: Effect
+    parameters: dict[str, Any]
+    columns: Sequence[FloatArray]
+    joint: JointFit
+    likelihood_ratio: float
+    degrees: int
+    evidence: float
+    replication: Replication | None = None
+    replicates: bool = True
+    at_most: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.effect.name
+
+    @property
+    def is_common(self) -> bool:
+        """Whether its coefficients hold for all units; those of lines and jumps do not."""
+        return self.effect.kind not in (Kind.LINE, Kind.EVENT)
+
+    def is_near(self, best: "FittedCandidate") -> bool:
+        """Whether the data cannot separate it from the best candidate.
+
+        The noise inflation is left out here, since a wrong form also makes coefficients disagree between runs.
+        """
+        lead = best.lead
+        is_alias = self.name in best.aliases or best.name in self.aliases
+        if is_alias and self.effect.role is best.effect.role is Role.CAUSE:
+            lead = max(lead, ALIAS_SHARE_OF_LEAD * best.evidence)
+        return best.evidence - (self.evidence if self.at_most is None else self.at_most) < lead
+
+    @property
+    def aliases(self) -> tuple[str, ...]:
+        """Effects of the library that look like it."""
+        return self.effect.aliases if self.is_common else ()
+
+    @property
+    def lead(self) -> float:
+        """Evidence by which it has to lead another candidate.
+
+        The wrong one of two leads by L with a probability of at most Phi(-sqrt(L)), however similar they are: 1 in 3700
+        at 12, and an effect has some ten similar ones. Of a large effect a share of its own evidence is required, since
+        channels are measured and forms are idealised no better than that.
+        """
+        return max(LEAST_LEAD, LEAST_SHARE_OF_LEAD * self.evidence)
+
+    @property
+    def significance(self) -> float:
+        """Equivalent z of a test with one degree of freedom."""
+        return float(np.sqrt(one_degree(self.likelihood_ratio, self.degrees)))
+
+
+def fitted_candidates(
+    records: Sequence[UnitRecord],
+    candidates: Candidates,
+    base: JointFit,
+    rng: np.random.Generator,
+    taken: Sequence[str],
+    *,
+    with_events: bool = True,
+) -> list[FittedCandidate]:
+    """All explanations of the residual of a fit, largest evidence first, including those that do not replicate.
+
+    Slightly negative evidence is included, since such a candidate may be confounded with another.
+
+    Parameters
+    ----------
+    base: The current model.
+    taken: Effects of the current model.
+    with_events: Whether to scan for lines and jumps.
+    """
+    first = screen(candidates, base.hypothesis.designs, base.noises, rng, taken)
+    found = []
+    for group in _worth_fitting(records, candidates, base, rng, taken, first):
+        fitted = _fitted(records, candidates, base, group, first)
+        if fitted is not None and fitted.evidence > -PRICE:
+            discounted = _discounted(records, fitted)
+            found.append(replace(discounted, joint=discounted.joint.light()))
+    if with_events:
+        found += [each for each in (_line(records, base), _jump(records, base)) if each is not None]
+    return sorted(found, key=lambda each: (-round(each.evidence, _SAME_EVIDENCE), each.name))
+
+
+def _worth_fitting(
+    records: Sequence[UnitRecord],
+    candidates: Candidates,
+    base: JointFit,
+    rng: np.random.Generator,
+    taken: Sequence[str],
+    first: Screen,
+) -> list[list[Screened]]:
+    """Effects that pass the screening, each with its shapes, best first.
+
+    Fitted noise far above the declared one may hide an effect (ageing in the turn-on scatter, warm-up in the random
+    walk): a second screening at the declared noise unmasks it.
+    """
+    worth = max(SCREENED, SCREENED_FROM_FEW * ALPHA / first.tests)
+    chosen = [group for group in first.by_effect() if group[0].p_value < worth]
+    del chosen[MOST_FITTED if len(records) == 1 else MOST_FITTED_IN_FLEET :]
+    noises = least_noises(records, base.noises)
+    if noises is None:
+        return chosen
+    second = screen(candidates, base.hypothesis.designs, noises, rng, taken)
+    names = {group[0].candidate.effect.name for group in chosen}
+    others = [group for group in second.by_effect() if group[0].candidate.effect.name not in names]
+    return chosen + [group for group in others if group[0].p_value < UNMASKED][:MOST_UNMASKED]
+
+
+def least_noises(
+    records: Sequence[UnitRecord], noises: Sequence[NoiseCoefficients]
+) -> Sequence[NoiseCoefficients] | None:
+    """The smaller of fitted and declared noise of each record; None if no fitted noise may hide an effect."""
+    least = [_least(noise, record) for noise, record in zip(noises, records, strict=True)]
+    if all(each is None for each in least):
+        return None
+    return [noise if each is None else each for noise, each in zip(noises, least, strict=True)]
+
+
+def _least(noise: NoiseCoefficients, record: UnitRecord) -> NoiseCoefficients | None:
+    """The smaller of fitted and declared noise if the fitted noise is much larger."""
+    fitted, declared = as_array(noise), record.prior.values
+    active = declared > 0
+    if not np.any(np.log(fitted[active][1:] / declared[active][1:]) > SWALLOWED):
+        return None
+    return from_array(np.minimum(fitted, declared))
+
+
+def _fitted(
+    records: Sequence[UnitRecord], candidates: Candidates, base: JointFit, group: Sequence[Screened], screened: Screen
+) -> FittedCandidate | None:
+    """The better fit of the two best shapes of an effect; None if it fails the family-wise test."""
+    best: FittedCandidate | None = None
+    for result in group[: 2 if len(records) == 1 else 1]:
+        item = result.candidate
+        columns = candidates.of_all(item)
+        joint = fit_jointly(records, base.hypothesis.with_common(columns), base.noises)
+        ratio = 2 * (joint.log_likelihood - base.log_likelihood)
+        p_value = float(stats.chi2.sf(max(ratio, 0.0), result.degrees))
+        if family_p_value(p_value, screened.tests) >= ALPHA or (best and ratio <= best.likelihood_ratio):
+            continue
+        degrees = result.degrees + (len(group) > 1)
+        evidence = _evidence(records, joint, ratio, degrees, item.effect.kind)
+        best = FittedCandidate(item.effect, dict(item.shape), columns, joint, ratio, degrees, evidence)
+    return best
+
+
+def _evidence(records: Sequence[UnitRecord], joint: JointFit, ratio: float, degrees: int, kind: Kind) -> float:
+    """Evidence of a fit; the penalty doubles if its noise is far from the declared noise."""
+    excess = [
+        record.noise_model.average_variance(noise, EXCESS_AVERAGE_S)
+        / record.noise_model.average_variance(record.prior.center, EXCESS_AVERAGE_S)
+        for record, noise in zip(records, joint.noises, strict=True)
+    ]
+    price = PRICE if max(excess) > GROSS_EXCESS else 0.0
+    return evidence(ratio, degrees, is_function=kind is Kind.FUNCTION) - price
+
+
+def _discounted(records: Sequence[UnitRecord], each: FittedCandidate) -> FittedCandidate:
+    """The candidate with its replication, and its evidence reduced by the noise inflation."""
+    replicates = [record.stack.replicate for record in records]
+    runs = [record.stack.run_number for record in records]
+    width = each.columns[0].shape[1]
+    replication = leave_one_out(each.joint, replicates, width)
+    if not replication.replicates:
+        return replace(each, replication=replication, replicates=False)
+    ratio = each.likelihood_ratio / noise_inflation(each.joint, replicates, runs, width)
+    return replace(
+        each,
+        likelihood_ratio=ratio,
+        evidence=_evidence(records, each.joint, ratio, each.degrees, each.effect.kind),
+        replication=replication,
+        at_most=each.evidence,
+    )
+
+
+def _line(records: Sequence[UnitRecord], base: JointFit) -> FittedCandidate | None:
+    line = scan_lines(records, base.residuals)
+    if line is None or line.family_p_value >= LINE_ALPHA:
+        return None
+    columns = tuple(line_columns(record, line.frequency_hz) for record in records)
+    joint = fit_jointly(records, base.hypothesis.with_own(columns), base.noises)
+    ratio = 2 * (joint.log_likelihood - base.log_likelihood)
+    fitted_p_value = float(stats.chi2.sf(max(ratio, 0.0), 2 * line.powers.size))
+    strength = float(stats.chi2.isf(max(line.p_value, fitted_p_value, 1e-300), 1))
+    gain = strength - 2 * np.log(sum(map(len, records)))
+    if gain <= 0:
+        return None
+    return FittedCandidate(
+        effect=effect(LINE),
+        parameters={"frequency_hz": line.frequency_hz},
+        columns=columns,
+        joint=joint,
+        likelihood_ratio=strength,
+        degrees=1,
+        evidence=gain,
+        replicates=line.powers.size == 1 or line.largest_share < LINE_MOST_FROM_ONE,
+    )
+
+
+def _jump(records: Sequence[UnitRecord], base: JointFit) -> FittedCandidate | None:
+    jump = scan_jumps(records, base)
+    if jump is None or jump.family_p_value >= ALPHA:
+        return None
+    columns = tuple(
+        jump_column(record, jump.row) if number == jump.record else np.empty((len(record), 0))
+        for number, record in enumerate(records)
+    )
+    joint = fit_jointly(records, base.hypothesis.with_own(columns), base.noises)
+    ratio = 2 * (joint.log_likelihood - base.log_likelihood)
+    gain = ratio - 3 * np.log(sum(map(len, records)))
+    if gain <= 0:
+        return None
+    run = records[jump.record].stack.runs[jump.run]
+    slot = records[jump.record].stack.slot[jump.row]
+    return FittedCandidate(
+        effect=effect(JUMP),
+        parameters={"run": run.run, "at_s": float(slot * run.block_s)},
+        columns=columns,
+        joint=joint,
+        likelihood_ratio=ratio,
+        degrees=1,
+        evidence=gain,
+    )

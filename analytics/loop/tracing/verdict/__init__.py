@@ -1,0 +1,1 @@
+"""From selected effects to a verdict: findings, alternatives, detection limits, caveats."""

@@ -1,0 +1,271 @@
+"""Caveats of a verdict, from the data and from the held-out runs."""
+
+import math
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from analytics.loop.bilingual import Bilingual
+from analytics.loop.tracing.case import FEWEST_BLOCKS_TO_SPLIT, FEWEST_REPLICATES, Case
+from analytics.loop.tracing.result.error_table import ErrorTable
+from analytics.loop.tracing.result.finding import FoundEffect
+from analytics.loop.tracing.result.holdout import HeldOutAnswer, Holdout, HoldoutSlope
+from analytics.loop.tracing.search.fitted_candidates import JUMP, LINE
+from analytics.loop.tracing.whitening.unit_record import UnitRecord
+from stream.batch import FloatArray
+
+FAR_ABOVE_FLOOR = 1.5
+"""Ratio to the floor, which is limited to the noise expected once in 1000 sets of runs."""
+FAR_ABOVE_NOISE = 3.0
+"""Ratio to the noise within runs, which has no such limit."""
+LIKELY_DIFFERENT, SURELY_DIFFERENT = 1.96, 3.29
+"""Standard errors by which a slope differs from one: by chance in 1 of 20, and in 1 of 1000 true effects."""
+COPY = 1 - 1e-9
+"""Correlation above which channels are copies, perhaps in other units."""
+DERIVED_PAIRS = frozenset({frozenset({"input_rate", "table_rate"}), frozenset({"day", "time_since_power_on"})})
+"""Pairs of which one is derived from the other if it is not recorded; the reduction reports it."""
+_MOST_NAMED = 3
+
+
+def caveats(
+    case: Case,
+    undetermined: Sequence[Bilingual],
+    effects: Sequence[FoundEffect],
+    holdout: Holdout | None,
+    error: ErrorTable,
+    *,
+    noise_is_declared: bool,
+    is_excess: bool,
+) -> tuple[Bilingual, ...]:
+    """All caveats of a verdict, the parts of the record that were left out first."""
+    names = [each.name for each in effects]
+    found = [
+        *(each.sentence for each in case.report.left_out if each.is_grave),
+        *case.report.limits,
+        *_channel_caveats(case.training),
+        *undetermined,
+    ]
+    found += [text for text in (unexplained_error(error) if case.held_out else None, _gain_caveat(error)) if text]
+    found += _replication_caveats(case)
+    if not noise_is_declared:
+        found.append(
+            Bilingual(
+                "no noise was declared: it was estimated from these runs, so that excess noise cannot be detected",
+                "未声明噪声：噪声由这些试验估计，因此无法判定噪声是否过大",
+            )
+        )
+    if is_excess:
+        found.append(
+            Bilingual(
+                "more noise than declared at averages of 300 to 3600 s, and no channel explains it",
+                "在300至3600 s的平均时间上噪声大于声明值，各通道均不能解释",
+            )
+        )
+    found += holdout_caveats(holdout, effects)
+    if JUMP in names:
+        found.append(
+            Bilingual("a jump happens once: held-out runs cannot confirm it", "跳变只发生一次：留出试验不能予以证实")
+        )
+    if LINE in names:
+        block = f"{case.training.noise_model.block_s:g} s"
+        found.append(
+            Bilingual(
+                f"a line faster than two blocks of {block} is folded into this band: examine the spectrum at the full "
+                "sampling rate",
+                f"比两个{block}数据块更快的谱线会折叠到本频带内：用全采样率的频谱判别",
+            )
+        )
+        found.append(
+            Bilingual(
+                "the phase of a line differs from run to run: no model predicts it, so that it remains in the errors "
+                "before and after, and in the noise floor",
+                "谱线的相位随试验而异：没有模型能预测，因此前后误差以及“仅噪声”中都含有它",
+            )
+        )
+    return tuple(found)
+
+
+def _replication_caveats(case: Case) -> list[Bilingual]:
+    found = []
+    count, blocks = len(case.stack.replicates), len(case.stack)
+    is_single = case.replication == "within_run"
+    if is_single:
+        found.append(
+            Bilingual(
+                "one run only: its segments serve as replicates, so that anything specific to this run appears as an "
+                "effect",
+                "只有一次试验：以其分段代替重复试验，凡与这次试验相关的变化都会表现为效应",
+            )
+        )
+    elif len(case.training.stack.replicates) == 1:
+        found.append(
+            Bilingual(
+                "the model was fitted to one run only: its terms include anything specific to that run, and no other "
+                "run confirms them",
+                "模型只由一次试验拟合：与该次试验相关的变化包含在各项中，没有其他试验予以证实",
+            )
+        )
+    if case.held_out:
+        return found
+    if is_single:
+        least, runs = FEWEST_BLOCKS_TO_SPLIT, FEWEST_REPLICATES
+        why = Bilingual(
+            f"one run of {blocks} blocks; {least} blocks or {runs} runs are needed",
+            f"只有一次试验，共{blocks}个数据块；需要{least}个数据块或{runs}次试验",
+        )
+    elif count < FEWEST_REPLICATES:
+        why = Bilingual(f"{count} runs; {FEWEST_REPLICATES} are needed", f"{count}次试验，需要{FEWEST_REPLICATES}次")
+    else:
+        why = Bilingual("no run was held out", "没有留出任何试验")
+    return [*found, Bilingual(f"no held-out set: {why}", f"无留出数据：{why.zh}")]
+
+
+def _channel_caveats(record: UnitRecord) -> list[Bilingual]:
+    """Constant channels and copies."""
+    names = sorted(set.intersection(*(set(run.channels) for run in record.stack.runs)))
+    values = {name: record.stack.column(lambda run, name=name: run.mean(name)) for name in names}  # type: ignore[misc]
+    known = {name: each for name, each in values.items() if np.isfinite(each).all()}
+    moving = {name: each for name, each in known.items() if np.ptp(each) > 0}
+    return [
+        Bilingual(f"channel {name} is constant: its effects cannot be tested", f"通道{name}为常值：无法检验其效应")
+        for name in sorted(known.keys() - moving.keys())
+    ] + [
+        Bilingual(
+            f"channels {one} and {other} are copies: their effects cannot be separated",
+            f"通道{one}与{other}互为副本：其效应无法区分",
+        )
+        for one, other in _copies(moving)
+    ]
+
+
+def _copies(values: dict[str, FloatArray]) -> list[tuple[str, str]]:
+    if len(values) < 2:
+        return []
+    correlation = np.abs(np.corrcoef(np.array(list(values.values()))))
+    return [
+        (first, second)
+        for (i, first), (j, second) in combinations(enumerate(values), 2)
+        if correlation[i, j] > COPY and frozenset({first, second}) not in DERIVED_PAIRS
+    ]
+
+
+def undetermined_terms(case: Case, labels: Sequence[str]) -> tuple[Bilingual, ...]:
+    """Terms of the declared model, by label, that are collinear with the preceding terms in the training runs."""
+    basis = np.empty((len(case.training), 0))
+    blind = []
+    for label, column in zip(labels, case.training.design.T, strict=True):
+        length = float(np.linalg.norm(column))
+        rest = column - basis @ (basis.T @ column)
+        if length == 0 or np.linalg.norm(rest) < 1e-6 * length:
+            blind.append(label)
+        else:
+            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+    training = case.training.stack.replicates
+    is_short = len(training) <= _MOST_NAMED
+    runs = Bilingual(*((", ".join(training),) * 2 if is_short else (f"{len(training)} runs", f"{len(training)}次")))
+    advice = Bilingual("measure runs that excite it", "请测量激励该项的试验")
+    if case.held_out:
+        advice = Bilingual("hold out other runs with --holdout runs=A,B", "用--holdout runs=A,B留出其他试验")
+    return tuple(
+        Bilingual(
+            f"term {label} of the declared model cannot be determined from the fitted runs ({runs}): {advice}, or "
+            "remove the term from the model",
+            f"由所拟合的试验（{runs.zh}）无法确定声明模型的{label}项：{advice.zh}，或从模型中去掉该项",
+        )
+        for label in blind
+    )
+
+
+def unexplained_error(table: ErrorTable) -> Bilingual | None:
+    """By how much the error of the model found exceeds the noise; None if it is not far above."""
+    where = Bilingual("the held-out runs", "留出试验") if table.is_held_out else Bilingual("the runs", "试验")
+    for row in sorted(table.rows, key=lambda row: -row.averaging_s):
+        for error, noise, most, about in (
+            (row.after, row.floor, FAR_ABOVE_FLOOR, Bilingual("", "")),
+            (
+                row.after_within,
+                row.floor_within,
+                FAR_ABOVE_NOISE,
+                Bilingual(" about the mean of each run", "去除各次试验均值后"),
+            ),
+        ):
+            if noise > 0 and error > most * noise:
+                size, allowed = f"{error:.4g} {table.unit_of_measure}", f"{noise:.4g}"
+                seconds = f"{row.averaging_s:g} s"
+                return Bilingual(
+                    f"the RMS error of {where} over {seconds}{about} is {size}, but noise allows {allowed}: the model "
+                    "does not hold there",
+                    f"{where.zh}在{seconds}平均时间上{about.zh}均方根误差为{size}，而噪声仅允许{allowed}：模型在该处不成立",
+                )
+    return None
+
+
+def holdout_caveats(holdout: Holdout | None, effects: Sequence[FoundEffect]) -> list[Bilingual]:
+    """Effects that the held-out runs do not excite, or show with another size."""
+    found = []
+    for effect in effects:
+        slope = None if holdout is None else holdout.slope(effect.name)
+        if slope is None:
+            continue
+        size = f"{slope.slope:.3g} ± {slope.slope_se:.2g}"
+        if slope.answer is HeldOutAnswer.NO_POWER:
+            advice = _better_holdout(effect)
+            found.append(
+                Bilingual(
+                    f"{effect.name}: the held-out runs do not excite it and can neither confirm nor refuse it (slope "
+                    f"{size}); {advice}",
+                    f"{effect.name}：留出试验未激励该效应，既不能证实也不能否定（斜率{size}）；{advice.zh}",
+                )
+            )
+        elif effect.name != LINE and (why := _wrong_size(slope)) is not None:
+            found.append(
+                Bilingual(
+                    f"{effect.name}: the held-out runs show {size} times the prediction{why}",
+                    f"{effect.name}：留出试验所示为预测值的{size}倍{why.zh}",
+                )
+            )
+    return found
+
+
+def _wrong_size(slope: HoldoutSlope) -> Bilingual | None:
+    apart = abs(slope.slope - 1) / math.hypot(slope.slope_se, slope.training_se)
+    if apart >= SURELY_DIFFERENT:
+        return Bilingual(
+            ", more than chance: its form is not exact, or it changes from run to run",
+            "，超出偶然范围：其形式不精确，或随试验而变",
+        )
+    if apart >= LIKELY_DIFFERENT:
+        return Bilingual(
+            ": its form is likely not exact, or it changes from run to run", "：其形式可能不精确，或随试验而变"
+        )
+    return None
+
+
+def _better_holdout(effect: FoundEffect) -> Bilingual:
+    """The runs with most information on an effect, if there are others to find it in."""
+    exciting = sorted(effect.by_run, key=lambda run: effect.by_run[run][1])
+    if len(exciting) < 3:
+        return Bilingual("measure more runs that excite it", "请测量更多激励它的试验")
+    option = f"--holdout runs={','.join(sorted(exciting[: len(exciting) // 3]))}"
+    return Bilingual(f"hold out runs that do: {option}", f"请留出能激励它的试验：{option}")
+
+
+def _gain_caveat(table: ErrorTable) -> Bilingual | None:
+    """The error does not fall significantly; None if it does or nothing was found."""
+    row = table.reference
+    if row is None or row.gain is None or row.gain_within is None or row.gain.lo is None:
+        return None
+    if row.gain.is_significant or row.gain_within.is_significant:
+        return None
+    change = Bilingual("does not change significantly", "无显著变化")
+    if row.gain_within.is_loss:
+        change = Bilingual("rises", "上升")
+    before, after = f"{row.before:.3g}", f"{row.after:.3g}"
+    within = f"{row.before_within:.3g}", f"{row.after_within:.3g}"
+    return Bilingual(
+        f"the RMS error over {row.averaging_s:g} s in {row.gain.runs} runs {change}: {before} before and {after} "
+        f"{table.unit_of_measure} after; about the mean of each run {within[0]} and {within[1]}",
+        f"{row.gain.runs}次试验在{row.averaging_s:g} s平均时间上的均方根误差{change.zh}：之前{before}，之后{after} "
+        f"{table.unit_of_measure}；去除各次试验均值后为{within[0]}和{within[1]}",
+    )

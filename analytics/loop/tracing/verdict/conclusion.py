@@ -1,0 +1,168 @@
+"""From the search of one unit to its diagnosis: findings, held-out runs, errors, caveats, verdict."""
+
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from analytics.loop.bilingual import Bilingual
+from analytics.loop.blocks.left_out import LeftOut
+from analytics.loop.effects.registry import effects_for, unavailable_effects
+from analytics.loop.effects.turn_on import TURN_ON
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.tracing.case import Case
+from analytics.loop.tracing.held_out.error_report import error_shares, error_table
+from analytics.loop.tracing.held_out.held_out_set import open_held_out_set
+from analytics.loop.tracing.held_out.slopes import judge
+from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
+from analytics.loop.tracing.result.finding import FoundEffect
+from analytics.loop.tracing.search.candidates import Candidates
+from analytics.loop.tracing.search.effect_search import Search
+from analytics.loop.tracing.search.screening import screen
+from analytics.loop.tracing.verdict.alternatives import with_causes, with_clock_bounds
+from analytics.loop.tracing.verdict.caveats import caveats, undetermined_terms, unexplained_error
+from analytics.loop.tracing.verdict.detection_limits import detection_limits
+from analytics.loop.tracing.verdict.effect_findings import findings, fitted_model, unreplicated
+from analytics.loop.tracing.verdict.noise_agreement import disagreements, measured_noise, noise_excess
+from analytics.loop.tracing.verdict.run_scatter import FAR, run_scatter, scatter_caveat, scatter_finding
+
+FUNCTION = "function_of_"
+"""Prefix of the names of free functions."""
+_COLLINEAR = Bilingual("these runs cannot separate it from the terms of the model", "这些试验无法将其与模型的项区分")
+
+
+def conclude(
+    case: Case,
+    candidates: Candidates,
+    found: Search,
+    model: ErrorModel,
+    declared: NoiseCoefficients | None,
+    rng: np.random.Generator,
+    *,
+    turn_on_is_declared: bool,
+) -> Diagnosis:
+    """The diagnosis of one unit; see `diagnosis.diagnose`."""
+    training, held_out = case.training, case.held_out_blocks
+    every = [with_causes(each, case.stack.runs, model.effects) for each in findings([training], candidates, found)]
+    holdout = None
+    if case.held_out and found.selected:
+        box = open_held_out_set(case.stack, held_out, training, found)
+        holdout = judge([box], found, case.held_out)
+    if holdout is not None:
+        every = [msgspec.structs.replace(each, confirmed=holdout.confirms(each.name)) for each in every]
+    refused = [each for each in every if each.confirmed is False]
+    kept = found.without([each.name for each in refused])
+    noises, designs = kept.joint.noises, kept.joint.hypothesis.designs
+    excess = noise_excess(training, kept.joint)
+    noise = measured_noise(training, noises[0])
+    tests = screen(candidates, designs, noises, rng).tests
+    box = open_held_out_set(case.stack, held_out, training, kept)
+    error = error_table(box, kept, case.held_out or case.stack.replicates, is_held_out=bool(case.held_out))
+    shares = error_shares(box, kept)
+    effects = tuple(
+        msgspec.structs.replace(_of_open_form(each, refused), error_share=shares.get(each.name))
+        for each in every
+        if each.confirmed is not False
+    )
+    limits, blind = detection_limits(candidates, kept.joint, [each.name for each in effects], tests)
+    undetermined = undetermined_terms(case, model.labels())
+    scatter = run_scatter(box.record, noises[0])
+    remarks: list[Bilingual] = []
+    if declared is not None:
+        remarks += disagreements(declared, noise, excess, scatter if turn_on_is_declared else None)
+    if not turn_on_is_declared and not any(each.replicates for each in effects) and scatter.ratio >= FAR:
+        differing = scatter_finding(box.record, scatter, model.effects, effects_for(case.stack.runs))
+        effects = effects if differing is None else (differing, *effects)
+        remarks.append(scatter_caveat(differing, scatter, case.stack.runs))
+    declared_model = fitted_model(model, training, kept, kept.null.noises[0], with_effects=False)
+    effects = tuple(with_clock_bounds(each, declared_model) for each in effects)
+    seen_once = (*refused, *(unreplicated([training], found.unreplicated) if not found.selected else ()))
+    is_excess = declared is not None and excess.is_excess
+    verdict = verdict_of(effects, seen_once, is_excess=is_excess, within_run=case.replication == "within_run")
+    unexplained = unexplained_error(error) if case.held_out else None
+    # turn-on scatter explains neither an error within runs nor an undetermined term
+    has_no_cause = verdict is ModelVerdict.NOTHING_MISSING or (
+        effects and all(each.name == TURN_ON for each in effects)
+    )
+    if has_no_cause and (undetermined or unexplained):
+        verdict = ModelVerdict.NOT_ENOUGH_DATA if undetermined else ModelVerdict.UNEXPLAINED
+    verdict = denied(verdict, case.report.left_out)
+    is_lacking = verdict is ModelVerdict.NOT_ENOUGH_DATA
+    losses = tuple(each.sentence for each in case.report.left_out if each.is_grave)
+    told = caveats(
+        case, undetermined, effects, holdout, error, noise_is_declared=declared is not None, is_excess=is_excess
+    )
+    return Diagnosis(
+        verdict=verdict,
+        left_out=case.report.left_out,
+        units=(training.unit,),
+        signal=case.stack.runs[0].signal,
+        effects=effects,
+        unreplicated=seen_once,
+        holdout=holdout,
+        error=error,
+        noise=noise,
+        declared_noise=declared,
+        noise_excess=excess.ratio if declared is not None else None,
+        detection_limits={name: each for name, each in limits.items() if name not in _alternatives(effects)},
+        not_tested={
+            **unavailable_effects(case.stack.runs),
+            **candidates.not_tested,
+            **dict.fromkeys(blind, _COLLINEAR),
+        },
+        limits=(*told, *remarks),
+        missing=(*undetermined, *losses) if is_lacking else (),
+        unexplained=unexplained,
+        replication=case.replication,
+        training_runs=training.stack.replicates,
+        runs=case.stack.replicates,
+        declared=declared_model,
+        model=fitted_model(model, training, kept, noise, with_effects=True),
+        judged=declared_model.fitted(
+            *box.declared_alone,
+            unit_of_measure=declared_model.unit_of_measure,
+            units=declared_model.units,
+            noise=msgspec.structs.asdict(noise),
+        ),
+    )
+
+
+def _of_open_form(found: FoundEffect, refused: Sequence[FoundEffect]) -> FoundEffect:
+    """The effect; of unknown form if the held-out runs refused a free function of its channel beside it."""
+    functions = [each for each in refused if each.name.startswith(FUNCTION)]
+    channels = {channel for each in functions for channel in each.roles}.intersection(found.roles)
+    if not channels or found.unknown_function_of:
+        return found
+    return msgspec.structs.replace(found, unknown_function_of=tuple(sorted(channels)))
+
+
+def _alternatives(effects: Sequence[FoundEffect]) -> set[str]:
+    """Names that the data cannot separate from a finding: none of them is absent."""
+    return {name for each in effects for name in (*each.companions, *(other.name for other in each.confounded))}
+
+
+def verdict_of(
+    effects: Sequence[FoundEffect], seen_once: Sequence[FoundEffect], *, is_excess: bool, within_run: bool
+) -> ModelVerdict:
+    """The verdict on these findings."""
+    lasting = [each for each in effects if each.replicates]
+    if any(each.unknown_function_of for each in lasting) and not within_run:
+        return ModelVerdict.UNKNOWN_FUNCTION
+    if any(each.confounded for each in lasting):
+        return ModelVerdict.CONFOUNDED
+    if lasting:
+        is_confirmed = not within_run and any(each.confirmed for each in lasting)
+        return ModelVerdict.EFFECT_FOUND if is_confirmed else ModelVerdict.UNREPLICATED
+    if len(effects) > 1:
+        return ModelVerdict.UNEXPLAINED
+    if effects or seen_once:
+        return ModelVerdict.UNREPLICATED
+    return ModelVerdict.UNEXPLAINED if is_excess else ModelVerdict.NOTHING_MISSING
+
+
+def denied(verdict: ModelVerdict, left_out: Sequence[LeftOut]) -> ModelVerdict:
+    """The verdict; if much was left out, the remainder cannot show that nothing is missing."""
+    if verdict is ModelVerdict.NOTHING_MISSING and any(each.is_grave for each in left_out):
+        return ModelVerdict.NOT_ENOUGH_DATA
+    return verdict

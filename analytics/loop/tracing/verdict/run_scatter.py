@@ -1,0 +1,177 @@
+"""Differences between runs: turn-on scatter, or a cause that differs between the runs as well."""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from scipy import stats
+
+from analytics.loop.bilingual import Bilingual
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.effects.base import Effect, Kind, Role
+from analytics.loop.effects.registry import effects
+from analytics.loop.effects.turn_on import TURN_ON
+from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.tracing.result.finding import ConfoundedEffect, EffectCoefficient, FoundEffect
+from analytics.loop.tracing.search.evidence import PRICE, one_degree
+from analytics.loop.tracing.verdict.alternatives import unfitted
+from analytics.loop.tracing.whitening.least_squares import fit
+from analytics.loop.tracing.whitening.noise_variance import correlated_variance
+from analytics.loop.tracing.whitening.unit_record import UnitRecord
+from stream.batch import FloatArray
+
+FAR = 10.0
+"""Ratio of the scatter of the runs to the noise of their means from which it is a finding."""
+MOST_RUNS = 4
+"""With more runs the search itself separates a cause from turn-on scatter."""
+_EXPLAINED = 1 / 3
+"""Largest share of the scatter that a cause may leave."""
+_P_VALUE = 1e-3
+_UNRECORDED = (
+    ("temperature", ("temperature", "case_temperature")),
+    ("gravity_i", ("gravity_i", "gravity_o", "gravity_s")),
+)
+"""Causes that may differ between runs, and the channels any of which records them."""
+
+
+@dataclass(frozen=True)
+class RunScatter:
+    """Mean residual of each run, and its standard deviation due to the noise within the run."""
+
+    means: FloatArray
+    within: FloatArray
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of the means; 0 for one run."""
+        return float(np.std(self.means, ddof=1)) if self.means.size > 1 else 0.0
+
+    @property
+    def ratio(self) -> float:
+        """Scatter over the noise of a mean."""
+        return self.scatter / max(float(np.sqrt(np.mean(self.within**2))), 1e-300)
+
+    def bounds(self) -> tuple[float, float]:
+        """95 % confidence bounds of the scatter."""
+        degrees = self.means.size - 1
+        squares = degrees * self.scatter**2
+        return math.sqrt(squares / stats.chi2.isf(0.025, degrees)), math.sqrt(squares / stats.chi2.isf(0.975, degrees))
+
+    def disagrees_with(self, turn_on: float) -> bool:
+        """Whether the means contradict a declared turn-on scatter at 1 in 1000."""
+        degrees = self.means.size - 1
+        if degrees < 1:
+            return False
+        expected = turn_on**2 + float(np.mean(self.within**2))
+        chi_square = degrees * self.scatter**2 / max(expected, 1e-300)
+        p_value = min(float(stats.chi2.sf(chi_square, degrees)), float(stats.chi2.cdf(chi_square, degrees)))
+        return p_value < _P_VALUE / 2
+
+
+def run_scatter(record: UnitRecord, noise: NoiseCoefficients) -> RunScatter:
+    """Means of the runs of a unit beside the declared model, with the fitted noise."""
+    quiet = msgspec.structs.replace(noise, turn_on=0.0)
+    white = record.noise_model.space(quiet).white
+    number = record.stack.run_number
+    residual = record.value - record.design @ fit(record.design, record.value).coefficients
+    means, within = [], []
+    for run in range(len(record.stack.runs)):
+        of_run = number == run
+        weights = of_run / np.count_nonzero(of_run)
+        means.append(float(residual[of_run].mean()))
+        variance = correlated_variance(record, quiet, of_run, weights)
+        within.append(math.sqrt(variance + white * float(np.sum(np.median(record.white[of_run]) * weights**2))))
+    return RunScatter(np.array(means), np.array(within))
+
+
+def scatter_finding(
+    record: UnitRecord, scatter: RunScatter, declared: Collection[str], available: Mapping[str, Effect]
+) -> FoundEffect | None:
+    """Turn-on scatter with its alternatives; None if the runs agree, or are enough for the search.
+
+    Parameters
+    ----------
+    declared: Effects of the declared model.
+    available: Effects whose channels are recorded.
+    """
+    runs = record.stack.runs
+    if not 2 <= len(runs) <= MOST_RUNS or scatter.ratio < FAR:
+        return None
+    others = _recorded(runs, scatter, declared, available) + _unrecorded(runs, declared)
+    if not others:
+        return None
+    unit = runs[0].unit_of_measure
+    chi_square = float(np.sum(((scatter.means - scatter.means.mean()) / scatter.within) ** 2))
+    equivalent = one_degree(chi_square, len(runs) - 1)
+    low, high = scatter.bounds()
+    return FoundEffect(
+        name=TURN_ON,
+        parameters={},
+        coefficients=(EffectCoefficient("", scatter.scatter, low, high, unit),),
+        significance=math.sqrt(equivalent),
+        evidence=equivalent - PRICE,
+        roles={},
+        confounded=tuple(others),
+        by_run={
+            run.run: (float(mean), float(se)) for run, mean, se in zip(runs, scatter.means, scatter.within, strict=True)
+        },
+    )
+
+
+def _recorded(
+    runs: Sequence[RunBlocks], scatter: RunScatter, declared: Collection[str], available: Mapping[str, Effect]
+) -> list[ConfoundedEffect]:
+    """Recorded causes, one for each channel, that differ between the runs and explain most of the scatter."""
+    found: dict[str, ConfoundedEffect] = {}
+    for name, each in available.items():
+        is_linear = each.kind is Kind.LIBRARY and each.role is Role.CAUSE and not each.parameters
+        if not is_linear or len(each.needs) != 1 or name in declared or each.needs[0] in found:
+            continue
+        columns = [each.regressors(run, {}) for run in runs]
+        if columns[0].shape[1] != 1 or not all(np.isfinite(column).all() for column in columns):
+            continue
+        means = np.array([float(column.mean()) for column in columns])
+        inside = float(np.sqrt(np.mean([np.var(column) for column in columns])))
+        differs = np.std(means, ddof=1) > max(inside, 1e-9 * float(np.abs(means).max()))
+        if differs and _left(means, scatter) < _EXPLAINED * scatter.scatter:
+            found[each.needs[0]] = unfitted(each, recorded=True, evidence_behind=0.0)
+    return [found[channel] for channel in sorted(found)]
+
+
+def _left(driver: FloatArray, scatter: RunScatter) -> float:
+    """Scatter of the runs about a line in a driver."""
+    if driver.size == 2:
+        return 0.0
+    design = np.column_stack([np.ones_like(driver), driver])
+    left = scatter.means - design @ fit(design, scatter.means).coefficients
+    return float(np.sqrt(left @ left / (driver.size - 2)))
+
+
+def _unrecorded(runs: Sequence[RunBlocks], declared: Collection[str]) -> list[ConfoundedEffect]:
+    known = set.union(*(set(run.channels) for run in runs))
+    return [
+        unfitted(effects()[name], recorded=False)
+        for name, channels in _UNRECORDED
+        if name not in declared and not known.intersection((*channels, "position"))
+    ]
+
+
+def scatter_caveat(finding: FoundEffect | None, scatter: RunScatter, runs: Sequence[RunBlocks]) -> Bilingual:
+    """Undeclared turn-on scatter far above the noise within the runs, with its possible causes if it is a finding."""
+    size = f"{scatter.scatter:.4g} {runs[0].unit_of_measure}"
+    en = f"the runs differ by {size} (one standard deviation), {scatter.ratio:.3g} times the noise within them: "
+    zh = f"各次试验相差{size}（一倍标准差），为试验内噪声的{scatter.ratio:.3g}倍："
+    if finding is None:
+        return Bilingual(
+            f"{en}this is attributed to turn-on scatter, which was not declared and can hide an effect that changes "
+            "only between runs",
+            f"{zh}已视为逐次启动散布（未声明），仅在试验之间变化的效应可能隐藏其中",
+        )
+    names = [f"{each.name}{'' if each.recorded else ' (not recorded)'}" for each in finding.confounded]
+    causes = ", ".join([*names, TURN_ON])
+    return Bilingual(
+        f"{en}{causes} differ between them, and {len(runs)} runs cannot separate these causes",
+        f"{zh}其间{causes}均不同，{len(runs)}次试验无法区分",
+    )

@@ -1,0 +1,192 @@
+"""A hypothesis fitted to the records of one or several units: common coefficients, and the noise of each unit."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import overload
+
+import numpy as np
+
+from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.tracing.whitening.least_squares import Solution, project, solve
+from analytics.loop.tracing.whitening.unit_record import UnitRecord
+from analytics.loop.tracing.whitening.whitened_fit import fit_noise
+from stream.batch import FloatArray
+
+_ALTERNATIONS = 3
+
+
+@dataclass(frozen=True)
+class Recomputed(Sequence[FloatArray]):
+    """An array for each record, computed on each access to save memory in fits of a fleet.
+
+    Parameters
+    ----------
+    make: Computes the array of a record from its number.
+    records: Number of records.
+
+    Examples
+    --------
+    >>> [each.size for each in Recomputed(np.ones, 3)]
+    [0, 1, 2]
+    """
+
+    make: Callable[[int], FloatArray]
+    records: int
+
+    def __len__(self) -> int:
+        return self.records
+
+    @overload
+    def __getitem__(self, number: int) -> FloatArray: ...
+
+    @overload
+    def __getitem__(self, number: slice) -> Sequence[FloatArray]: ...
+
+    def __getitem__(self, number: int | slice) -> FloatArray | Sequence[FloatArray]:
+        numbers = range(self.records)[number]  # raises IndexError
+        return self.make(numbers) if isinstance(numbers, int) else [self.make(each) for each in numbers]
+
+
+def _side_by_side(before: Sequence[FloatArray], more: Sequence[FloatArray]) -> Sequence[FloatArray]:
+    """For each record, the columns of both; recomputed on access if there are several records."""
+
+    def of(number: int) -> FloatArray:
+        return np.column_stack([before[number], more[number]])
+
+    return (of(0),) if len(before) == 1 else Recomputed(of, len(before))
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Columns of a regression.
+
+    Parameters
+    ----------
+    own: For each record: columns with coefficients of its own; the declared model, lines and jumps.
+    common: For each record: columns whose coefficients all units share.
+    """
+
+    own: Sequence[FloatArray]
+    common: Sequence[FloatArray]
+
+    def with_common(self, columns: Sequence[FloatArray]) -> "Hypothesis":
+        """Add an effect that all units share."""
+        return Hypothesis(self.own, _side_by_side(self.common, columns))
+
+    def with_own(self, columns: Sequence[FloatArray]) -> "Hypothesis":
+        """Add columns with coefficients of each record."""
+        return Hypothesis(_side_by_side(self.own, columns), self.common)
+
+    @property
+    def designs(self) -> Sequence[FloatArray]:
+        """All columns of each record."""
+        return _side_by_side(self.own, self.common)
+
+
+def nothing_more(records: Sequence[UnitRecord]) -> Hypothesis:
+    """The declared model alone."""
+    return Hypothesis(
+        tuple(record.design for record in records), tuple(np.empty((len(record), 0)) for record in records)
+    )
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """A fitted hypothesis.
+
+    Parameters
+    ----------
+    noises: Of each record.
+    log_likelihood: Of all records, including the priors of the noise.
+    common: Coefficients that all units share.
+    own: Coefficients of each unit, given the common ones.
+    """
+
+    records: tuple[UnitRecord, ...]
+    hypothesis: Hypothesis
+    noises: tuple[NoiseCoefficients, ...]
+    log_likelihood: float
+    common: Solution
+    own: tuple[Solution, ...]
+
+    @cached_property
+    def whitened(self) -> tuple[FloatArray, ...]:
+        """For each record: value, own and common columns, whitened by its noise."""
+        return tuple(_whitened(self.records, self.hypothesis, self.noises))
+
+    def light(self) -> "JointFit":
+        """The fit of a fleet without its cached columns, to save memory."""
+        return replace(self) if len(self.records) > 1 else self
+
+    @property
+    def residuals(self) -> tuple[FloatArray, ...]:
+        """Whitened residual of each record."""
+        return tuple(
+            whitened[:, 0] - whitened[:, 1:] @ np.concatenate([own.coefficients, self.common.coefficients])
+            for whitened, own in zip(self.whitened, self.own, strict=True)
+        )
+
+
+def fit_jointly(
+    records: Sequence[UnitRecord],
+    hypothesis: Hypothesis,
+    start: Sequence[NoiseCoefficients | None] | None = None,
+    *,
+    restricted: bool = False,
+) -> JointFit:
+    """Fit a hypothesis: the common coefficients to all records, the others to each.
+
+    Parameters
+    ----------
+    records: One for each unit.
+    start: Start values of the noise of each record.
+    restricted: Use the restricted likelihood (REML): for results, not for comparing hypotheses.
+    """
+    begin: Sequence[NoiseCoefficients | None] = [None] * len(records) if start is None else start
+    if len(records) == 1:
+        one = fit_noise(records[0], hypothesis.designs[0], begin[0], restricted=restricted)
+        return _joined(records, hypothesis, [one.noise], one.log_likelihood, [one.whitened])
+    noises = [record.prior.center if noise is None else noise for record, noise in zip(records, begin, strict=True)]
+    has_common = hypothesis.common[0].shape[1] > 0
+    for _ in range(_ALTERNATIONS if has_common else 1):
+        theta = _common(_whitened(records, hypothesis, noises), hypothesis).coefficients
+        fits = [
+            fit_noise(record.less(columns @ theta), own, noise, restricted=restricted)
+            for record, columns, own, noise in zip(records, hypothesis.common, hypothesis.own, noises, strict=True)
+        ]
+        noises = [each.noise for each in fits]
+    whitened = _whitened(records, hypothesis, noises)
+    return _joined(records, hypothesis, noises, sum(each.log_likelihood for each in fits), whitened)
+
+
+def _whitened(
+    records: Sequence[UnitRecord], hypothesis: Hypothesis, noises: Sequence[NoiseCoefficients]
+) -> list[FloatArray]:
+    return [
+        record.whitener(noise)(np.column_stack([record.value, design]))
+        for record, design, noise in zip(records, hypothesis.designs, noises, strict=True)
+    ]
+
+
+def _common(whitened: Sequence[FloatArray], hypothesis: Hypothesis) -> Solution:
+    parts = [project(each.T @ each, own.shape[1]) for each, own in zip(whitened, hypothesis.own, strict=True)]
+    return solve(np.sum([each.normal for each in parts], axis=0), np.sum([each.right for each in parts], axis=0))
+
+
+def _joined(
+    records: Sequence[UnitRecord],
+    hypothesis: Hypothesis,
+    noises: Sequence[NoiseCoefficients],
+    log_likelihood: float,
+    whitened: Sequence[FloatArray],
+) -> JointFit:
+    common = _common(whitened, hypothesis)
+    own = []
+    for each, columns in zip(whitened, hypothesis.own, strict=True):
+        width = 1 + columns.shape[1]
+        residual = each[:, 0] - each[:, width:] @ common.coefficients
+        own.append(solve(each[:, 1:width].T @ each[:, 1:width], each[:, 1:width].T @ residual))
+    fit = JointFit(tuple(records), hypothesis, tuple(noises), log_likelihood, common, tuple(own))
+    fit.__dict__["whitened"] = tuple(whitened)  # fills the cache
+    return fit

@@ -1,0 +1,204 @@
+"""All blocks of one unit, its runs concatenated, as rows of a regression."""
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from analytics.loop.bilingual import Bilingual
+from analytics.loop.blocks.left_out import LeftOut, Loss, left_out
+from analytics.loop.blocks.run_blocks import Channel, RunBlocks
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.tracing.whitening.block_noise import NoiseModel
+from stream.batch import BoolArray, FloatArray, IntArray
+
+MOST_LOST = 0.2
+"""Largest share of the blocks that may be dropped because a channel has gaps."""
+SEGMENTS = 9
+NO_MODEL_VALUE = Bilingual("a channel of the declared model has no value there", "声明模型所需的某通道在该处无值")
+NO_CHANNEL_VALUE = Bilingual("a channel has no value there", "某通道在该处无值")
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Blocks of one unit that are used, and their runs.
+
+    Columns of an effect are computed on whole runs, then cut to the blocks used: a lag or a hysteresis depends on the
+    blocks before.
+
+    Parameters
+    ----------
+    runs: In the order of time.
+    rows: The blocks used of each run.
+    replicate: shape (n,); number of the replicate of each block: its run, or a segment of the only run.
+    replicates: Names of the replicates.
+    design: shape (n, p); columns of the declared model.
+    """
+
+    runs: tuple[RunBlocks, ...]
+    rows: tuple[IntArray, ...]
+    replicate: IntArray
+    replicates: tuple[str, ...]
+    design: FloatArray
+
+    def __len__(self) -> int:
+        return self.replicate.size
+
+    @property
+    def value(self) -> FloatArray:
+        """Mean of the signal in each block."""
+        return self.column(lambda run: run.value)
+
+    def column(self, of_run: Callable[[RunBlocks], FloatArray]) -> FloatArray:
+        """A function of each run, at the blocks used."""
+        return np.concatenate([of_run(run)[rows] for run, rows in zip(self.runs, self.rows, strict=True)])
+
+    @property
+    def slot(self) -> IntArray:
+        """Number of each block on the grid of its run."""
+        return np.concatenate([run.slot[rows] for run, rows in zip(self.runs, self.rows, strict=True)])
+
+    @property
+    def run_number(self) -> IntArray:
+        """Number of the run of each block."""
+        return np.repeat(np.arange(len(self.runs)), [rows.size for rows in self.rows])
+
+    @property
+    def steps(self) -> IntArray:
+        """Blocks since the preceding block; 0 at the first block of each run."""
+        number = self.run_number
+        steps = np.diff(self.slot, prepend=0)
+        steps[np.diff(number, prepend=-1) != 0] = 0
+        return steps
+
+    @property
+    def noise_model(self) -> NoiseModel:
+        """Noise model of these blocks."""
+        lengths = [run.slot[-1] + 1 - run.slot[0] for run in self.runs]
+        return NoiseModel(self.runs[0].block_s, float(max(lengths)) * self.runs[0].block_s)
+
+    def part(self, chosen: BoolArray) -> "Stack":
+        """The chosen blocks; runs without any are dropped."""
+        ends = np.cumsum([rows.size for rows in self.rows])[:-1]
+        kept = [rows[mask] for rows, mask in zip(self.rows, np.split(chosen, ends), strict=True)]
+        pairs = [(run, rows) for run, rows in zip(self.runs, kept, strict=True) if rows.size]
+        numbers, replicate = np.unique(self.replicate[chosen], return_inverse=True)
+        return Stack(
+            runs=tuple(run for run, _ in pairs),
+            rows=tuple(rows for _, rows in pairs),
+            replicate=replicate,
+            replicates=tuple(self.replicates[number] for number in numbers),
+            design=self.design[chosen],
+        )
+
+    def of_replicates(self, names: Sequence[str]) -> BoolArray:
+        """Mark the blocks of these replicates."""
+        wanted = np.array([name in names for name in self.replicates])
+        return np.asarray(wanted[self.replicate])
+
+
+@dataclass(frozen=True)
+class StackReport:
+    """Blocks and channels that were dropped.
+
+    Parameters
+    ----------
+    lost_channels: Channels that are not used, and why.
+    left_out: Parts of the record that were left out.
+    """
+
+    limits: tuple[Bilingual, ...]
+    lost_channels: dict[str, Bilingual]
+    left_out: tuple[LeftOut, ...] = ()
+
+    def with_left_out(self, more: Sequence[LeftOut]) -> "StackReport":
+        """Add parts that the reduction left out."""
+        both = (*more, *self.left_out)
+        return replace(self, left_out=tuple(sorted(both, key=lambda each: not each.is_grave)))
+
+
+def stacked(runs: Sequence[RunBlocks], model: ErrorModel, insisted: Collection[str] = ()) -> tuple[Stack, StackReport]:
+    """Blocks of one unit in which the declared model and all channels have values.
+
+    Channels with gaps are kept if at most 20 % of the blocks have to be dropped for them, or if they are `insisted` on.
+    """
+    ordered = sorted(runs, key=lambda run: (run.t0_ns, run.run))
+    designs = [model.columns(run) for run in ordered]
+    kept = [
+        np.isfinite(design).all(axis=1) & np.isfinite(run.value) for run, design in zip(ordered, designs, strict=True)
+    ]
+    limits, losses = [], []
+    blocks = sum(map(len, ordered))
+    without_model = {run.run: ~mask for run, mask in zip(ordered, kept, strict=True)}
+    if without := blocks - sum(map(np.count_nonzero, kept)):
+        limits.append(_dropped(without, blocks, NO_MODEL_VALUE))
+        losses.append(Loss(NO_MODEL_VALUE, without_model))
+    kept, lost, dropped = _without_gaps(ordered, kept, insisted)
+    if dropped:
+        limits.append(_dropped(dropped, blocks, NO_CHANNEL_VALUE))
+        without_channel = {run.run: ~mask for run, mask in zip(ordered, kept, strict=True)}
+        losses.append(Loss(NO_CHANNEL_VALUE, without_channel))
+    limits += [
+        Bilingual(f"channel {name} not used: {reason}", f"未使用通道{name}：{reason.zh}")
+        for name, reason in lost.items()
+    ]
+    triples = [(run, np.flatnonzero(mask), design) for run, mask, design in zip(ordered, kept, designs, strict=True)]
+    triples = [(run, rows, design[rows]) for run, rows, design in triples if rows.size]
+    stack = Stack(
+        runs=tuple(run for run, _, _ in triples),
+        rows=tuple(rows for _, rows, _ in triples),
+        replicate=np.repeat(np.arange(len(triples)), [rows.size for _, rows, _ in triples]),
+        replicates=tuple(run.run for run, _, _ in triples),
+        design=np.concatenate([design for _, _, design in triples]) if triples else np.empty((0, 0)),
+    )
+    return stack, StackReport(tuple(limits), lost, left_out(ordered, losses))
+
+
+def _dropped(blocks: int, of: int, why: Bilingual) -> Bilingual:
+    return Bilingual(f"{blocks} of {of} blocks left out: {why}", f"略去{of}个数据块中的{blocks}个：{why.zh}")
+
+
+def in_segments(stack: Stack) -> Stack:
+    """The only run cut into contiguous segments of equal length, as replicates."""
+    segments = min(SEGMENTS, len(stack) // 8)
+    run = stack.runs[0].run
+    return Stack(
+        runs=stack.runs,
+        rows=stack.rows,
+        replicate=np.minimum(np.arange(len(stack)) * segments // len(stack), segments - 1),
+        replicates=tuple(f"{run}#{number + 1}" for number in range(segments)),
+        design=stack.design,
+    )
+
+
+def _without_gaps(
+    runs: Sequence[RunBlocks], kept: Sequence[BoolArray], insisted: Collection[str]
+) -> tuple[list[BoolArray], dict[str, Bilingual], int]:
+    """Blocks in which all kept channels have values, the channels not kept, and the number of blocks dropped."""
+    before = sum(map(np.count_nonzero, kept))
+    present = {name: [known_blocks(run.channels[name]) for run in runs] for name in common_channels(runs)}
+    gaps = {
+        name: sum(int(np.count_nonzero(k & ~p)) for k, p in zip(kept, masks, strict=True))
+        for name, masks in present.items()
+    }
+    current, lost = list(kept), dict[str, Bilingual]()
+    for name in sorted(present, key=gaps.__getitem__):
+        trial = [k & p for k, p in zip(current, present[name], strict=True)]
+        if name not in insisted and before - sum(map(np.count_nonzero, trial)) > MOST_LOST * before:
+            lost[name] = Bilingual(
+                f"no value in {gaps[name]} of {before} blocks", f"{before}个数据块中有{gaps[name]}个无值"
+            )
+        else:
+            current = trial
+    return current, lost, before - sum(map(np.count_nonzero, current))
+
+
+def known_blocks(channel: Channel) -> BoolArray:
+    """Mark the blocks in which a channel has a value; an angle is checked by its phasors."""
+    value = channel.mean[None] if channel.phasors is None else channel.phasors
+    return np.asarray(np.isfinite(value).all(axis=0))
+
+
+def common_channels(runs: Sequence[RunBlocks]) -> list[str]:
+    """Channels that all runs have."""
+    return sorted(set.intersection(*(set(run.channels) for run in runs))) if runs else []

@@ -1,0 +1,191 @@
+"""Whitening: a Kalman filter turns blocks with correlated noise into blocks with white noise of unit variance.
+
+The filter applies the inverse Cholesky factor of the noise covariance of a run to any number of columns in time
+proportional to the number of blocks. Gaps between blocks are treated exactly.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from analytics.loop.blocks.run_blocks import RunBlocks
+from analytics.loop.model.error_model import ErrorModel
+from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.tracing.whitening.block_noise import NoiseModel
+from stream.batch import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Kalman gains for the blocks of one unit, its runs concatenated.
+
+    Parameters
+    ----------
+    steps: shape (n,); blocks since the preceding block; 0 at the first block of each run.
+    decay: shape (states,); of each correlated state per block.
+    gain: shape (n, states + 1); Kalman gains.
+    innovation: shape (n,); variance of each block given the preceding blocks of its run.
+    """
+
+    steps: IntArray
+    decay: FloatArray
+    gain: FloatArray
+    innovation: FloatArray
+
+    @classmethod
+    def of(cls, model: NoiseModel, noise: NoiseCoefficients, steps: IntArray, white: FloatArray) -> "Whitener":
+        """Filter for this noise; `white` is the white variance of each block relative to that of `noise`."""
+        space = model.space(noise)
+        gain = np.empty((steps.size, space.decay.size + 1))
+        innovation = np.empty(steps.size)
+        _filter_gains(
+            steps, space.white * white, space.walk, space.start, space.decay, space.variance, gain, innovation
+        )
+        return cls(steps, space.decay, gain, innovation)
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of the noise covariance."""
+        return float(np.sum(np.log(self.innovation)))
+
+    def __call__(self, columns: FloatArray) -> FloatArray:
+        """Whitened columns, shape (n, columns)."""
+        out = np.empty(columns.shape)
+        _whiten(np.ascontiguousarray(columns), self.steps, self.decay, self.gain, self.innovation, out)
+        return out
+
+    def adjoint(self, columns: FloatArray) -> FloatArray:
+        """Apply the transpose: `sum(self(x) * u) == sum(x * self.adjoint(u))` for any x."""
+        out = np.empty(columns.shape)
+        _whiten_adjoint(np.ascontiguousarray(columns), self.steps, self.decay, self.gain, self.innovation, out)
+        return out
+
+
+def whitened_residual(
+    model: ErrorModel, run: RunBlocks, noise: NoiseCoefficients, *, longest_s: float | None = None
+) -> FloatArray:
+    """Whitened residual of a fitted error model in each block of a run; NaN where a channel is missing.
+
+    It has unit variance and is uncorrelated if model and noise are right. A block whose own scatter gives another
+    white variance than `noise` keeps that variance.
+
+    Parameters
+    ----------
+    longest_s: Length of the longest run that the noise was fitted to, seconds; by default of this run.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> run = RunBlocks("U1", "r1", "rate", np.arange(500), 36.0, 0, 7.0 + rng.normal(0.0, 2.0, 500),
+    ...                 np.full(500, 9), np.full(500, 4.0), "deg/h")
+    >>> model = ErrorModel.parse("bias").fitted([7.0])
+    >>> left = whitened_residual(model, run, NoiseCoefficients(N=0.2, B=0.0, K=0.0, turn_on=0.0))
+    >>> 0.9 < float(left.std()) < 1.1
+    True
+    """
+    residual = model.residual(run)
+    kept = np.isfinite(residual)
+    if not kept.any():
+        return residual
+    slot = run.slot[kept]
+    length_s = float(run.slot[-1] + 1 - run.slot[0]) * run.block_s
+    noise_model = NoiseModel(run.block_s, length_s if longest_s is None else longest_s)
+    expected = noise_model.space(noise).white
+    own = run.white_variance[kept]
+    relative = np.where(np.isfinite(own) & (own > 0.0), own / expected, 1.0)
+    steps = np.diff(slot, prepend=slot[0])
+    whitened = np.full(len(run), np.nan)
+    whitened[kept] = Whitener.of(noise_model, noise, steps, relative)(residual[kept, None])[:, 0]
+    return whitened
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _begin(covariance, start, variance):  # type: ignore[no-untyped-def]
+    covariance[:] = 0.0
+    covariance[0, 0] = start
+    for i in range(variance.size):
+        covariance[i + 1, i + 1] = variance[i]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _predict(covariance, step, walk, decay, variance, factor):  # type: ignore[no-untyped-def]
+    states = factor.size
+    for i in range(1, states):
+        factor[i] = decay[i - 1] if step == 1 else decay[i - 1] ** step
+    for i in range(states):
+        for j in range(states):
+            covariance[i, j] *= factor[i] * factor[j]
+    covariance[0, 0] += walk * step
+    for i in range(1, states):
+        covariance[i, i] += variance[i - 1] * (1 - factor[i] * factor[i])
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _filter_gains(steps, white, walk, start, decay, variance, gain, innovation):  # type: ignore[no-untyped-def]
+    n, states = steps.size, decay.size + 1
+    factor, column = np.ones(states), np.empty(states)
+    covariance = np.zeros((states, states))
+    for t in range(n):
+        if steps[t] == 0:
+            _begin(covariance, start, variance)
+        else:
+            _predict(covariance, steps[t], walk, decay, variance, factor)
+        total = white[t]
+        for i in range(states):
+            column[i] = 0.0
+            for j in range(states):
+                column[i] += covariance[i, j]
+            total += column[i]
+        innovation[t] = total
+        for i in range(states):
+            gain[t, i] = column[i] / total
+        for i in range(states):
+            for j in range(states):
+                covariance[i, j] -= gain[t, i] * column[j]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _whiten(columns, steps, decay, gain, innovation, out):  # type: ignore[no-untyped-def]
+    n, width = columns.shape
+    states = decay.size + 1
+    state = np.zeros((states, width))
+    for t in range(n):
+        step = steps[t]
+        if step == 0:
+            state[:] = 0.0
+        else:
+            for i in range(1, states):
+                factor = decay[i - 1] if step == 1 else decay[i - 1] ** step
+                for c in range(width):
+                    state[i, c] *= factor
+        scale = 1 / np.sqrt(innovation[t])
+        for c in range(width):
+            out[t, c] = columns[t, c] - state[0, c]
+        for i in range(1, states):
+            for c in range(width):
+                out[t, c] -= state[i, c]
+        for i in range(states):
+            for c in range(width):
+                state[i, c] += gain[t, i] * out[t, c]
+        for c in range(width):
+            out[t, c] *= scale
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _whiten_adjoint(columns, steps, decay, gain, innovation, out):  # type: ignore[no-untyped-def]
+    n, width = columns.shape
+    states = decay.size + 1
+    state = np.zeros((states, width))
+    for t in range(n - 1, -1, -1):
+        scale = 1 / np.sqrt(innovation[t])
+        for c in range(width):
+            out[t, c] = scale * columns[t, c]
+        for i in range(states):
+            for c in range(width):
+                out[t, c] += gain[t, i] * state[i, c]
+        step = steps[t]
+        for i in range(states):
+            factor = 1.0 if i == 0 or step == 0 else decay[i - 1] ** step
+            for c in range(width):
+                state[i, c] = 0.0 if step == 0 else factor * (state[i, c] - out[t, c])

@@ -1,0 +1,1 @@
+"""Computations that metrics share and SQL cannot express."""

@@ -1,0 +1,1 @@
+"""The metrics there are: their headers, found in their files."""
