@@ -52,7 +52,7 @@ def compensate(folder: Path, connect: str | None, watch_every_s: float, *, as_js
         if as_json:
             print_json(document)
         else:
-            console.print(told(document), soft_wrap=True, markup=False)
+            console.print(format_document(document), soft_wrap=True, markup=False)
 
     with (
         only_one(folder / "checkpoints" / "compensate.lock", "gyrofleet compensate"),
@@ -76,13 +76,13 @@ def compensate(folder: Path, connect: str | None, watch_every_s: float, *, as_js
         console.print(f"{worker.samples:,} compensated samples sent")
 
 
-def told(document: "AnyDocument") -> str:
+def format_document(document: "AnyDocument") -> str:
     """One line on a document for people.
 
     Examples
     --------
     >>> from stream.events import NoteAdded
-    >>> told(NoteAdded(run="r1", t_ns=0, text="door opened"))
+    >>> format_document(NoteAdded(run="r1", t_ns=0, text="door opened"))
     'door opened'
     """
     from stream.events import CompensationStarted, ModelActivated, NoteAdded, ResidualWatched

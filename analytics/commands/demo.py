@@ -73,8 +73,8 @@ def demo(folder: Path, hours: float, seed: int, *, as_json: bool) -> None:
         print_json(_summary(state, folder, plot))
         return
     results().print(fleet_table(state, results().width))
-    _tell_found(state)
-    _tell_next(state, folder, plot)
+    _print_found(state)
+    _print_next(state, folder, plot)
 
 
 def _summary(state: "DemoState", folder: Path, plot: Path) -> dict[str, object]:
@@ -91,7 +91,7 @@ def _summary(state: "DemoState", folder: Path, plot: Path) -> dict[str, object]:
     }
 
 
-def _tell_found(state: "DemoState") -> None:
+def _print_found(state: "DemoState") -> None:
     """What the units' error models lack, in a sentence each, in both languages."""
     from analytics.demo.demo_loop import DECLARED_MODEL
     from analytics.loop.report.verdict_sentence import verdict_sentence
@@ -104,13 +104,13 @@ def _tell_found(state: "DemoState") -> None:
     for unit, each in state.found.units.items():
         if each.diagnosis.effects:
             for language in ("en", "zh"):
-                told = verdict_sentence(each.diagnosis, Wording(language))
-                console.print(f"{unit}: {told}", soft_wrap=True, markup=False)
+                sentence = verdict_sentence(each.diagnosis, Wording(language))
+                console.print(f"{unit}: {sentence}", soft_wrap=True, markup=False)
     verdicts = sorted({state.found.units[unit].diagnosis.verdict.replace("_", " ") for unit in silent})
     console.print(f"{', '.join(silent)}: {', '.join(verdicts)}\n", soft_wrap=True)
 
 
-def _tell_next(state: "DemoState", folder: Path, plot: Path) -> None:
+def _print_next(state: "DemoState", folder: Path, plot: Path) -> None:
     from analytics.demo.demo_loop import DECLARED_MODEL
     from ingest.simulator.demo_fleet import ODD_UNIT
 

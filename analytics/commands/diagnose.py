@@ -93,12 +93,12 @@ def diagnose(
         runs=runs or None,
         since_ns=None if since is None else dated(since),
     )
-    with status_line() as told:
+    with status_line() as report:
         with opened_catalog(folder, quiet=as_json) as catalog:
             chosen = list(dict.fromkeys(units)) or units_with(catalog, question.signal_name)
-            read = reduce_units(catalog, chosen, question, on_progress=told)
+            read = reduce_units(catalog, chosen, question, on_progress=report)
         # the catalogue is closed to free its memory for the trace
-        found = trace_units(read, question, is_pooled=fleet, on_progress=told)
+        found = trace_units(read, question, is_pooled=fleet, on_progress=report)
     saved, unsaved = _saved(folder, found) if save else ({}, {})
     is_one = len(chosen) == 1 and not fleet
     _write(found, report_path, plot_folder, language)

@@ -90,7 +90,7 @@ def withdraw(label: str, folder: Path, reason: str, by: str | None, *, rejudges:
         print_json(document)
         return
     results().print(f"{label}: withdrawn by {document.by}: {reason}", markup=False)
-    _tell_rejudged(rejudges=rejudges)
+    _print_rejudged(rejudges=rejudges)
 
 
 @limits.command("settle")
@@ -148,7 +148,7 @@ def list_all(folder: Path, *, as_json: bool) -> None:
     entered = {link.label: link.document for link in chain.links}
     periods = ordered_periods(in_force(chain.links))
     if as_json:
-        print_json([_told(each) | _entry(entered[each.specification.label]) for each in periods])
+        print_json([_period_document(each) | _entry(entered[each.specification.label]) for each in periods])
     else:
         table = ResultTable("specification", "revision", "valid", "limits", "products", "entered", "by")
         for each in periods:
@@ -178,7 +178,7 @@ def show(name: str, folder: Path, language: str, *, as_toml: bool, as_json: bool
         click.echo(content, nl=False)
         return
     if as_json:
-        print_json({**_told(period), "limits": [_told_limit(each) for each in found.limits]})
+        print_json({**_period_document(period), "limits": [_limit_document(each) for each in found.limits]})
         return
     table = ResultTable(title=f"{found.label}, {period.text}")
     titles = ("特性", "限定", "产品", "下限", "上限", "单位")
@@ -222,10 +222,10 @@ def _enter(
     what = f"{counted(len(found.limits), 'limit')}, {counted(len(found.products), 'product')}"
     results().print(f"{found.label}: {what} {'kept' if is_new else 'are there already'}", markup=False)
     if rejudges or (is_new and len(stored_specifications(store)) > 1):
-        _tell_rejudged(rejudges=rejudges)
+        _print_rejudged(rejudges=rejudges)
 
 
-def _tell_rejudged(*, rejudges: bool) -> None:
+def _print_rejudged(*, rejudges: bool) -> None:
     notes().print(
         "What was recorded before is judged anew."
         if rejudges
@@ -244,7 +244,7 @@ def _entry(document: "SpecificationEntered") -> dict[str, str]:
     return {"entered": format_moment(document.t_ns) or "", "by": document.by, "reason": document.reason}
 
 
-def _told(period: "Period") -> dict[str, object]:
+def _period_document(period: "Period") -> dict[str, object]:
     from storage.specifications.validity import EVER, NEVER, format_moment
 
     found = period.specification
@@ -258,5 +258,5 @@ def _told(period: "Period") -> dict[str, object]:
     }
 
 
-def _told_limit(limit: "SpecificationLimit") -> dict[str, object]:
+def _limit_document(limit: "SpecificationLimit") -> dict[str, object]:
     return {name: getattr(limit, name) for name in limit.__struct_fields__}

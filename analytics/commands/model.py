@@ -47,14 +47,14 @@ def list_models(folder: Path, unit: str | None, *, as_json: bool) -> None:
         versions, unreadable = registry.readable(each)
         rows += [_row(version, uses.get((version.unit, version.signal), InUse())) for version in versions]
         damaged += unreadable.values()
-    _tell_list(rows, unit, is_empty=not rows and not damaged, as_json=as_json)
+    _print_list(rows, unit, is_empty=not rows and not damaged, as_json=as_json)
     for why in damaged:
         notes().print(f"warning: {why}", markup=False, soft_wrap=True)
     if damaged:
         sys.exit(1)
 
 
-def _tell_list(rows: list[dict[str, Any]], unit: str | None, *, is_empty: bool, as_json: bool) -> None:
+def _print_list(rows: list[dict[str, Any]], unit: str | None, *, is_empty: bool, as_json: bool) -> None:
     from stream.result_table import ResultTable
 
     if as_json:
@@ -93,11 +93,11 @@ def show(folder: Path, unit: str, number: int | None, *, as_json: bool) -> None:
     store = Store.open(folder)
     registry = ModelRegistry(store)
     version = _newest(registry.versions(unit), unit) if number is None else registry.version(unit, number)
-    told = logged_documents(store, (ModelActivated, ResidualWatched))
-    use = uses_of(told).get((version.unit, version.signal), InUse())
+    activations = logged_documents(store, (ModelActivated, ResidualWatched))
+    use = uses_of(activations).get((version.unit, version.signal), InUse())
     history = [
         each
-        for each in told
+        for each in activations
         if isinstance(each, ModelActivated | ResidualWatched) and each.unit == unit and each.model == version.hash
     ]
     if as_json:
@@ -196,12 +196,12 @@ def promote(
             holdout=holdout_of(holdout),
             runs=runs or None,
         )
-        with status_line() as told:
-            version, _ = promote_trace(store, unit, question, stage, by=_who(by), note=reason, on_progress=told)
+        with status_line() as report:
+            version, _ = promote_trace(store, unit, question, stage, by=_who(by), note=reason, on_progress=report)
     warning = confounded_warning(version) if stage is Stage.LIVE else None
     if as_json:
-        told_of = {"unit": unit, "version": version.version, "hash": version.hash, "stage": stage}
-        document = {**told_of, "text": version.text}
+        version_of_unit = {"unit": unit, "version": version.version, "hash": version.hash, "stage": stage}
+        document = {**version_of_unit, "text": version.text}
         print_json({**document, "warnings": [warning] if warning else []})
         return
     results().print(f"{unit}: version {version.version} is {stage.value}: {version.text}", markup=False)

@@ -62,15 +62,17 @@ def verdicts(
         if by:
             print_json({"by": by, "yield": shares, **rest})
         else:
-            told = [row | {"parameters": json.loads(row["parameters"] or "{}")} for row in found.verdicts]
-            print_json({"units": found.units, "verdicts": told, **rest})
+            documents = [row | {"parameters": json.loads(row["parameters"] or "{}")} for row in found.verdicts]
+            print_json({"units": found.units, "verdicts": documents, **rest})
     else:
-        _tell(found, shares, by, language, with_values=bool(units))
+        _print(found, shares, by, language, with_values=bool(units))
     if fail_on_fail and found.has_failure:
         sys.exit(_FAILED)
 
 
-def _tell(found: "Verdicts", shares: list[dict[str, Any]], by: str | None, language: str, *, with_values: bool) -> None:
+def _print(
+    found: "Verdicts", shares: list[dict[str, Any]], by: str | None, language: str, *, with_values: bool
+) -> None:
     console = results()
     if by:
         console.print(_yield_table(shares, by, language))
@@ -87,12 +89,12 @@ def _tell(found: "Verdicts", shares: list[dict[str, Any]], by: str | None, langu
         if with_values:
             console.print(_value_table(found.verdicts, language))
         counts = Counter(row["verdict"] for row in found.units)
-        said = ", ".join(f"{n} {_told_verdict(name, language)}" for name, n in sorted(counts.items()))
+        summary = ", ".join(f"{n} {_verdict_text(name, language)}" for name, n in sorted(counts.items()))
         more = f" (the first {_SHOWN} shown; --json gives all)" if len(found.units) > _SHOWN else ""
         console.print(
-            f"{counted(len(found.units), 'unit')}: {said}{more}"
+            f"{counted(len(found.units), 'unit')}: {summary}{more}"
             if language == "en"
-            else f"{len(found.units)} 个产品: {said}{more}"
+            else f"{len(found.units)} 个产品: {summary}{more}"
         )
     if found.pareto and not with_values:
         console.print(_pareto_table(found.pareto, language))
@@ -107,7 +109,7 @@ def _unit_table(units: Iterable[dict[str, Any]], language: str) -> ResultTable:
     )
     for row in units:
         counts = (str(row[name]) for name in ("passed", "failed", "marginal", "no_data"))
-        why = _told_reasons(row, language) or row["reason"] or ""
+        why = _reasons_text(row, language) or row["reason"] or ""
         table.add_row(
             row["unit"], row["product"], row["lot"], _coloured(row["verdict"], language),
             _coloured(row["latest_verdict"], language), *counts, why,
@@ -115,11 +117,11 @@ def _unit_table(units: Iterable[dict[str, Any]], language: str) -> ResultTable:
     return table
 
 
-def _told_reasons(row: dict[str, Any], language: str) -> str:
+def _reasons_text(row: dict[str, Any], language: str) -> str:
     """What a unit fails by, what is undecided, and what is lacking."""
     parts = (("FAIL", row["failures"]), ("MARGINAL", row["undecided"]), ("NO_DATA", row["lacking"]))
     return "; ".join(
-        f"{_told_verdict(verdict, language)}: {', '.join(_name(metric, language) for metric in which)}"
+        f"{_verdict_text(verdict, language)}: {', '.join(_name(metric, language) for metric in which)}"
         for verdict, which in parts
         if which
     )
@@ -195,9 +197,9 @@ def _name(metric: str, language: str) -> str:
     return _ZH.get(metric, metric) if language == "zh" else metric
 
 
-def _told_verdict(verdict: str, language: str) -> str:
+def _verdict_text(verdict: str, language: str) -> str:
     return _ZH_VERDICTS[verdict] if language == "zh" else verdict
 
 
 def _coloured(verdict: str, language: str) -> Text:
-    return styled(_told_verdict(verdict, language), _COLOURS[verdict])
+    return styled(_verdict_text(verdict, language), _COLOURS[verdict])

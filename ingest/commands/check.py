@@ -67,8 +67,8 @@ def check(
     unknown = _unknown_unit(folder, unit)
     is_seen = enter(folder, [document], role="gyrofleet check")
     if as_json:
-        told = {"store": str(folder), "uid": document.uid, "verdict": document.verdict, "in_lake": is_seen}
-        print_json({**told, "unit_is_known": unknown is None, "warnings": [] if unknown is None else [unknown]})
+        entered = {"store": str(folder), "uid": document.uid, "verdict": document.verdict, "in_lake": is_seen}
+        print_json({**entered, "unit_is_known": unknown is None, "warnings": [] if unknown is None else [unknown]})
         return
     results().print(f"{document.verdict}: {document.item} of unit {unit}, entered by {document.by}", markup=False)
     if unknown is not None:
@@ -99,7 +99,7 @@ def _unknown_unit(folder: Path, unit: str) -> str | None:
     same = sorted(each for each in recorded | entered if each.casefold() == unit.casefold())
     if same and unit not in same:
         raise BadInput(
-            f"unit {unit!r} is in the store as {same[0]!r}; give that name, since names are told by letter case"
+            f"unit {unit!r} is in the store as {same[0]!r}; give that name, since names differ by letter case"
         )
     if unit in recorded:
         return None

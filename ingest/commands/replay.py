@@ -77,12 +77,14 @@ def replay(
             found, comparison = sent_to(stored, connect, speed, progress), None
         else:
             found, comparison = compared(stored, every_s, speed, progress)
-    _tell(found, comparison, time.monotonic() - began, every_s, as_json=as_json)
+    _print_result(found, comparison, time.monotonic() - began, every_s, as_json=as_json)
     if comparison is not None and not comparison.is_equal:
         raise SystemExit(1)
 
 
-def _tell(found: "Replayed", comparison: "Comparison | None", seconds: float, every_s: float, *, as_json: bool) -> None:
+def _print_result(
+    found: "Replayed", comparison: "Comparison | None", seconds: float, every_s: float, *, as_json: bool
+) -> None:
     if as_json:
         sent = {"messages": found.messages, "samples": found.samples, "every_s": every_s, "seconds": seconds}
         print_json({**sent, "estimates": comparison})

@@ -54,7 +54,7 @@ def interval_s(run: StoredRun) -> float:
 
     Raises
     ------
-    BadInput: If that cannot be told.
+    BadInput: If it is not known.
     """
     if len(run.every_ns) > 1:
         intervals = " and ".join(f"{each / 1e9:g} s" for each in sorted(run.every_ns))

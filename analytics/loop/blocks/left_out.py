@@ -1,4 +1,4 @@
-"""What was left out of a record before anything was fitted, as shares of what it could have told."""
+"""What was left out of a record before anything was fitted, as shares of the information in it."""
 
 import re
 from collections.abc import Mapping, Sequence

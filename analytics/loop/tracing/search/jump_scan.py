@@ -76,9 +76,9 @@ def _ratios(record: UnitRecord, whitener: Whitener, design: FloatArray, residual
         sums = np.cumsum(back[first:end][::-1], axis=0)[::-1]
         before = _squared_lengths(whitener, int(first), int(end))
         left_over = before - np.sum(sums[:, 1:] ** 2, axis=1)
-        told = left_over > 1e-3 * before
-        told[:EDGE_BLOCKS] = told[-EDGE_BLOCKS:] = False
-        ratio[first:end] = np.where(told, sums[:, 0] / np.sqrt(np.where(told, left_over, 1.0)), 0.0)
+        resolved = left_over > 1e-3 * before
+        resolved[:EDGE_BLOCKS] = resolved[-EDGE_BLOCKS:] = False
+        ratio[first:end] = np.where(resolved, sums[:, 0] / np.sqrt(np.where(resolved, left_over, 1.0)), 0.0)
     return ratio
 
 

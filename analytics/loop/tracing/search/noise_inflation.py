@@ -59,8 +59,8 @@ def _disagreement(alone: Sequence[tuple[FloatArray, FloatArray]], replicates: Se
 def _explained(normal: FloatArray, right: FloatArray) -> tuple[float, int]:
     """Chi-square of columns scaled to an information of one in all, and its degrees of freedom."""
     eigenvalues, vectors = np.linalg.eigh(normal)
-    told = eigenvalues > _LEAST_SHARE
-    return float(np.sum((vectors[:, told].T @ right) ** 2 / eigenvalues[told])), int(np.count_nonzero(told))
+    resolved = eigenvalues > _LEAST_SHARE
+    return float(np.sum((vectors[:, resolved].T @ right) ** 2 / eigenvalues[resolved])), int(np.count_nonzero(resolved))
 
 
 def redness(drivers: Sequence[FloatArray], residuals: Sequence[FloatArray], runs: Sequence[IntArray]) -> float:

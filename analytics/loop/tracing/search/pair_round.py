@@ -69,11 +69,11 @@ def _screened(
     """P-values of pairs with a given noise."""
     normal, right, before = pooled(candidates, designs, noises)
     diagonal = np.diag(normal)
-    told = diagonal > LEAST_LEFT * np.maximum(before, 1e-300)
+    resolved = diagonal > LEAST_LEFT * np.maximum(before, 1e-300)
     items = [
         each
         for each in candidates.items
-        if each.effect.kind is Kind.LIBRARY and each.effect.role is Role.CAUSE and told[each.columns].all()
+        if each.effect.kind is Kind.LIBRARY and each.effect.role is Role.CAUSE and resolved[each.columns].all()
     ]
     whitening = {id(each): own_whitening(normal[each.columns, each.columns]) for each in items}
     statistic = {id(each): float(np.sum((whitening[id(each)] @ right[each.columns]) ** 2)) for each in items}

@@ -90,7 +90,7 @@ def conclude(
     verdict = denied(verdict, case.report.left_out)
     is_lacking = verdict is ModelVerdict.NOT_ENOUGH_DATA
     losses = tuple(each.sentence for each in case.report.left_out if each.is_grave)
-    told = caveats(
+    found_caveats = caveats(
         case, undetermined, effects, holdout, error, noise_is_declared=declared is not None, is_excess=is_excess
     )
     return Diagnosis(
@@ -111,7 +111,7 @@ def conclude(
             **candidates.not_tested,
             **dict.fromkeys(blind, _COLLINEAR),
         },
-        limits=(*told, *remarks),
+        limits=(*found_caveats, *remarks),
         missing=(*undetermined, *losses) if is_lacking else (),
         unexplained=unexplained,
         replication=case.replication,
