@@ -8,7 +8,7 @@ import msgspec
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.reduction_notes import Note
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.report.residuals import Residuals, residuals_of
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.fleet import significant_findings
@@ -19,7 +19,7 @@ from tests.bench.loop_campaign import DECLARED_MODEL, Campaign, Planted
 
 SHUPE = 40.0  # deg/h per degC/s
 SQUARE = 2e-3  # deg/h/degC^2
-NOISE = NoiseCoefficients(N=0.005, B=0.02, K=0.01, turn_on=0.3)
+NOISE = ModelNoise(N=0.005, B=0.02, K=0.01, turn_on=0.3)
 REMARK, LIMIT = Bilingual("a <remark>", "a <remark> 备注"), Bilingual("a limit", "a limit 局限")
 
 

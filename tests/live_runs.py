@@ -9,7 +9,7 @@ from analytics.loop.live.live_compensator import LiveCompensator, Out
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
 from analytics.loop.model.model_use import InUse
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from storage.store import Store
 from stream.batch import FloatArray, SampleBatch
 from stream.events import AnyDocument, ModelActivated, RunEnded, StreamTotal
@@ -29,7 +29,7 @@ def version(text: str, coefficients: Sequence[float]) -> ModelVersion:
     model = ErrorModel.parse(text).fitted(coefficients, unit_of_measure="deg/h")
     return ModelVersion(
         unit="U1", signal="rate", version=0, parent=None, text=text, model=model, before=model,
-        noise=NoiseCoefficients(N=0.01, B=0.0, K=0.0, turn_on=0.1), block_s=30.0, longest_s=3600.0, runs={},
+        noise=ModelNoise(N=0.01, B=0.0, K=0.0, turn_on=0.1), block_s=30.0, longest_s=3600.0, runs={},
         training_runs=(), verdict="effect_found", added=(), holdout=None, made_ns=1, by="Li",
     )  # fmt: skip
 

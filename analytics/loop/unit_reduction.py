@@ -15,7 +15,7 @@ from analytics.loop.blocks.stored_signals import usual_block_s
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.declared_noise import GivenNoise, declared_noise, with_turn_on
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from storage.sql.catalog import Catalog
 from stream.errors import BadInput, GyrofleetError, NotFound
 from stream.estimators.base import NoEstimate
@@ -42,7 +42,7 @@ class Question:
     model: str
     signal: str | None = None
     block_s: float | None = None
-    noise: GivenNoise | NoiseCoefficients | None = None
+    noise: GivenNoise | ModelNoise | None = None
     holdout: tuple[str, ...] | None = None
     runs: tuple[str, ...] | None = None
     since_ns: int | None = None
@@ -78,7 +78,7 @@ class ReducedUnit:
 
     runs: tuple[RunBlocks, ...]
     notes: tuple[Note, ...]
-    noise: NoiseCoefficients | None
+    noise: ModelNoise | None
     noise_source: str
     left_out: tuple[LeftOut, ...] = ()
     turn_on_is_declared: bool = False
@@ -170,9 +170,9 @@ def model_on(question: Question, runs: Sequence[RunBlocks]) -> ErrorModel:
 
 def _noise(
     catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorModel, question: Question
-) -> tuple[NoiseCoefficients | None, str, bool]:
+) -> tuple[ModelNoise | None, str, bool]:
     """Declared noise, where it comes from, and whether its turn-on scatter is declared."""
-    if isinstance(question.noise, NoiseCoefficients):
+    if isinstance(question.noise, ModelNoise):
         return question.noise, GIVEN, True
     if question.noise is not None:
         is_given = question.noise.turn_on is not None

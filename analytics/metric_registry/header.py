@@ -25,7 +25,7 @@ class BoundsSource(StrEnum):
     """Columns lo and hi of the statement."""
 
 
-class Source(NamedTuple):
+class Clause(NamedTuple):
     """A clause of a standard, such as ``GJB2426A`` and ``5.12.1 (19)``."""
 
     standard: str
@@ -56,7 +56,7 @@ class MetricHeader(NamedTuple):
     better: str
     grain: str
     parameters: tuple[str, ...]
-    sources: tuple[Source, ...]
+    sources: tuple[Clause, ...]
     needs: str
     limits: BoundsSource
     equation: str
@@ -90,7 +90,7 @@ def parse_header(text: str, where: str) -> MetricHeader:
     ... -- equation: B0 = mean(F)/K
     ... select 1''', "bias.sql")
     >>> header.standard, header.sources[1], header.parameters
-    ('GJB2426A, JJF2014', Source(standard='JJF2014', clause='7.2.13 (27)(28)'), ('earth_rate', 'position'))
+    ('GJB2426A, JJF2014', Clause(standard='JJF2014', clause='7.2.13 (27)(28)'), ('earth_rate', 'position'))
     """
     lines: dict[str, str] = {}
     parameters: list[str] = []
@@ -115,8 +115,8 @@ def parse_header(text: str, where: str) -> MetricHeader:
     )
 
 
-def _source(text: str, where: str) -> Source:
+def _source(text: str, where: str) -> Clause:
     match = _SOURCE.fullmatch(text)
     if match is None:
         raise MetricError(f"metric {where}: source {text!r} is not like 'GJB 2426A-2004 5.12.1 (19)'")
-    return Source(match["standard"].replace(" ", ""), match["clause"])
+    return Clause(match["standard"].replace(" ", ""), match["clause"])

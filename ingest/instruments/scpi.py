@@ -54,7 +54,7 @@ class ScpiOptions(Options, frozen=True, kw_only=True, forbid_unknown_fields=True
     answers: dict[str, str] = msgspec.field(default_factory=dict)
 
 
-class Answer(NamedTuple):
+class ScpiAnswer(NamedTuple):
     """An answer without its termination.
 
     Attributes
@@ -122,11 +122,11 @@ class ScpiConnection:
         with self._lock:
             self._disconnect()
 
-    def ask(self, query: str) -> Answer:
+    def ask(self, query: str) -> ScpiAnswer:
         """Send a query."""
         return self._twice(lambda: self._exchange(query), query)
 
-    def number(self, query: str, pattern: str = NUMBER) -> tuple[float, Answer]:
+    def number(self, query: str, pattern: str = NUMBER) -> tuple[float, ScpiAnswer]:
         """Query a number: the first group of `pattern`, which must match the whole answer."""
         answer = self.ask(query)
         found = re.fullmatch(pattern, answer.text)
@@ -245,7 +245,7 @@ class ScpiConnection:
         except Exception as error:
             raise _ConnectionFailed(f"{self.who}: {text!r} cannot be sent: {error}") from error
 
-    def _exchange(self, text: str) -> Answer:
+    def _exchange(self, text: str) -> ScpiAnswer:
         assert self._line is not None
         sent_ns = self._clock.now_ns()
         self._write(text)
@@ -256,7 +256,7 @@ class ScpiConnection:
                 f"{self.who}: {text!r} was not answered within {self._options.timeout_s:g} s: {error}"
             ) from error
         received_ns = self._clock.now_ns()
-        return Answer(answer, (sent_ns + received_ns) // 2, received_ns - sent_ns)
+        return ScpiAnswer(answer, (sent_ns + received_ns) // 2, received_ns - sent_ns)
 
 
 class _ConnectionFailed(InstrumentError):

@@ -21,7 +21,7 @@ _RETRY_S = 2.0
 _ARRIVE_S = 2.0  # how long the last samples of a step may take to come
 
 
-class Source(Protocol):
+class RunSource(Protocol):
     """Where samples come from: a bus, a serial line, the sampler of an instrument."""
 
     def start(self) -> None:
@@ -94,7 +94,7 @@ class StationRun:
         self._log.note(text)
         self._operator.report(text)
 
-    def go(self, sources: Callable[[], Sequence[Source]], samplers: Sequence[Source] = ()) -> None:
+    def go(self, sources: Callable[[], Sequence[RunSource]], samplers: Sequence[RunSource] = ()) -> None:
         """Carry out the steps; the station is made safe after the last one, and whatever happens.
 
         Parameters
@@ -108,7 +108,7 @@ class StationRun:
         RunAborted: If the operator aborts it.
         InstrumentError: If a source cannot be started.
         """
-        active: list[Source] = []
+        active: list[RunSource] = []
         outcome = "interrupted"
         try:
             for sampler in samplers:
@@ -156,13 +156,13 @@ class StationRun:
             self._bench.switch(1.0)
             self._log.power_on()
 
-    def _restart(self, active: list[Source], sources: Callable[[], Sequence[Source]]) -> None:
+    def _restart(self, active: list[RunSource], sources: Callable[[], Sequence[RunSource]]) -> None:
         _stop(active)
         for source in sources():
             active.append(source)
             source.start()
 
-    def _work(self, step: PlannedStep, active: list[Source], restart: Callable[[], None]) -> None:
+    def _work(self, step: PlannedStep, active: list[RunSource], restart: Callable[[], None]) -> None:
         """One step, from its commands to its last sample."""
         if step.prompt is not None:
             prompt = f"{step.prompt.en} / {step.prompt.zh}"
@@ -278,7 +278,7 @@ class StationRun:
         return max(0.0, sum(map(lasts_s, (step, *rest))) - passed_s)
 
 
-def _stop(sources: list[Source]) -> None:
+def _stop(sources: list[RunSource]) -> None:
     for source in sources:
         source.stop()
     sources.clear()

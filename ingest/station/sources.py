@@ -12,7 +12,7 @@ from ingest.can.stream import CanDecoder
 from ingest.instruments.base import Instrument
 from ingest.serial.frame_layout import load_layout
 from ingest.serial.serial_line import SerialLine, open_port
-from ingest.station.run import Source
+from ingest.station.run import RunSource
 from ingest.station.run_log import RunLog
 from ingest.station.sampling import Sampler
 from ingest.station.station import Station
@@ -101,9 +101,9 @@ class StationSources:
                     found.append(f"lines.{name} of {self._station.path}: {error}")
         return found
 
-    def make(self, log: RunLog, report: Callable[[str], None]) -> list[Source]:
+    def make(self, log: RunLog, report: Callable[[str], None]) -> list[RunSource]:
         """Sources for the present power-ons, of the tested units only."""
-        made: list[Source] = [
+        made: list[RunSource] = [
             CanBus(
                 self._station.buses[name].bus,
                 self._clock,
@@ -131,7 +131,7 @@ class StationSources:
                 )
         return made
 
-    def samplers(self, log: RunLog, report: Callable[[str], None]) -> list[Source]:
+    def samplers(self, log: RunLog, report: Callable[[str], None]) -> list[RunSource]:
         """Samplers of all instruments."""
         return [
             Sampler(instrument, log.state.run, self._epoch, log.deliver, report)

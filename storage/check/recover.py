@@ -15,8 +15,7 @@ from storage.lake.lake import quarantine as quarantine_file
 from storage.log.event_log import EventLog
 from storage.log.files import quarantine_unknown
 from storage.log.recovery import Recovery, examine_segment, salvage_segment
-from storage.log.sequence import LostStretch
-from storage.log.sequence import Place as Position
+from storage.log.sequence import LogPlace, LostStretch
 from storage.log.store_documents import store_document
 from storage.manifests.log import LOST, ManifestWriter, SegmentEntry, manifest_path, read_log_manifest, rewrite_manifest
 from storage.segments.records import EVENTS, LogRecord
@@ -145,7 +144,7 @@ def _append(log: EventLog, documents: list[StoreNoted]) -> None:
     for seq, document in enumerate(documents):
         payload = encode_event(document, stream.epoch, seq)
         record = LogRecord(_NOTES_KEY, EVENTS, document.t_ns, document.t_ns, payload)
-        log.append(Position(stream, seq, seq + 1, document.t_ns, document.t_ns, ""), record)
+        log.append(LogPlace(stream, seq, seq + 1, document.t_ns, document.t_ns, ""), record)
     log.seal()
 
 

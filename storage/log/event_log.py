@@ -10,7 +10,7 @@ from pathlib import Path
 
 from storage.log.files import highest_number, sealed_segments, unknown_files
 from storage.log.recovery import Recovery, abandoned_name, left_open, reached_in, recover_segment, unlisted_entry
-from storage.log.sequence import Place, SegmentTally, place_of, positions_of, raise_positions
+from storage.log.sequence import LogPlace, SegmentTally, place_of, positions_of, raise_positions
 from storage.log.writer import SegmentWriter
 from storage.manifests.log import ManifestWriter, SegmentEntry
 from storage.segments.disk import DISK, Disk
@@ -78,7 +78,7 @@ class EventLog:
             self.warnings.append(f"segments that were sealed are not in {store.log}: {names}; see `gyrofleet verify`")
         self.recover()
 
-    def append(self, place: Place, record: LogRecord) -> None:
+    def append(self, place: LogPlace, record: LogRecord) -> None:
         """Append a numbered message; durable after the next `sync`."""
         self._writer().append(record)
         stream = place.stream

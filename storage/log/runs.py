@@ -1,6 +1,6 @@
 """Unfinished runs of a log, and where each run begins in every stream."""
 
-from storage.log.sequence import Place
+from storage.log.sequence import LogPlace
 from storage.manifests.log import read_log_manifest
 from storage.segments.records import LogRecord
 from storage.store import Store
@@ -46,7 +46,7 @@ class RunScan:
         self._estimated: set[tuple[str, str, str]] = set()
         self._finished: set[tuple[str, str, str]] = set()
 
-    def follow(self, record: LogRecord, place: Place | None) -> None:
+    def follow(self, record: LogRecord, place: LogPlace | None) -> None:
         """Take the next message."""
         if place is None:
             return

@@ -14,7 +14,7 @@ from stream.wire.batches import read_batch_head
 DOCUMENTS = "documents"
 
 
-class Place(NamedTuple):
+class LogPlace(NamedTuple):
     """Position of a message in its stream: its numbers, its time, and its run."""
 
     stream: StreamId
@@ -79,10 +79,10 @@ class SequenceCheck:
     def __init__(self) -> None:
         self.next_seq: dict[StreamId, int] = {}
         self.lost: list[LostStretch] = []
-        self.repeated: list[Place] = []
+        self.repeated: list[LogPlace] = []
         self._last_ns: dict[StreamId, int] = {}
 
-    def follow(self, place: Place) -> bool:
+    def follow(self, place: LogPlace) -> bool:
         """Take the next message; whether it is new."""
         stream = place.stream
         expected = self.next_seq.get(stream, 0)
@@ -118,7 +118,7 @@ class SegmentTally:
         self._runs: dict[str, None] = {}
         self._ended: dict[str, None] = {}
 
-    def add(self, record: LogRecord, place: Place | None) -> None:
+    def add(self, record: LogRecord, place: LogPlace | None) -> None:
         """Count a message."""
         if not self.messages:
             self.arrival_first_ns = record.arrival_ns
@@ -154,17 +154,17 @@ class SegmentTally:
         )
 
 
-def place_of(record: LogRecord) -> Place | None:
+def place_of(record: LogRecord) -> LogPlace | None:
     """Position of a message of the log in its stream; None if it is not numbered."""
     if record.schema == SAMPLES:
         head = read_batch_head(record.data, bounded=False)
-        return Place(StreamId(record.topic, head.epoch), head.seq, head.next_seq, head.t0_ns, head.last_ns, head.run)
+        return LogPlace(StreamId(record.topic, head.epoch), head.seq, head.next_seq, head.t0_ns, head.last_ns, head.run)
     if record.schema == EVENTS:
         message = decode_event(record.data)
         document = message.document
         stream = StreamId(record.topic, message.epoch)
         is_end = isinstance(document, RunEnded)
-        return Place(stream, message.seq, message.seq + 1, document.t_ns, document.t_ns, document.run, is_end)
+        return LogPlace(stream, message.seq, message.seq + 1, document.t_ns, document.t_ns, document.run, is_end)
     return None
 
 

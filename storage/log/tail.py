@@ -20,7 +20,7 @@ from stream.events import AnyDocument, decode_event
 from stream.identity import EstimateKey, EventKey, parse_key
 
 
-class LoggedMessage(NamedTuple):
+class TailMessage(NamedTuple):
     """A numbered message of the log, and the number that follows it."""
 
     stream: StreamId
@@ -67,7 +67,7 @@ class LogTail:
         runs = scan.open_runs | (scan.unfinished_runs if thorough else set())
         return Beginning({**positions, **scan.positions(runs)}, frozenset(scan.runs - runs))
 
-    def since(self, positions: Mapping[StreamId, int]) -> Iterator[LoggedMessage]:
+    def since(self, positions: Mapping[StreamId, int]) -> Iterator[TailMessage]:
         """Messages beyond `positions`, in the order of the log; streams not named count from 0."""
         return self._since(positions, lambda _key: True)
 
@@ -76,7 +76,7 @@ class LogTail:
         for message in self._since(positions, _is_key_of(EstimateKey)):
             yield decode_event(message.payload).document.uid
 
-    def _since(self, positions: Mapping[StreamId, int], wanted: Callable[[str], bool]) -> Iterator[LoggedMessage]:
+    def _since(self, positions: Mapping[StreamId, int], wanted: Callable[[str], bool]) -> Iterator[TailMessage]:
         def is_needed(segment: str) -> bool:
             marks = self._marks_of(segment).items()
             return any(next_seq > positions.get(stream, 0) and wanted(stream.key) for stream, next_seq in marks)
@@ -84,7 +84,7 @@ class LogTail:
         for record in records_of(self._store, is_needed, wanted):
             place = place_of(record)
             if place is not None and place.next_seq > positions.get(place.stream, 0):
-                yield LoggedMessage(place.stream, place.next_seq, record.data)
+                yield TailMessage(place.stream, place.next_seq, record.data)
 
     def _marks_of(self, name: str) -> dict[StreamId, int]:
         if name not in self._marks:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 from storage.log.event_log import EventLog
-from storage.log.sequence import Place
+from storage.log.sequence import LogPlace
 from storage.log.store_documents import forgery
 from storage.segments.records import EVENTS, PREVIEW, REJECTED, SAMPLES, LogRecord
 from storage.store import Store
@@ -174,7 +174,7 @@ class Intake:
         if unit != parsed.unit or signal != parsed.signal:
             raise WireError(f"it holds samples of {unit[:MAX_NAME_CHARS]}/{signal[:MAX_NAME_CHARS]}")
         stream = StreamId(key, epoch)
-        place = Place(stream, seq, next_seq, t0_ns, last_ns, run)
+        place = LogPlace(stream, seq, next_seq, t0_ns, last_ns, run)
         if not self._append(place, LogRecord(key, SAMPLES, arrival_ns, t0_ns, payload)):
             return
         self.counts.samples += next_seq - seq
@@ -197,14 +197,14 @@ class Intake:
             raise WireError(f"{_describe(document)}: {reason}")
         is_end = isinstance(parsed, EventKey) and type(document).__name__ == "RunEnded"
         stream = StreamId(key, message.epoch)
-        place = Place(stream, message.seq, message.seq + 1, document.t_ns, document.t_ns, document.run, is_end)
+        place = LogPlace(stream, message.seq, message.seq + 1, document.t_ns, document.t_ns, document.run, is_end)
         if self._append(place, LogRecord(key, EVENTS, arrival_ns, document.t_ns, payload)) and is_end:
             self.ended_runs += 1
             self._ended[document.run] = None
             if len(self._ended) > _MOST_ENDED:
                 del self._ended[next(iter(self._ended))]
 
-    def _append(self, place: Place, record: LogRecord) -> bool:
+    def _append(self, place: LogPlace, record: LogRecord) -> bool:
         stream, seq, next_seq = place.stream, place.seq, place.next_seq
         expected = self._log.marks.get(stream, 0)
         if next_seq > self.received.get(stream, 0):
@@ -232,7 +232,7 @@ class Intake:
                 self.rewinds.append(stream)
         return False
 
-    def _keep_conflict(self, place: Place, record: LogRecord) -> None:
+    def _keep_conflict(self, place: LogPlace, record: LogRecord) -> None:
         """Keep a whole message whose numbers are recorded with other content."""
         self.counts.conflicts += 1
         numbers = f"numbers {place.seq} to {place.next_seq - 1}"

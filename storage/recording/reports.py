@@ -6,7 +6,7 @@ from typing import Any
 from uuid import uuid4
 
 from storage.log.event_log import EventLog
-from storage.log.sequence import Place as Position
+from storage.log.sequence import LogPlace
 from storage.log.store_documents import store_document
 from storage.recording.disk_watch import monotonic_and_wall_ns
 from storage.recording.intake import Intake
@@ -41,7 +41,7 @@ class Reports:
         document = store_document(self._store.identity, what, text, details)
         now_ns = document.t_ns
         record = LogRecord(_KEY, EVENTS, now_ns, now_ns, encode_event(document, self._stream.epoch, seq))
-        self._log.append(Position(self._stream, seq, seq + 1, now_ns, now_ns, ""), record)
+        self._log.append(LogPlace(self._stream, seq, seq + 1, now_ns, now_ns, ""), record)
 
     def log_warnings(self) -> None:
         """Pass on new warnings of the log."""

@@ -36,7 +36,7 @@ _SYSTEM = (
 _HEAD = struct.Struct("<cQ")
 
 
-class Kind(Enum):
+class FrameKind(Enum):
     """Kind of a frame."""
 
     REQUEST = b"?"
@@ -57,17 +57,17 @@ class Closed(Exception):
     """The other process has ended."""
 
 
-def write_frame(file: IO[bytes], kind: Kind, content: bytes | memoryview = b"") -> None:
+def write_frame(file: IO[bytes], kind: FrameKind, content: bytes | memoryview = b"") -> None:
     """Send a frame."""
     file.write(_HEAD.pack(kind.value, len(content)))
     file.write(content)
     file.flush()
 
 
-def read_frame(file: IO[bytes]) -> tuple[Kind, bytes]:
+def read_frame(file: IO[bytes]) -> tuple[FrameKind, bytes]:
     """Receive a frame; raises Closed if the other process has ended."""
     kind, length = _HEAD.unpack(_exactly(file, _HEAD.size))
-    return Kind(kind), _exactly(file, length)
+    return FrameKind(kind), _exactly(file, length)
 
 
 def _exactly(file: IO[bytes], length: int) -> bytes:
@@ -135,9 +135,9 @@ def _serve(
     try:
         catalog = _catalog(setup)
     except GyrofleetError as error:
-        write_frame(answers, Kind.FAILED, _encode(error))
+        write_frame(answers, FrameKind.FAILED, _encode(error))
         return
-    write_frame(answers, Kind.READY, json.dumps({"landlock": is_enforced}).encode())
+    write_frame(answers, FrameKind.READY, json.dumps({"landlock": is_enforced}).encode())
     timer = _Timer(setup["time_s"])
     while True:
         request = waiting.get()
@@ -145,10 +145,10 @@ def _serve(
             _answer(catalog, request, answers, timer, setup["memory_bytes"])
         except GyrofleetError as error:
             timer.pause()
-            write_frame(answers, Kind.FAILED, _encode(error))
+            write_frame(answers, FrameKind.FAILED, _encode(error))
         except MemoryError:
             timer.pause()
-            write_frame(answers, Kind.FAILED, json.dumps({"kinds": ["MemoryError"], "message": ""}).encode())
+            write_frame(answers, FrameKind.FAILED, json.dumps({"kinds": ["MemoryError"], "message": ""}).encode())
 
 
 def _catalog(setup: dict[str, Any]) -> "Catalog":
@@ -176,22 +176,22 @@ def _answer(catalog: "Catalog", request: dict[str, Any], answers: IO[bytes], tim
         catalog.prepare(request["statement"])
     except NotKept:
         timer.pause()
-        write_frame(answers, Kind.NOT_KEPT)
+        write_frame(answers, FrameKind.NOT_KEPT)
         return
     timer.begin()  # opening tables for the first time does not count
     _limit_memory(memory_bytes)
     reader = catalog.user_reader(request["statement"], request["parameters"])
     left_s = timer.pause()
-    write_frame(answers, Kind.ROWS, _stream(reader.schema, None))
+    write_frame(answers, FrameKind.ROWS, _stream(reader.schema, None))
     timer.resume(left_s)
     for batch in catalog.guarded(reader):
         content = _stream(reader.schema, batch)
         left_s = timer.pause()
-        write_frame(answers, Kind.ROWS, content)
+        write_frame(answers, FrameKind.ROWS, content)
         timer.resume(left_s)
     timer.pause()
     _limit_memory(None)
-    write_frame(answers, Kind.DONE)
+    write_frame(answers, FrameKind.DONE)
 
 
 def _stream(schema: "pa.Schema", batch: "pa.RecordBatch | None") -> memoryview:

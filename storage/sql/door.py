@@ -18,7 +18,7 @@ import msgspec
 
 import stream.errors
 from storage.manifests.lake import read_manifest
-from storage.sql.child import Closed, Kind, read_frame, write_frame
+from storage.sql.child import Closed, FrameKind, read_frame, write_frame
 from storage.store import Store
 from stream.errors import GyrofleetError, QueryError, StoreError
 
@@ -92,11 +92,11 @@ class SqlDoor:
         """
         for attempt in range(_ATTEMPTS):
             process = self._process or self._started()
-            process.send(Kind.REQUEST, pickle.dumps({"statement": statement, "parameters": parameters}))
+            process.send(FrameKind.REQUEST, pickle.dumps({"statement": statement, "parameters": parameters}))
             import pyarrow as pa  # while that one starts
 
             kind, content = self._received(process)
-            if kind is Kind.ROWS:
+            if kind is FrameKind.ROWS:
                 with pa.ipc.open_stream(content) as reader:
                     return Result(reader.schema, self._batches(process))
             self._compute(statement, scratch=attempt > 0)
@@ -109,7 +109,7 @@ class SqlDoor:
         try:
             while True:
                 kind, content = self._received(process)
-                if kind is Kind.DONE:
+                if kind is FrameKind.DONE:
                     is_complete = True
                     return
                 with pa.ipc.open_stream(content) as reader:
@@ -125,14 +125,14 @@ class SqlDoor:
             if not is_complete:  # the rest must not be taken for the next answer
                 self._end()
 
-    def _received(self, process: "_Process") -> tuple[Kind, bytes]:
+    def _received(self, process: "_Process") -> tuple[FrameKind, bytes]:
         """The next frame; an error is raised with its own class."""
         try:
             kind, content = read_frame(process.answers)
         except Closed:
             self._process = None
             raise process.why_it_ended(self.limits) from None
-        if kind is Kind.FAILED:
+        if kind is FrameKind.FAILED:
             failure = json.loads(content)
             if "MemoryError" in failure["kinds"]:
                 self._end()
@@ -156,7 +156,7 @@ class SqlDoor:
             "memory_bytes": self.limits.memory_bytes,
             "landlock": self._landlock,
         }
-        process.send(Kind.REQUEST, json.dumps(setup).encode())
+        process.send(FrameKind.REQUEST, json.dumps(setup).encode())
         try:
             _, content = self._received(process)
         except GyrofleetError:
@@ -233,7 +233,7 @@ class _Process:
             for line in file:
                 self._stderr = (self._stderr + line)[-_STDERR_BYTES:]
 
-    def send(self, kind: Kind, content: bytes) -> None:
+    def send(self, kind: FrameKind, content: bytes) -> None:
         with suppress(OSError):  # it has ended; reading its answer tells why
             write_frame(self._requests, kind, content)
 

@@ -2,7 +2,7 @@
 
 import time
 
-from stream.delivery.outgoing import Held, OutgoingStream
+from stream.delivery.outgoing import HeldMessage, OutgoingStream
 from stream.delivery.spool import Spool
 from stream.wire.acknowledgement import StreamId, StreamPosition
 
@@ -13,7 +13,7 @@ _PAUSE_HOLDS_S = 3.0
 _POLLED_IN_A_PAUSE = 10
 _LOST_AFTER = 5  # patiences, after which a request for acknowledged messages is taken as a loss
 
-Due = tuple[OutgoingStream, Held]
+Due = tuple[OutgoingStream, HeldMessage]
 
 
 class Outbox:
@@ -64,7 +64,7 @@ class Outbox:
         self.streams[stream_id] = stream
         return stream
 
-    def hold(self, stream: OutgoingStream, held: Held) -> bool:
+    def hold(self, stream: OutgoingStream, held: HeldMessage) -> bool:
         """Keep a message in memory; returns whether it is published now, because all before it in its stream were."""
         if not stream.held:
             stream.quiet_since = time.monotonic()

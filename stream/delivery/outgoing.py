@@ -15,7 +15,7 @@ from stream.wire.encoder import BatchEncoder
 _FIRST_REWIND_PATIENCE_S = 0.5
 
 
-class Held(NamedTuple):
+class HeldMessage(NamedTuple):
     """An unacknowledged message: numbers `seq` to `next_seq - 1`."""
 
     seq: int
@@ -34,7 +34,7 @@ class OutgoingStream:
     Examples
     --------
     >>> stream = OutgoingStream(StreamId("k", "00000000000000000000000000000001"), 2.0)
-    >>> stream.held.extend([Held(0, 10, b"a"), Held(10, 20, b"b"), Held(20, 30, b"c")])
+    >>> stream.held.extend([HeldMessage(0, 10, b"a"), HeldMessage(10, 20, b"b"), HeldMessage(20, 30, b"c")])
     >>> stream.sent = 3
     >>> stream.release(10)
     1
@@ -46,7 +46,7 @@ class OutgoingStream:
     patience_s: float
     epoch: UUID | None = None
     encoder: BatchEncoder = field(default_factory=BatchEncoder)
-    held: deque[Held] = field(default_factory=deque)
+    held: deque[HeldMessage] = field(default_factory=deque)
     sent: int = 0
     sent_to: int = 0
     pumping: bool = False
@@ -104,7 +104,7 @@ class OutgoingStream:
         """Whether it is time to ask about the last message that was sent."""
         return self.sent > 0 and not self.pumping and now - self.quiet_since > self.patience_s
 
-    def poll(self, now: float, longest_s: float) -> list[Held]:
+    def poll(self, now: float, longest_s: float) -> list[HeldMessage]:
         """The first and the last message that were sent and not acknowledged, to be sent again.
 
         The recorder may lack the first; the last makes it ask for whatever else it lacks.
@@ -138,9 +138,9 @@ class OutgoingStream:
         self.sent = 0
         self.lost_since = None
 
-    def unsent(self, most_bytes: int) -> list[Held]:
+    def unsent(self, most_bytes: int) -> list[HeldMessage]:
         """The next messages to publish, at least one if there is any; they count as sent."""
-        found: list[Held] = []
+        found: list[HeldMessage] = []
         size = 0
         for message in islice(self.held, self.sent, None):
             if size >= most_bytes:

@@ -15,7 +15,7 @@ from uuid import uuid4
 from stream.batch import SampleBatch
 from stream.bounds import MAX_KEY_CHARS, MAX_MESSAGE_BYTES
 from stream.delivery.outbox import CHUNK_BYTES, Due, Outbox
-from stream.delivery.outgoing import Held, OutgoingStream
+from stream.delivery.outgoing import HeldMessage, OutgoingStream
 from stream.delivery.spool import Spool, SpoolError, SpoolFull
 from stream.errors import DeliveryError, GyrofleetError, WireError
 from stream.events import AnyDocument, encode_event
@@ -244,7 +244,7 @@ class DurablePublisher:
                 self._wait_for_room(len(payload))
             if self._out.broken:
                 self._check()
-            return self._out.hold(stream, Held(seq, next_seq, payload))
+            return self._out.hold(stream, HeldMessage(seq, next_seq, payload))
 
     def _keep(self, spool: Spool, stream: OutgoingStream, seq: int, next_seq: int, payload: bytes) -> bool:
         """Put a message into the spool; returns whether it is held in memory as well."""
@@ -352,7 +352,7 @@ class DurablePublisher:
             for message in messages:
                 stream = self._out.stream(message.stream)
                 if message.next_seq > stream.acknowledged:
-                    held = Held(message.seq, message.next_seq, message.payload)
+                    held = HeldMessage(message.seq, message.next_seq, message.payload)
                     self._out.credit -= len(held.payload)
                     if self._out.hold(stream, held):
                         now_due.append((stream, held))

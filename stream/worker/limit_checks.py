@@ -26,7 +26,7 @@ _SAME_TAU = 0.01
 _WORST_FIRST = (Verdict.FAIL, Verdict.MARGINAL, Verdict.NO_DATA, Verdict.PASS)
 
 
-class Reading(NamedTuple):
+class CurveReading(NamedTuple):
     """A curve read at one averaging time, or the reason why it cannot be."""
 
     value: float | None = None
@@ -47,7 +47,7 @@ def estimator_key(limit: Limit) -> str:
     return f"{BIAS_STABILITY}_{limit.tau_s:g}s" if limit.characteristic == BIAS_STABILITY else ALLAN_DEVIATION
 
 
-def read_curve(points: Sequence[EstimatePoint], tau_s: float) -> Reading:
+def read_curve(points: Sequence[EstimatePoint], tau_s: float) -> CurveReading:
     """Read a curve at `tau_s`: a point within 1 % of it, else log-log between its neighbours, never beyond.
 
     Parameters
@@ -71,20 +71,20 @@ def read_curve(points: Sequence[EstimatePoint], tau_s: float) -> Reading:
     'the curve reaches from 1 s to 4 s, not to 5 s: a longer record is needed'
     """
     if not points:
-        return Reading(reason="the estimate has no points")
+        return CurveReading(reason="the estimate has no points")
     nearest = min(points, key=lambda point: abs(point.tau_s - tau_s))
     if abs(nearest.tau_s - tau_s) <= _SAME_TAU * tau_s:
-        return Reading(nearest.value, nearest.lo, nearest.hi)
+        return CurveReading(nearest.value, nearest.lo, nearest.hi)
     below = max((p for p in points if p.tau_s < tau_s), key=lambda p: p.tau_s, default=None)
     above = min((p for p in points if p.tau_s > tau_s), key=lambda p: p.tau_s, default=None)
     if below is None or above is None:
         first, last = min(p.tau_s for p in points), max(p.tau_s for p in points)
         remedy = "a longer record" if above is None else "a shorter sample interval"
-        return Reading(
+        return CurveReading(
             reason=f"the curve reaches from {first:g} s to {last:g} s, not to {tau_s:g} s: {remedy} is needed"
         )
     w = math.log(tau_s / below.tau_s) / math.log(above.tau_s / below.tau_s)
-    return Reading(
+    return CurveReading(
         _between(below.value, above.value, w), _between(below.lo, above.lo, w), _between(below.hi, above.hi, w)
     )
 

@@ -10,7 +10,7 @@ from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.effects.coefficient_units import coefficient_unit
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel, ModelTerm
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.whitening.block_noise import NoiseModel
 from analytics.loop.tracing.whitening.whitener import whitened_residual
 from stream.batch import FloatArray
@@ -183,7 +183,7 @@ def test_a_document_that_is_no_model_is_refused(document: str) -> None:
 
 def test_the_whitened_residual_is_that_of_the_dense_covariance(cycled: RunBlocks) -> None:
     rng = np.random.default_rng(9)
-    noise = NoiseCoefficients(N=0.2, B=1.0, K=2.0, turn_on=3.0)
+    noise = ModelNoise(N=0.2, B=1.0, K=2.0, turn_on=3.0)
     kept = np.sort(rng.choice(BLOCKS, 150, replace=False))
     white = rng.uniform(0.5, 2.0, 150)
     channels = {

@@ -9,7 +9,7 @@ import pytest
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.report.finding_sentences import alternative
 from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Wording
@@ -19,7 +19,7 @@ from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
 from stream.batch import FloatArray
 
 BIAS = ErrorModel.parse("rate = bias")
-NOISE = NoiseCoefficients(N=0.0046, B=0.01, K=0.01, turn_on=0.3)
+NOISE = ModelNoise(N=0.0046, B=0.01, K=0.01, turn_on=0.3)
 BLOCKS = 240
 DAY_NS = 86_400 * 10**9
 SLOT = np.arange(BLOCKS)

@@ -7,14 +7,14 @@ import pytest
 
 from analytics.loop.blocks.run_blocks import HARMONICS, Channel, RunBlocks
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.gapped_channels import gapped_channels
 from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
 from stream.batch import BoolArray, FloatArray
 
 MODEL = ErrorModel.parse("rate = bias")
-NOISE = NoiseCoefficients(N=0.0046, B=0.01, K=0.01, turn_on=0.3)
+NOISE = ModelNoise(N=0.0046, B=0.01, K=0.01, turn_on=0.3)
 BLOCKS, RUNS = 240, 6
 DAY_NS = 86_400 * 10**9
 

@@ -9,7 +9,7 @@ import pytest
 
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.report.finding_sentences import evidence
 from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Wording
@@ -20,7 +20,7 @@ from analytics.loop.tracing.result.holdout import HeldOutAnswer, Holdout, Holdou
 from analytics.loop.tracing.verdict.caveats import holdout_caveats
 from tests.bench.loop_campaign import Campaign, Planted
 
-DECLARED = NoiseCoefficients(N=0.005, B=0.01, K=0.006, turn_on=0.05)
+DECLARED = ModelNoise(N=0.005, B=0.01, K=0.006, turn_on=0.05)
 MODEL = ErrorModel.parse("rate = bias + scale_factor*input_rate + temperature")
 BLOCKS = 240
 DAY_NS = 86_400 * 10**9
@@ -63,7 +63,7 @@ def test_a_term_that_the_training_runs_do_not_turn_forbids_nothing_missing() -> 
     assert found.error is not None
     assert found.error.rows[0].after > 1000  # deg/h: it is opened for the declared model
     # what the advice says helps
-    noise = NoiseCoefficients(N=0.0046, B=0.01, K=0.01, turn_on=0.3)
+    noise = ModelNoise(N=0.0046, B=0.01, K=0.01, turn_on=0.3)
     model = ErrorModel.parse("rate = bias + scale_factor*input_rate")
     advised = diagnose(runs, model, holdout=["r0"], declared_noise=noise)
     assert advised.verdict is ModelVerdict.NOTHING_MISSING
@@ -161,8 +161,8 @@ def test_the_error_about_the_mean_of_each_run_is_free_of_its_turn_on_bias(campai
         assert calm.floor_within == pytest.approx(calm.before_within, rel=0.5)
 
 
-def replace_turn_on(turn_on: float) -> NoiseCoefficients:
-    return NoiseCoefficients(N=DECLARED.N, B=DECLARED.B, K=DECLARED.K, turn_on=turn_on)
+def replace_turn_on(turn_on: float) -> ModelNoise:
+    return ModelNoise(N=DECLARED.N, B=DECLARED.B, K=DECLARED.K, turn_on=turn_on)
 
 
 def test_limits_of_a_gain_hold_the_truth_in_95_of_100() -> None:

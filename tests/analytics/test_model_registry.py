@@ -15,7 +15,7 @@ from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.model_check import model_findings
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
 from analytics.loop.model.model_use import Stage, activate, enter_activations, read_uses, rollback_documents
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from storage.check.verify import verify
 from storage.store import Store
 from stream.errors import BadInput, NotFound, StoreError
@@ -29,7 +29,7 @@ BEFORE = ErrorModel.parse("rate = bias").fitted([10.0], [[0.01]], unit_of_measur
 def version(**changes: Any) -> ModelVersion:
     made = ModelVersion(
         unit="U1", signal="rate", version=0, parent=None, text=str(MODEL), model=MODEL, before=BEFORE,
-        noise=NoiseCoefficients(N=0.01, B=0.0, K=0.0, turn_on=0.1), block_s=30.0, longest_s=3600.0,
+        noise=ModelNoise(N=0.01, B=0.0, K=0.0, turn_on=0.1), block_s=30.0, longest_s=3600.0,
         runs={"r1": "a", "r2": "b", "r3": "c"}, training_runs=("r1", "r2"), verdict="effect_found",
         added=("temperature",), holdout={"accepted": True}, made_ns=1, by="Li",
     )  # fmt: skip

@@ -9,14 +9,14 @@ from analytics.commands.diagnose_options import noise_of
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.model.declared_noise import with_turn_on
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.report.verdict_sentence import verdict_sentence
 from analytics.loop.report.wording import Wording
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.result.diagnosis_result import ModelVerdict
 from tests.bench.loop_campaign import Campaign
 
-TRUE = NoiseCoefficients(N=0.005, B=0.01, K=0.006, turn_on=0.05)
+TRUE = ModelNoise(N=0.005, B=0.01, K=0.006, turn_on=0.05)
 MODEL = ErrorModel.parse("rate = bias + scale_factor*input_rate + temperature")
 BIAS = ErrorModel.parse("rate = bias")
 DAY_NS = 86_400 * 10**9
@@ -28,8 +28,8 @@ def quiet_runs() -> list[RunBlocks]:
     return Campaign(seed=11, runs=9, duration_s=10_800.0).runs()
 
 
-def declared(factor: float) -> NoiseCoefficients:
-    return NoiseCoefficients(N=TRUE.N * factor, B=TRUE.B, K=TRUE.K, turn_on=TRUE.turn_on)
+def declared(factor: float) -> ModelNoise:
+    return ModelNoise(N=TRUE.N * factor, B=TRUE.B, K=TRUE.K, turn_on=TRUE.turn_on)
 
 
 @pytest.mark.parametrize("factor", [0.1, 0.5, 2.0, 10.0])
@@ -53,7 +53,7 @@ def test_noise_declared_rightly_raises_no_word(quiet_runs: list[RunBlocks]) -> N
 def test_slow_noise_declared_too_large_and_turn_on_scatter_declared_wrongly_are_said(
     quiet_runs: list[RunBlocks], factor: float
 ) -> None:
-    slow = NoiseCoefficients(N=TRUE.N, B=max(1.0, factor) * TRUE.B, K=max(1.0, factor) * TRUE.K, turn_on=0.05 * factor)
+    slow = ModelNoise(N=TRUE.N, B=max(1.0, factor) * TRUE.B, K=max(1.0, factor) * TRUE.K, turn_on=0.05 * factor)
     found = diagnose(quiet_runs, MODEL, declared_noise=slow)
     assert any(each.startswith("the declared turn-on scatter is") for each in found.limits)
     assert any(each.startswith("less noise than declared at averages") for each in found.limits) == (factor > 1)
@@ -100,10 +100,10 @@ def test_two_runs_that_differ_by_far_more_than_their_noise_are_a_finding_that_tw
 
 
 def test_turn_on_scatter_that_was_declared_is_no_finding() -> None:
-    found = diagnose(two_runs(), BIAS, declared_noise=NoiseCoefficients(N=0.0046, B=0.01, K=0.01, turn_on=50.0))
+    found = diagnose(two_runs(), BIAS, declared_noise=ModelNoise(N=0.0046, B=0.01, K=0.01, turn_on=50.0))
     assert "turn_on" not in found.names
     estimated = diagnose(
-        two_runs(), BIAS, declared_noise=NoiseCoefficients(N=0.0046, B=0.01, K=0.01, turn_on=50.0),
+        two_runs(), BIAS, declared_noise=ModelNoise(N=0.0046, B=0.01, K=0.01, turn_on=50.0),
         turn_on_is_declared=False,
     )  # fmt: skip
     assert estimated.names == ("turn_on",)

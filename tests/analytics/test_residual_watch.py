@@ -7,7 +7,7 @@ from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.live.residual_watch import STRETCH_S, THRESHOLD, cusum, gains, stretches
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.model_registry import ModelVersion
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from stream.batch import FloatArray
 from stream.errors import BadInput
 
@@ -24,7 +24,7 @@ def version(coefficient: float) -> ModelVersion:
     n = WHITE_DEG_PER_H * (BLOCK_S / 3600.0) ** 0.5
     return ModelVersion(
         unit="U1", signal="rate", version=1, parent=None, text=str(model), model=model, before=before,
-        noise=NoiseCoefficients(N=n, B=0.0, K=0.0, turn_on=TURN_ON_DEG_PER_H), block_s=BLOCK_S,
+        noise=ModelNoise(N=n, B=0.0, K=0.0, turn_on=TURN_ON_DEG_PER_H), block_s=BLOCK_S,
         longest_s=BLOCKS * BLOCK_S, runs={}, training_runs=(), verdict="effect_found", added=("temperature",),
         holdout={"accepted": True}, made_ns=1, by="Li",
     )  # fmt: skip

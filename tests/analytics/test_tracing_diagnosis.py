@@ -10,14 +10,14 @@ import pytest
 
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.diagnosis import diagnose
 from analytics.loop.tracing.fleet import benjamini_hochberg, diagnose_fleet
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis, ModelVerdict
 from stream.errors import BadInput
 from tests.bench.loop_campaign import Campaign, Planted
 
-DECLARED = NoiseCoefficients(N=0.005, B=0.01, K=0.006, turn_on=0.05)
+DECLARED = ModelNoise(N=0.005, B=0.01, K=0.006, turn_on=0.05)
 MODEL = ErrorModel.parse("rate = bias + scale_factor*input_rate + temperature")
 
 

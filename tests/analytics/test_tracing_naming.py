@@ -8,7 +8,7 @@ import pytest
 from analytics.loop.effects.base import Role
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.held_out.held_out_set import HeldOutSet
 from analytics.loop.tracing.held_out.slopes import _slope
 from analytics.loop.tracing.result.finding import FoundEffect
@@ -125,7 +125,7 @@ def test_clusters_alike_in_size_tell_the_standard_error_of_their_means() -> None
 def test_before_is_the_better_of_two_fits_with_its_own_uncertainty(weighted_is_better: bool) -> None:
     campaign = Campaign(seed=3)
     stack, _ = stacked(campaign.runs(), MODEL)
-    record = record_of(stack, NoiseCoefficients(N=0.005, B=0.01, K=0.006, turn_on=0.05))
+    record = record_of(stack, ModelNoise(N=0.005, B=0.01, K=0.006, turn_on=0.05))
     held_out = stack.of_replicates(stack.replicates[10:])
     best = np.linalg.lstsq(record.design[held_out], record.value[held_out])[0]
     declared = np.asarray(best + np.array([0.0 if weighted_is_better else 5.0, 0.0, 0.0]), dtype=np.float64)

@@ -7,10 +7,10 @@ import pytest
 from scipy import stats
 
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
-from analytics.loop.effects.base import Kind
+from analytics.loop.effects.base import EffectKind
 from analytics.loop.effects.registry import effects_for
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.search.candidates import candidates_for
 from analytics.loop.tracing.search.evidence import leave_one_out
 from analytics.loop.tracing.search.jump_scan import jump_column, scan_jumps
@@ -27,7 +27,7 @@ from analytics.loop.tracing.whitening.whitened_fit import fit_noise
 from analytics.loop.tracing.whitening.whitener import Whitener
 from stream.batch import FloatArray, IntArray
 
-NOISE = NoiseCoefficients(N=0.005, B=0.01, K=0.02, turn_on=0.05)
+NOISE = ModelNoise(N=0.005, B=0.01, K=0.02, turn_on=0.05)
 MODEL = ErrorModel.parse("bias + temperature")
 
 
@@ -35,7 +35,7 @@ def slots(rng: np.random.Generator, blocks: int) -> IntArray:
     return np.cumsum(rng.choice([1, 1, 1, 2, 40], blocks))
 
 
-def exact_run(rng: np.random.Generator, name: str, slot: IntArray, noise: NoiseCoefficients = NOISE) -> RunBlocks:
+def exact_run(rng: np.random.Generator, name: str, slot: IntArray, noise: ModelNoise = NOISE) -> RunBlocks:
     """A run whose noise has exactly the covariance of the model."""
     model = NoiseModel(30.0, 21600.0)
     covariance = model.covariance(noise, slot.astype(float), np.ones(slot.size))
@@ -60,7 +60,7 @@ def record(seed: int, runs: int = 6, blocks: int = 300, *, gaps: bool = False) -
     return replace(record_of(stack, NOISE), white=np.ones(len(stack)))
 
 
-def dense(of: UnitRecord, noise: NoiseCoefficients) -> FloatArray:
+def dense(of: UnitRecord, noise: ModelNoise) -> FloatArray:
     """Covariance of all blocks of a record."""
     slot, number = of.stack.slot.astype(float), of.stack.run_number
     total = np.zeros((len(of), len(of)))
@@ -70,8 +70,8 @@ def dense(of: UnitRecord, noise: NoiseCoefficients) -> FloatArray:
     return total
 
 
-@pytest.mark.parametrize("noise", [NOISE, NoiseCoefficients(N=0.01, B=0.0, K=0.0, turn_on=0.0)])
-def test_whitening_is_the_inverse_of_the_cholesky_factor(noise: NoiseCoefficients) -> None:
+@pytest.mark.parametrize("noise", [NOISE, ModelNoise(N=0.01, B=0.0, K=0.0, turn_on=0.0)])
+def test_whitening_is_the_inverse_of_the_cholesky_factor(noise: ModelNoise) -> None:
     of = record(1, runs=3, blocks=120, gaps=True)
     rng = np.random.default_rng(2)
     of = replace(of, white=rng.uniform(0.3, 50.0, len(of)))
@@ -96,7 +96,7 @@ def test_flicker_has_the_spectrum_that_its_coefficient_says() -> None:
     """Within 1 dB from one period in a run to one in 13 blocks: sum of the states against B**2/(2*pi*f)."""
     for longest_s in (3600.0, 21600.0, 864_000.0):
         model = NoiseModel(30.0, longest_s)
-        space = model.space(NoiseCoefficients(N=1.0, B=0.01, K=0.0, turn_on=0.0))
+        space = model.space(ModelNoise(N=1.0, B=0.01, K=0.0, turn_on=0.0))
         frequency = np.geomspace(1 / longest_s, 1 / 400.0, 30)
         tau = model.correlation_s[:, None]
         density = np.sum(space.variance[:, None] * 2 * tau / (1 + (2 * np.pi * frequency * tau) ** 2), axis=0)
@@ -107,7 +107,7 @@ def test_flicker_has_the_spectrum_that_its_coefficient_says() -> None:
 def test_noise_fit_finds_the_noise() -> None:
     """Twelve runs of 6 h: N to 1 % (sqrt(1/2n) = 0.8 %), the others to a factor that their information allows."""
     of = record(5, runs=12, blocks=720)
-    away = replace(of, prior=replace(of.prior, center=NoiseCoefficients(N=0.0055, B=0.015, K=0.012, turn_on=0.03)))
+    away = replace(of, prior=replace(of.prior, center=ModelNoise(N=0.0055, B=0.015, K=0.012, turn_on=0.03)))
     fitted = fit_noise(away, away.design).noise
     assert pytest.approx(0.005, rel=0.03) == fitted.N
     assert 0.6 < fitted.B / 0.01 < 1.6
@@ -129,8 +129,8 @@ def test_screening_is_calibrated_on_its_own_noise() -> None:
     p_values, smallest = [], []
     for seed in range(100):
         of = record(1000 + seed, runs=3, blocks=100)
-        names = {name: each for name, each in effects_for(of.stack.runs).items() if each.kind is Kind.LIBRARY}
-        candidates = candidates_for([of], names, MODEL, (Kind.LIBRARY,), {})
+        names = {name: each for name, each in effects_for(of.stack.runs).items() if each.kind is EffectKind.LIBRARY}
+        candidates = candidates_for([of], names, MODEL, (EffectKind.LIBRARY,), {})
         found = screen(candidates, [of.design], [NOISE], np.random.default_rng(seed))
         by_name = {group[0].candidate.effect.name: group[0].p_value for group in found.by_effect()}
         p_values.append(by_name["supply_voltage"])
@@ -166,7 +166,7 @@ def test_expected_variance_of_averages_is_that_of_the_covariance() -> None:
 
 
 def test_whitener_of_white_noise_only_scales() -> None:
-    white = NoiseCoefficients(N=0.02, B=0.0, K=0.0, turn_on=0.0)
+    white = ModelNoise(N=0.02, B=0.0, K=0.0, turn_on=0.0)
     whitener = Whitener.of(NoiseModel(30.0, 3000.0), white, np.array([0, 1, 1, 5, 0, 1]), np.ones(6))
     np.testing.assert_allclose(whitener(np.ones((6, 1)))[:, 0], np.sqrt(30 / 3600) / 0.02)
 

@@ -11,14 +11,14 @@ from functools import lru_cache
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Kind, Role, Shape
+from analytics.loop.effects.base import EffectKind, Role, Shape
 from analytics.loop.effects.registry import effect, effects
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from stream.batch import FloatArray
 from tests.bench.loop_campaign import DECLARED_MODEL, MISSPECIFIED, Campaign, DenseWhitener, Planted
 
-DECLARED = NoiseCoefficients(N=0.005, B=0.01, K=0.006, turn_on=0.05)
+DECLARED = ModelNoise(N=0.005, B=0.01, K=0.006, turn_on=0.05)
 MODEL = ErrorModel.parse(f"rate = {DECLARED_MODEL}")
 SIZES = (6.0, 10.0, 20.0)
 TWO_EFFECTS_Z, DESIGN_Z = 12.0, 14.0
@@ -141,9 +141,9 @@ def _design(row: str, seed: int) -> Campaign:
 
 def shape_of(name: str, campaign: Campaign, rng: np.random.Generator) -> Shape:
     """Some shape of an effect, drawn from its grid; of a line and a jump any."""
-    if effect(name).kind is Kind.LINE:
+    if effect(name).kind is EffectKind.LINE:
         return {"frequency_hz": float(1.0 / rng.uniform(150.0, 1500.0))}
-    if effect(name).kind is Kind.EVENT:
+    if effect(name).kind is EffectKind.EVENT:
         return {"run": campaign.names[int(rng.integers(10))], "at_s": float(rng.uniform(4000.0, 17000.0))}
     shapes = effect(name).shapes(campaign.runs(noiseless=True))
     return dict(shapes[int(rng.integers(len(shapes)))])
@@ -164,7 +164,9 @@ def _pair(seed: int) -> str:
     The squares of gravity along three axes add up to one, so that two of them are the third.
     """
     rng = np.random.default_rng((seed, 4))
-    known = [name for name in plantable() if effect(name).kind is Kind.LIBRARY and effect(name).role is Role.CAUSE]
+    known = [
+        name for name in plantable() if effect(name).kind is EffectKind.LIBRARY and effect(name).role is Role.CAUSE
+    ]
     while True:
         first, second = (str(name) for name in rng.choice(known, 2, replace=False))
         squares = first.startswith("gravity") and second.startswith("gravity") and "squared" in first + second

@@ -20,7 +20,7 @@ from analytics.loop.live.residual_watch import watch_store
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.model.model_registry import ModelRegistry, ModelVersion
 from analytics.loop.model.model_use import Stage, activate, read_uses
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from ingest.run.pipeline import EmbeddedPipeline
 from ingest.simulator import demo_fleet
 from ingest.simulator.physics.bias import Bias
@@ -189,7 +189,7 @@ def test_a_killed_process_goes_on_and_nothing_is_lost_or_twice(
     version = ModelRegistry(store).add(
         ModelVersion(
             unit="U1", signal="rate", version=0, parent=None, text=str(fitted), model=fitted, before=fitted,
-            noise=NoiseCoefficients(N=0.01, B=0.0, K=0.0, turn_on=0.1), block_s=30.0, longest_s=3600.0, runs={},
+            noise=ModelNoise(N=0.01, B=0.0, K=0.0, turn_on=0.1), block_s=30.0, longest_s=3600.0, runs={},
             training_runs=(), verdict="nothing_missing", added=(), holdout=None, made_ns=1, by="Li",
         )
     )  # fmt: skip

@@ -10,7 +10,7 @@ import pytest
 from ingest.instruments.base import Instrument, instrument_kinds
 from ingest.instruments.scpi_instrument import ScpiInstrument
 from ingest.simulator.scpi.chamber import SimulatedChamber
-from ingest.simulator.scpi.device import Fault, SimulatedDevice
+from ingest.simulator.scpi.device import DeviceFault, SimulatedDevice
 from ingest.simulator.scpi.electrical import SimulatedSupply, SimulatedVoltmeter
 from ingest.simulator.scpi.server import ScpiServer
 from ingest.simulator.scpi.tables import SimulatedRateTable, SimulatedVibrationTable
@@ -173,7 +173,7 @@ def test_what_never_settles_is_never_settled(tried: Tried) -> None:
     tried.instrument.open()
     for what, value in tried.bench.before.items():
         tried.instrument.set(what, value)
-    tried.device.fault = Fault.UNSETTLED
+    tried.device.fault = DeviceFault.UNSETTLED
     for what, value in tried.bench.good.items():
         tried.instrument.set(what, value)
         for _ in range(20):
@@ -222,7 +222,7 @@ def test_made_safe_it_comes_to_rest(tried: Tried) -> None:
 
 def test_refused_commands_name_instrument_command_and_answer(tried: Tried) -> None:
     tried.instrument.open()
-    tried.device.fault = Fault.REFUSE
+    tried.device.fault = DeviceFault.REFUSE
     for what, value in tried.bench.good.items():
         with pytest.raises(InstrumentError, match=r"X-1 at TCPIP.*given '.*' it reports -221"):
             tried.instrument.set(what, value)
@@ -230,10 +230,10 @@ def test_refused_commands_name_instrument_command_and_answer(tried: Tried) -> No
 
 def test_garbage_is_an_error_and_it_goes_on_after_it(tried: Tried) -> None:
     tried.instrument.open()
-    tried.device.fault = Fault.GARBAGE
+    tried.device.fault = DeviceFault.GARBAGE
     with pytest.raises(InstrumentError, match=r"X-1 at TCPIP.*garbage"):
         tried.instrument.sample()
-    tried.device.fault = Fault.NONE
+    tried.device.fault = DeviceFault.NONE
     assert tried.instrument.sample()
 
 

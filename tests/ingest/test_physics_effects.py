@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ingest.simulator.physics.bias import Bias, Jumps, Line, Step, WarmUp
+from ingest.simulator.physics.bias import Bias, BiasStep, Jumps, Line, WarmUp
 from ingest.simulator.physics.environment import Environment, PiecewiseEnvironment, StaticEnvironment
 from ingest.simulator.physics.gyro import GyroParameters, SimulatedGyro
 from ingest.simulator.physics.scale import Ripple, Scale
@@ -195,9 +195,9 @@ def test_ageing_goes_with_the_logarithm_of_the_hours() -> None:
 
 def test_steps_begin_at_their_first_sample() -> None:
     planted = (
-        Step(at_s=7.2, size_deg_per_h=-0.5),
-        Step(at_s=3.0, size_deg_per_h=2.0),
-        Step(at_s=0.0, size_deg_per_h=1.0),
+        BiasStep(at_s=7.2, size_deg_per_h=-0.5),
+        BiasStep(at_s=3.0, size_deg_per_h=2.0),
+        BiasStep(at_s=0.0, size_deg_per_h=1.0),
     )
     out = output_deg_per_h(10, bias=Bias(step=planted))
     assert out == pytest.approx([1, 1, 1, 3, 3, 3, 3, 3, 2.5, 2.5], abs=HALF_COUNT_DEG_PER_H)

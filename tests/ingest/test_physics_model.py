@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ingest.simulator.physics.bias import Bias, Jumps, Line, Step, WarmUp
+from ingest.simulator.physics.bias import Bias, BiasStep, Jumps, Line, WarmUp
 from ingest.simulator.physics.environment import PiecewiseEnvironment, StaticEnvironment
 from ingest.simulator.physics.gyro import GyroParameters, SimulatedGyro
 from ingest.simulator.physics.mounting import TableEnvironment
 from ingest.simulator.physics.noise import Markov, Noise
-from ingest.simulator.physics.readout import Fault, Readout, Samples, StartUp
+from ingest.simulator.physics.readout import Readout, ReadoutFault, Samples, StartUp
 from ingest.simulator.physics.scale import Ripple, Scale
 from ingest.simulator.physics.sensing import DeadZone, Dynamics, Misalignment
 from ingest.simulator.physics.thermal import Hysteresis, TemperatureRate, Thermal
@@ -44,7 +44,7 @@ EVERYTHING = GyroParameters(
         supply_deg_per_h_per_v=2.0,
         magnetic_deg_per_h_per_gauss=(1.0, 2.0, 3.0),
         ageing_deg_per_h_per_decade=5.0,
-        step=(Step(at_s=11.0, size_deg_per_h=20.0),),
+        step=(BiasStep(at_s=11.0, size_deg_per_h=20.0),),
         jumps=Jumps(rate_per_h=3600.0, sd_deg_per_h=5.0),
         line=(Line(frequency_hz=1.3, amplitude_deg_per_h=3.0),),
     ),
@@ -67,8 +67,8 @@ EVERYTHING = GyroParameters(
     readout=Readout(
         saturation_deg_per_s=90.0,
         carries_rest=True,
-        dropout=Fault(probability=0.002, mean_samples=4.0),
-        stuck=Fault(probability=0.002, mean_samples=4.0),
+        dropout=ReadoutFault(probability=0.002, mean_samples=4.0),
+        stuck=ReadoutFault(probability=0.002, mean_samples=4.0),
     ),
     start_up=StartUp(invalid_s=0.4, invalid_counts=-99, transient_deg_per_s=2.0, time_constant_s=0.5),
 )

@@ -10,7 +10,7 @@ from ingest.simulator.physics.bias import Bias
 from ingest.simulator.physics.environment import Environment, PiecewiseEnvironment, StaticEnvironment
 from ingest.simulator.physics.gyro import GyroParameters, SimulatedGyro
 from ingest.simulator.physics.noise import Noise
-from ingest.simulator.physics.readout import Fault, Readout, Samples, StartUp
+from ingest.simulator.physics.readout import Readout, ReadoutFault, Samples, StartUp
 from ingest.simulator.physics.scale import Scale
 from ingest.simulator.physics.sensing import DeadZone, Dynamics
 from stream.batch import BoolArray, FloatArray, IntArray
@@ -150,7 +150,7 @@ def lengths(mask: BoolArray) -> tuple[IntArray, IntArray]:
 
 def test_dropouts_have_their_probability_and_length() -> None:
     n, p, mean = 1_000_000, 0.002, 5.0
-    given = samples(n, readout=Readout(dropout=Fault(probability=p, mean_samples=mean)))
+    given = samples(n, readout=Readout(dropout=ReadoutFault(probability=p, mean_samples=mean)))
     lost, kept = lengths(~given.present)
     # a stretch that follows another at once is one with it: the chance of that is p
     assert np.mean(lost) == pytest.approx(mean / (1 - p), rel=5 / math.sqrt(len(lost)))
@@ -163,7 +163,9 @@ def test_dropouts_have_their_probability_and_length() -> None:
 def test_stuck_values_repeat_the_one_before() -> None:
     noise = Noise(angle_random_walk_deg_per_sqrt_h=1.0)
     moving = samples(200_000, noise=noise).counts
-    stuck = samples(200_000, noise=noise, readout=Readout(stuck=Fault(probability=0.001, mean_samples=20.0))).counts
+    stuck = samples(
+        200_000, noise=noise, readout=Readout(stuck=ReadoutFault(probability=0.001, mean_samples=20.0))
+    ).counts
     differs = np.flatnonzero(stuck != moving)
     assert len(differs) == pytest.approx(200_000 * 0.02 / 1.02, rel=5 * math.sqrt(2 / 200))
     begin = differs[np.flatnonzero(np.diff(differs, prepend=-2) > 1)]

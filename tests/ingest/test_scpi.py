@@ -12,7 +12,7 @@ import pytest
 
 from ingest.instruments.scpi import ScpiConnection, ScpiOptions
 from ingest.simulator.scpi.chamber import SimulatedChamber
-from ingest.simulator.scpi.device import Fault, SimulatedDevice
+from ingest.simulator.scpi.device import DeviceFault, SimulatedDevice
 from ingest.simulator.scpi.server import ScpiServer
 from ingest.station_clock import StationClock
 from stream.errors import BadInput, InstrumentError
@@ -96,7 +96,7 @@ def test_an_old_error_is_not_blamed_on_a_new_command(server: ScpiServer, device:
 def test_a_dropped_connection_is_made_anew_once(server: ScpiServer, device: SimulatedDevice) -> None:
     line = connect(server, timeout_s=5.0)
     line.open()
-    device.fault = Fault.DROP
+    device.fault = DeviceFault.DROP
     began = time.monotonic()
     assert line.number("TEMP:ACT?")[0] == 25.0
     assert time.monotonic() - began < 3.0, "a closed connection is seen before the time-out"
@@ -124,12 +124,12 @@ def test_an_unplugged_instrument_is_named_and_can_be_used_again(server: ScpiServ
 def test_silence_is_an_error_after_the_time_out(server: ScpiServer, device: SimulatedDevice) -> None:
     line = connect(server)
     line.open()
-    device.fault = Fault.SILENT
+    device.fault = DeviceFault.SILENT
     began = time.monotonic()
     with pytest.raises(InstrumentError, match=r"not answered within 0\.5 s"):
         line.ask("TEMP:ACT?")
     assert 0.9 < time.monotonic() - began < 3.0
-    device.fault = Fault.NONE
+    device.fault = DeviceFault.NONE
     assert line.number("TEMP:ACT?")[0] == 25.0
     line.close()
 
@@ -137,7 +137,7 @@ def test_silence_is_an_error_after_the_time_out(server: ScpiServer, device: Simu
 def test_garbage_is_no_number(server: ScpiServer, device: SimulatedDevice) -> None:
     line = connect(server)
     line.open()
-    device.fault = Fault.GARBAGE
+    device.fault = DeviceFault.GARBAGE
     with pytest.raises(InstrumentError, match=r"asked 'TEMP:ACT\?' it answered .*garbage.*not a number"):
         line.number("TEMP:ACT?")
     line.close()
@@ -211,7 +211,7 @@ def test_what_to_do_after_a_connection_is_done_after_each() -> None:
         options = ScpiOptions(resource=server.resource("C1"), timeout_s=0.5)
         line = ScpiConnection("chamber C1", options, CLOCK, lambda: line.command("TEMP:SETP 33"))
         line.open()
-        device.fault = Fault.DROP
+        device.fault = DeviceFault.DROP
         line.ask("TEMP:ACT?")
         line.close()
     assert list(device.lines).count("TEMP:SETP 33") == 2

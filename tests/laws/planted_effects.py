@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
-from analytics.loop.effects.base import Kind, Role, Shape
+from analytics.loop.effects.base import EffectKind, Role, Shape
 from analytics.loop.effects.registry import effect
 from stream.batch import FloatArray
 from tests.bench.loop_campaign import Campaign, DenseWhitener, Planted
@@ -34,9 +34,9 @@ def clean() -> list[RunBlocks]:
 
 
 def shapes_of(name: str) -> Sequence[Shape]:
-    if effect(name).kind is Kind.LINE:
+    if effect(name).kind is EffectKind.LINE:
         return [{"frequency_hz": 1.0 / 700.0}]
-    if effect(name).kind is Kind.EVENT:
+    if effect(name).kind is EffectKind.EVENT:
         return [{"run": campaign().names[3], "at_s": 3007.0}]
     return effect(name).shapes(clean())
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 import pytest
 
 from analytics.loop.blocks.run_blocks import Channel
-from analytics.loop.effects.base import Effect, Kind, Role
+from analytics.loop.effects.base import Effect, EffectKind, Role
 from analytics.loop.effects.coefficient_units import coefficient_unit, parameter_unit
 from analytics.loop.effects.registry import effect, effects, effects_for, unavailable_effects
 from stream.errors import BadInput
@@ -70,9 +70,9 @@ SEEN_BETWEEN = MappingProxyType({"dead_zone": 0.9, "temperature_threshold": 0.55
 
 
 def test_the_library_holds_what_it_should() -> None:
-    library = [name for name in NAMES if effect(name).kind is not Kind.SECOND_TIER]
+    library = [name for name in NAMES if effect(name).kind is not EffectKind.SECOND_TIER]
     assert len(library) >= 32
-    assert {effect(name).kind for name in NAMES} == set(Kind)
+    assert {effect(name).kind for name in NAMES} == set(EffectKind)
     assert {effect(name).role for name in NAMES} == set(Role)
     assert len({effect(name).en for name in NAMES}) == len({effect(name).zh for name in NAMES}) == len(NAMES)
 

@@ -9,7 +9,7 @@ import pytest
 
 from stream.delivery import spool as spool_module
 from stream.delivery.outbox import Outbox
-from stream.delivery.outgoing import Held
+from stream.delivery.outgoing import HeldMessage
 from stream.delivery.publisher import DurablePublisher
 from stream.delivery.spool import Spool
 from stream.errors import DeliveryError
@@ -168,7 +168,7 @@ class TestSpool:
             sent = out.stream(stream)
             for seq in (5, 15, 20, 25):  # 0 to 4 and 10 to 14 are lost
                 spool.append(stream, seq, seq + 5, b"x", taken=True)
-                out.hold(sent, Held(seq, seq + 5, b"x"))
+                out.hold(sent, HeldMessage(seq, seq + 5, b"x"))
             out.answer("store", StreamPosition(*stream, 0, rewind=True), 1.0)
             first = sent.wire_id
             out.answer("store", StreamPosition(*first, 5), 2.0)

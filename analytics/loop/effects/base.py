@@ -30,7 +30,7 @@ class Role(StrEnum):
     """An error of an auxiliary sensor that looks like an effect on the gyro."""
 
 
-class Kind(StrEnum):
+class EffectKind(StrEnum):
     """How an effect enters the search."""
 
     LIBRARY = "library"
@@ -131,7 +131,7 @@ class Effect(ABC):
     needs: tuple[str, ...]
     """Standard channels, all of which must be present and vary."""
     role: Role = Role.CAUSE
-    kind: Kind = Kind.LIBRARY
+    kind: EffectKind = EffectKind.LIBRARY
     parameters: tuple[ShapeParameter, ...] = ()
     coefficients: tuple[str, ...] = ("",)
     """Names of the columns where there are several, such as ``cos`` and ``sin``."""

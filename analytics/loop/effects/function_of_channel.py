@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Inputs, Kind, Shape, ShapeParameter, numbers, range_over
+from analytics.loop.effects.base import Effect, EffectKind, Inputs, Shape, ShapeParameter, numbers, range_over
 from analytics.loop.effects.channel_names import channel_name
 from analytics.loop.effects.within_block import mean_excess
 from stream.batch import FloatArray
@@ -27,7 +27,7 @@ class FunctionOfChannel(Effect):
     parts: Positions of the knots as fractions of the channel's range over all runs.
     """
 
-    kind = Kind.FUNCTION
+    kind = EffectKind.FUNCTION
     cause = (
         "The error is a function of this channel that no named effect describes. The record does not show the cause, "
         "but the curve shows the range to examine."
@@ -85,7 +85,7 @@ class FunctionOfInputRate(Effect):
     en = "function of input rate"
     zh = "输入角速率的未知函数"
     needs = ("input_rate",)
-    kind = Kind.FUNCTION
+    kind = EffectKind.FUNCTION
     parameters = (ShapeParameter(_KNOTS, "{input_rate}", (), "knots", "节点"),)
     cause = (
         "The error is a function of the rate that no named effect describes, such as the steps of a converter. The "
@@ -133,7 +133,7 @@ class FunctionOfPosition(Effect):
     en = "bias by position"
     zh = "随位置而异的零偏"
     needs = ("position",)
-    kind = Kind.FUNCTION
+    kind = EffectKind.FUNCTION
     parameters = (ShapeParameter(_POSITIONS, "1", (), "positions", "位置"),)
     cause = (
         "Each position has its own bias: gravity along the axes, earth rate or magnetic field, or the effect of "

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Inputs, Kind, Shape, ShapeParameter, number, positive
+from analytics.loop.effects.base import Effect, EffectKind, Inputs, Shape, ShapeParameter, number, positive
 from stream.batch import FloatArray
 
 
@@ -16,7 +16,7 @@ class Jump(Effect):
     en = "bias jump"
     zh = "零偏跳变"
     needs = ()
-    kind = Kind.EVENT
+    kind = EffectKind.EVENT
     parameters = (ShapeParameter("at_s", "s", (), "moment from the run's start", "距测试开始的时刻"),)
     cause = (
         "A mode hop of the source, a contact that slips or a change of state in the electronics shifts the bias "
@@ -48,7 +48,7 @@ class PeriodicLine(Effect):
     en = "periodic line"
     zh = "周期性谱线"
     needs = ()
-    kind = Kind.LINE
+    kind = EffectKind.LINE
     parameters = (ShapeParameter("frequency_hz", "Hz", (), "frequency", "频率"),)
     coefficients = ("cos", "sin")
     cause = (

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import Channel, RunBlocks
-from analytics.loop.effects.base import Effect, Inputs, Kind, Role, Shape, ShapeParameter
+from analytics.loop.effects.base import Effect, EffectKind, Inputs, Role, Shape, ShapeParameter
 from analytics.loop.effects.channel_names import channel_name, reference_point, standard_reference
 from stream.batch import FloatArray
 from stream.errors import BadInput
@@ -45,7 +45,7 @@ class Monomial(Effect):
     aliases: tuple[str, ...] = ()
     follows: tuple[str, ...] = ()
     role: Role = Role.CAUSE
-    kind: Kind = Kind.LIBRARY
+    kind: EffectKind = EffectKind.LIBRARY
     parameters: tuple[ShapeParameter, ...] = ()
     per: str = ""
     needs: tuple[str, ...] = field(init=False)

@@ -2,7 +2,7 @@
 
 from itertools import combinations
 
-from analytics.loop.effects.base import Kind
+from analytics.loop.effects.base import EffectKind
 from analytics.loop.effects.channel_names import channel_name
 from analytics.loop.effects.monomial import Monomial, nominal
 
@@ -47,7 +47,7 @@ def product_of_channels(first: str, second: str) -> Monomial:
         en=f"{names[0][0]} times {names[1][0]}",
         zh=f"{names[0][1]}与{names[1][1]}乘积",
         powers={first: 1, second: 1},
-        kind=Kind.SECOND_TIER,
+        kind=EffectKind.SECOND_TIER,
         parameters=tuple(nominal(channel) for channel in (first, second) if channel in _WITHOUT_ZERO),
         cause="The sensitivity to one influence depends on another, as when the drift of a regulator depends on its "
         "temperature. Varying only one of them does not show it.",

@@ -7,7 +7,7 @@ import numpy as np
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import HARMONICS, RunBlocks
-from analytics.loop.effects.base import Effect, Inputs, Kind, Shape
+from analytics.loop.effects.base import Effect, EffectKind, Inputs, Shape
 from analytics.loop.effects.within_block import phasor, radians_per_unit
 from stream.batch import FloatArray
 from stream.errors import BadInput
@@ -117,7 +117,7 @@ class FunctionOfTableAngle(_OfTableAngle):
     en = "function of table angle"
     zh = "转台角度的未知函数"
     needs = ("table_angle",)
-    kind = Kind.FUNCTION
+    kind = EffectKind.FUNCTION
     coefficients = tuple(f"at_{360.0 * k / _CENTRES:g}_deg" for k in range(1, _CENTRES))
     cause = (
         "The error repeats with the table angle and has more than four harmonics, as from a faulty encoder sector or "

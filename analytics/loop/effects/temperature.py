@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Inputs, Kind, Shape, ShapeParameter, number
+from analytics.loop.effects.base import Effect, EffectKind, Inputs, Shape, ShapeParameter, number
 from analytics.loop.effects.monomial import Monomial
 from analytics.loop.effects.within_block import share_above
 from stream.batch import FloatArray
@@ -89,7 +89,7 @@ class TemperatureThreshold(Effect):
     en = "temperature threshold"
     zh = "温度阈值"
     needs = ("temperature",)
-    kind = Kind.SECOND_TIER
+    kind = EffectKind.SECOND_TIER
     parameters = (ShapeParameter("threshold", "{temperature}", _PARTS, "threshold", "阈值"),)
     cause = (
         "A heater, a range switch or a mode hop of the source occurs at a certain temperature. The bias has two "

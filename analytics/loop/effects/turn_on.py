@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Inputs, Kind, Shape
+from analytics.loop.effects.base import Effect, EffectKind, Inputs, Shape
 from stream.batch import FloatArray
 
 TURN_ON = "turn_on"
@@ -18,7 +18,7 @@ class TurnOnScatter(Effect):
     en = "turn-on scatter"
     zh = "逐次启动散布"
     needs = ()
-    kind = Kind.EVENT
+    kind = EffectKind.EVENT
     cause = (
         "Each power-on leaves the loop, the source or the suspension in a slightly different state. The bias then "
         "differs from run to run by an amount that no recorded channel predicts."

@@ -11,7 +11,7 @@ from analytics.curves.noise_coefficients import MOST_MISFIT
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from storage.sql.catalog import Catalog
 from stream.batch import FloatArray
 from stream.estimators.base import NoEstimate
@@ -26,7 +26,7 @@ _MOST_DRIVEN = 4.0
 """Ratio of a run's variance to its residual from a line in the rate above which the Allan fit is of the motion."""
 
 
-def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorModel) -> NoiseCoefficients | NoEstimate:
+def declared_noise(catalog: Catalog, runs: Sequence[RunBlocks], model: ErrorModel) -> ModelNoise | NoEstimate:
     """Noise coefficients of a unit from the Allan fits of its runs, or why there are none.
 
     Parameters
@@ -94,7 +94,7 @@ class GivenNoise(NamedTuple):
     turn_on: float | None
 
 
-def with_turn_on(noise: GivenNoise, runs: Sequence[RunBlocks], model: ErrorModel) -> NoiseCoefficients:
+def with_turn_on(noise: GivenNoise, runs: Sequence[RunBlocks], model: ErrorModel) -> ModelNoise:
     """Noise with turn-on scatter: as given, else that of the runs' constants, for a single run the flicker."""
     white, flicker, walk, turn_on = noise
     if turn_on is None:
@@ -102,7 +102,7 @@ def with_turn_on(noise: GivenNoise, runs: Sequence[RunBlocks], model: ErrorModel
         turn_on = flicker
         if len(constants) > 1:
             turn_on = _NORMAL_PER_MAD * float(np.median(np.abs(constants - np.median(constants))))
-    return NoiseCoefficients(N=white, B=flicker, K=walk, turn_on=turn_on)
+    return ModelNoise(N=white, B=flicker, K=walk, turn_on=turn_on)
 
 
 def _names(run: RunBlocks) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from typing import Any, Self
 import msgspec
 
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from storage.sql.catalog import Catalog
 from storage.store import Store, only_one, sync_folder
 from stream.atomic_file import write_durably
@@ -48,7 +48,7 @@ class ModelVersion(msgspec.Struct, frozen=True, kw_only=True):
     text: str
     model: ErrorModel
     before: ErrorModel
-    noise: NoiseCoefficients
+    noise: ModelNoise
     block_s: float
     longest_s: float
     runs: dict[str, str]

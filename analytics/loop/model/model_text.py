@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from analytics.loop.blocks.run_blocks import STANDARD_CHANNELS
-from analytics.loop.effects.base import Kind
+from analytics.loop.effects.base import EffectKind
 from analytics.loop.effects.named_channels import PREFIX
 from analytics.loop.effects.registry import effect, effects
 from stream.errors import BadInput
@@ -143,7 +143,7 @@ def _checked(name: str, shape: dict[str, Any]) -> ParsedTerm:
         expected, is_free = [], False
     else:
         expected = [parameter.name for parameter in effect(name).parameters]
-        is_free = effect(name).kind is Kind.FUNCTION
+        is_free = effect(name).kind is EffectKind.FUNCTION
     unknown = sorted(set(shape) - set(expected))
     if unknown and not is_free:
         has = f"it has {', '.join(expected)}" if expected else "it has none"

@@ -3,7 +3,7 @@
 import msgspec
 
 
-class NoiseCoefficients(msgspec.Struct, frozen=True, omit_defaults=True):
+class ModelNoise(msgspec.Struct, frozen=True, omit_defaults=True):
     """Noise of a signal in its result unit u and hours; for deg/h the units in parentheses.
 
     Parameters
@@ -15,7 +15,7 @@ class NoiseCoefficients(msgspec.Struct, frozen=True, omit_defaults=True):
 
     Examples
     --------
-    >>> NoiseCoefficients(N=0.005, B=0.02, K=0.01, turn_on=0.3).turn_on
+    >>> ModelNoise(N=0.005, B=0.02, K=0.01, turn_on=0.3).turn_on
     0.3
     """
 

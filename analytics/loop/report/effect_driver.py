@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from analytics.loop.effects.base import Kind
+from analytics.loop.effects.base import EffectKind
 from analytics.loop.effects.registry import effect
 from analytics.loop.effects.turn_on import TURN_ON
 from analytics.loop.report.residuals import Residuals
@@ -51,12 +51,12 @@ class Drawn:
 def drawn(residuals: Residuals, found: FoundEffect, words: Wording) -> Drawn | None:
     """An effect over its driver, a jump over the time of its run; None if it follows no channel."""
     known = effect(found.name)
-    if known.kind is Kind.LINE or known.name == TURN_ON:
+    if known.kind is EffectKind.LINE or known.name == TURN_ON:
         return None
     stack = residuals.record.stack
     columns = stack.column(lambda run: known.regressors(run, found.parameters))
     predicted = columns @ np.array([each.value for each in found.coefficients])
-    is_event = known.kind is Kind.EVENT
+    is_event = known.kind is EffectKind.EVENT
     left = residuals.after - predicted if is_event else residuals.after  # the model excludes jumps
     number = stack.run_number
     constants = np.array([left[number == run].mean() for run in range(len(stack.runs))])

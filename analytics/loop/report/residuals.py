@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.case import case_of
 from analytics.loop.tracing.result.diagnosis_result import Diagnosis
 from analytics.loop.tracing.whitening.noise_variance import correlated_variance
@@ -27,7 +27,7 @@ class Residuals:
     """
 
     record: UnitRecord
-    noise: NoiseCoefficients
+    noise: ModelNoise
     before: FloatArray
     after: FloatArray
     held_out: BoolArray

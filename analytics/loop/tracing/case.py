@@ -7,7 +7,7 @@ from typing import Literal
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks, stands_still
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.whitening.stack import Stack, StackReport, in_segments, stacked
 from analytics.loop.tracing.whitening.unit_record import UnitRecord
 from analytics.loop.tracing.whitening.white_variance import record_of
@@ -46,16 +46,13 @@ class Case:
 
 
 def case_of(
-    runs: Sequence[RunBlocks],
-    model: ErrorModel,
-    declared: NoiseCoefficients | None,
-    holdout: Sequence[str] | None = None,
+    runs: Sequence[RunBlocks], model: ErrorModel, declared: ModelNoise | None, holdout: Sequence[str] | None = None
 ) -> Case:
     """Stack and split the runs of one unit."""
     return split(*stacked(runs, model.shaped(runs)), declared, holdout)
 
 
-def split(stack: Stack, report: StackReport, declared: NoiseCoefficients | None, holdout: Sequence[str] | None) -> Case:
+def split(stack: Stack, report: StackReport, declared: ModelNoise | None, holdout: Sequence[str] | None) -> Case:
     """Split stacked blocks; the last third is held out unless runs are named."""
     is_single = len(stack.runs) == 1
     whole = in_segments(stack) if is_single else stack

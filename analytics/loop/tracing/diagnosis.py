@@ -7,10 +7,10 @@ import numpy as np
 
 from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Kind
+from analytics.loop.effects.base import Effect, EffectKind
 from analytics.loop.effects.registry import effects_for
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.case import Case, check_runs, missing_data, split
 from analytics.loop.tracing.gapped_channels import gapped_channels
 from analytics.loop.tracing.partial_channels import partial_channels, with_gapped, with_rest
@@ -23,8 +23,8 @@ from analytics.loop.tracing.verdict.noise_agreement import noise_excess
 from analytics.loop.tracing.whitening.stack import stacked
 from analytics.loop.tracing.whitening.white_variance import has_outliers, record_of
 
-FIRST_TIER = (Kind.LIBRARY, Kind.FUNCTION)
-SECOND_TIER = (*FIRST_TIER, Kind.SECOND_TIER)
+FIRST_TIER = (EffectKind.LIBRARY, EffectKind.FUNCTION)
+SECOND_TIER = (*FIRST_TIER, EffectKind.SECOND_TIER)
 
 
 def diagnose(
@@ -32,7 +32,7 @@ def diagnose(
     model: ErrorModel,
     *,
     effects: Mapping[str, Effect] | None = None,
-    declared_noise: NoiseCoefficients | None = None,
+    declared_noise: ModelNoise | None = None,
     holdout: Sequence[str] | None = None,
     left_out: Sequence[LeftOut] = (),
     seed: int = 0,
@@ -75,7 +75,7 @@ class _Trace:
 
     model: ErrorModel
     effects: Mapping[str, Effect] | None
-    declared_noise: NoiseCoefficients | None
+    declared_noise: ModelNoise | None
     holdout: Sequence[str] | None
     left_out: tuple[LeftOut, ...]
     seed: int
@@ -118,12 +118,12 @@ def _searched(
         return candidates, found
     more = candidates_for(records, effects, model, SECOND_TIER, case.report.lost_channels)
     again = search(records, more, rng)
-    if any(each.fitted.effect.kind is Kind.SECOND_TIER for each in again.selected):
+    if any(each.fitted.effect.kind is EffectKind.SECOND_TIER for each in again.selected):
         return more, again
     return candidates, found
 
 
-def _without_false_outliers(case: Case, found: Search, declared: NoiseCoefficients | None) -> Case | None:
+def _without_false_outliers(case: Case, found: Search, declared: ModelNoise | None) -> Case | None:
     """The case without outliers that a found effect explains; None if there are none."""
     columns = found.joint.hypothesis.common[0]
     if not columns.shape[1] or not has_outliers(case.training):
@@ -139,6 +139,6 @@ def _leaves_structure(case: Case, candidates: Candidates, found: Search) -> bool
     """
     if noise_excess(case.training, found.joint).is_excess or (found.unreplicated and not found.selected):
         return True
-    if any(each.fitted.effect.kind is Kind.EVENT for each in found.selected):
+    if any(each.fitted.effect.kind is EffectKind.EVENT for each in found.selected):
         return True
     return any(each.unknown_function_of for each in findings([case.training], candidates, found))

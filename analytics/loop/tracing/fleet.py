@@ -10,10 +10,10 @@ from scipy import stats
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Kind
+from analytics.loop.effects.base import Effect, EffectKind
 from analytics.loop.effects.registry import effects_for
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.case import Case, case_of
 from analytics.loop.tracing.diagnosis import FIRST_TIER, diagnose
 from analytics.loop.tracing.held_out.held_out_set import open_held_out_set
@@ -93,7 +93,7 @@ def diagnose_fleet(
     model: ErrorModel,
     *,
     effects: Mapping[str, Effect] | None = None,
-    declared_noise: Mapping[str, NoiseCoefficients] | None = None,
+    declared_noise: Mapping[str, ModelNoise] | None = None,
     holdout: Mapping[str, Sequence[str]] | None = None,
     left_out: Mapping[str, Sequence[LeftOut]] | None = None,
     seed: int = 0,
@@ -160,7 +160,7 @@ def diagnose_fleet(
         by_unit={
             each.name: _by_unit(records, found, each)
             for each in found.selected
-            if each.is_common or each.fitted.effect.kind is Kind.LINE
+            if each.is_common or each.fitted.effect.kind is EffectKind.LINE
         },
         units=alone,
         own_findings=own_findings,

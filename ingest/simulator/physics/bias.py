@@ -36,7 +36,7 @@ class WarmUp(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     time_constant_s: Positive
 
 
-class Step(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class BiasStep(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A permanent bias step `at_s` seconds after power-on."""
 
     at_s: NotNegative
@@ -95,7 +95,7 @@ class Bias(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     magnetic_deg_per_h_per_gauss: Vector = _ZERO
     ageing_deg_per_h_per_decade: float = 0.0
     ageing_onset_h: Positive = 1.0
-    step: tuple[Step, ...] = ()
+    step: tuple[BiasStep, ...] = ()
     jumps: Jumps | None = None
     line: tuple[Line, ...] = ()
 

@@ -8,7 +8,7 @@ import numpy as np
 from ingest.simulator.physics.bias import Bias, BiasEffect
 from ingest.simulator.physics.draws import SECONDS_PER_HOUR, NotNegative, Seeds, checked
 from ingest.simulator.physics.environment import Conditions, Environment, StaticEnvironment
-from ingest.simulator.physics.noise import Held, Noise, NoiseEffect
+from ingest.simulator.physics.noise import HeldNoise, Noise, NoiseEffect
 from ingest.simulator.physics.readout import Readout, ReadoutEffect, Samples, StartUp
 from ingest.simulator.physics.scale import Scale, ScaleEffect
 from ingest.simulator.physics.sensing import Dynamics, LowPass, Misalignment, outside_dead_zone, sensed_rate
@@ -118,7 +118,7 @@ class SimulatedGyro:
         self._low_pass: LowPass | None = None
         if dynamics.bandwidth_hz is not None:
             self._low_pass = LowPass(dynamics.bandwidth_hz, dynamics.damping, hold_s)
-        self._held = Held(self._evaluate, hold)
+        self._held = HeldNoise(self._evaluate, hold)
         self._evaluated = 0
         self._next = 0
 

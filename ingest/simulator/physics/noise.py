@@ -104,7 +104,7 @@ def _add_differences(angle: FloatArray, before: float, per_interval: float, out:
     return before
 
 
-class Held:
+class HeldNoise:
     """Values of a source, each held for `hold` samples; `source(n)` returns its next n values."""
 
     def __init__(self, source: Callable[[int], FloatArray], hold: int) -> None:
@@ -267,7 +267,7 @@ class NoiseEffect:
             # fourteen processes take time: held for 0.02 s, the Allan deviation is unchanged from 0.1 s on
             hold = max(1, round(FLICKER_HOLD_S / hold_s))
             flicker = flicker_noise(noise.bias_instability_deg_per_h, hold * hold_s, seeds.of_power_on("flicker"))
-            self._slow.append(Held(flicker.means, hold).take)
+            self._slow.append(HeldNoise(flicker.means, hold).take)
         if noise.rate_random_walk_deg_per_h_per_sqrt_h > 0.0:
             k = noise.rate_random_walk_deg_per_h_per_sqrt_h
             self._slow.append(rate_random_walk(k, hold_s, seeds.of_power_on("walk")).means)

@@ -20,7 +20,7 @@ _TRIES = 1000
 Settings = TypeVar("Settings", bound=msgspec.Struct)
 
 
-class Spread(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ParameterSpread(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Distribution of a number over the units: normal, truncated to `low` to `high`."""
 
     mean: float
@@ -115,7 +115,7 @@ def parse_plan(text: str, source: str) -> Plan:
     `[fleet]` has the `seed`, optionally `units`, `power_ons_per_day` and `hours_per_power_on`, and the effects of
     every unit (see `GyroParameters`). `[unit."FOG-0231"]` has what is different in one; its `off` lists effects of the
     fleet that this unit does not have, such as ``bias.jumps``. A list in a unit replaces the fleet's. In place of a
-    number, a `Spread` is allowed: ``{mean = 0.5, sd = 0.1, low = 0.0}``, drawn once for each unit.
+    number, a `ParameterSpread` is allowed: ``{mean = 0.5, sd = 0.1, low = 0.0}``, drawn once for each unit.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def _unit_parameters(unit: str, shared: dict[str, Any], own: Any, seed: int, wha
             shared, path.split("."), f"{what}: the fleet has no {path} to switch off - at `{place}.off[{i}]`"
         )
 
-    def draw(path: str, spread: Spread) -> float:
+    def draw(path: str, spread: ParameterSpread) -> float:
         generator = unit_generator(seed, unit, path.removeprefix(f"{place}."))
         for _ in range(_TRIES):
             value = spread.mean + spread.sd * float(generator.standard_normal())
@@ -205,12 +205,12 @@ def _convert(tree: Any, kind: type[Settings], place: str, what: str) -> Settings
         raise BadInput(f"{what}: {text}") from error
 
 
-def _replaced(tree: Any, place: str, what: str, value_of: Callable[[str, Spread], float]) -> Any:
+def _replaced(tree: Any, place: str, what: str, value_of: Callable[[str, ParameterSpread], float]) -> Any:
     """The tree with a number in place of every distribution; numbers that are not finite are refused."""
     if _is_spread(tree):
         for key, bound in tree.items():
             _finite(bound, f"{place}.{key}", what)
-        spread = _convert(tree, Spread, place, what)
+        spread = _convert(tree, ParameterSpread, place, what)
         if not spread.low <= spread.mean <= spread.high:
             raise BadInput(f"{what}: the mean does not lie from low to high - at `{place}`")
         return value_of(place, spread)

@@ -14,7 +14,7 @@ from stream.batch import BoolArray, CountArray, FloatArray
 _INT32 = np.iinfo(np.int32)
 
 
-class Fault(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ReadoutFault(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Ranges of faulty samples.
 
     Parameters
@@ -71,8 +71,8 @@ class Readout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     saturation_deg_per_s: Positive | None = None
     resolution_counts: Annotated[int, msgspec.Meta(ge=1)] = 1
     carries_rest: bool = False
-    dropout: Fault | None = None
-    stuck: Fault | None = None
+    dropout: ReadoutFault | None = None
+    stuck: ReadoutFault | None = None
 
 
 class Samples(NamedTuple):
@@ -158,5 +158,5 @@ class ReadoutEffect:
         return Samples(first, counts, ~self._missing.take(first, n), ready)
 
 
-def _ranges(fault: Fault | None, generator: np.random.Generator) -> Iterator[SampleRange]:
+def _ranges(fault: ReadoutFault | None, generator: np.random.Generator) -> Iterator[SampleRange]:
     return iter(()) if fault is None else random_ranges(fault.probability, fault.mean_samples, generator)

@@ -28,9 +28,9 @@ def truth(gyro: SimulatedGyro, duration_s: float) -> dict[str, Any]:
 
     Examples
     --------
-    >>> from ingest.simulator.physics.bias import Bias, Step
+    >>> from ingest.simulator.physics.bias import Bias, BiasStep
     >>> from ingest.simulator.physics.gyro import GyroParameters
-    >>> parameters = GyroParameters(bias=Bias(step=(Step(at_s=5.0, size_deg_per_h=2.0),)))
+    >>> parameters = GyroParameters(bias=Bias(step=(BiasStep(at_s=5.0, size_deg_per_h=2.0),)))
     >>> truth(SimulatedGyro(parameters, seed=1, unit="FOG-1"), 60.0)["jumps"]
     [(5.0, 2.0)]
     """

@@ -14,7 +14,7 @@ from stream.batch import FloatArray
 Handler = Callable[[str], str | None]
 
 
-class Fault(StrEnum):
+class DeviceFault(StrEnum):
     """Faults of a simulated instrument."""
 
     NONE = "NONE"
@@ -59,7 +59,7 @@ class SimulatedDevice:
     ) -> None:
         self.clock = clock
         self.identity = identity
-        self.fault = Fault.NONE
+        self.fault = DeviceFault.NONE
         self.lines: deque[str] = deque(maxlen=1000)
         self.course: Timeline[Any] | None = None
         self._errors: deque[str] = deque(maxlen=20)
@@ -84,9 +84,9 @@ class SimulatedDevice:
             answers = [
                 answer for part in line.split(";") if (answer := self._part(part.strip().lstrip(":"))) is not None
             ]
-        if not answers or self.fault is Fault.SILENT:
+        if not answers or self.fault is DeviceFault.SILENT:
             return None
-        return "\x07?garbage\xb0" if self.fault is Fault.GARBAGE else ";".join(answers)
+        return "\x07?garbage\xb0" if self.fault is DeviceFault.GARBAGE else ";".join(answers)
 
     def _part(self, text: str) -> str | None:
         header, _, parameter = text.partition(" ")
@@ -104,9 +104,9 @@ class SimulatedDevice:
             self._errors.clear()
             return
         if _FAULT.fullmatch(header):
-            if parameter.upper() not in Fault.__members__:
+            if parameter.upper() not in DeviceFault.__members__:
                 raise Refused('-224,"Illegal parameter value"')
-            self.fault = Fault(parameter.upper())
+            self.fault = DeviceFault(parameter.upper())
             return
         for pattern, setting in self._settings:
             if pattern.fullmatch(header):
@@ -114,9 +114,9 @@ class SimulatedDevice:
                     value = float({"ON": "1", "OFF": "0"}.get(parameter.upper(), parameter))
                 except ValueError:
                     raise Refused('-104,"Data type error"') from None
-                if self.fault is Fault.REFUSE:
+                if self.fault is DeviceFault.REFUSE:
                     raise Refused('-221,"Settings conflict;door open"')
-                if self.fault is not Fault.UNSETTLED:
+                if self.fault is not DeviceFault.UNSETTLED:
                     setting(value)
                 return
         raise Refused('-113,"Undefined header"')

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Self
 
-from ingest.simulator.scpi.device import Fault, SimulatedDevice
+from ingest.simulator.scpi.device import DeviceFault, SimulatedDevice
 from stream.errors import BadInput
 
 _LONGEST_LINE = 65536
@@ -132,8 +132,8 @@ class _Outlet:
         try:
             with suppress(OSError), line, line.makefile("rb") as incoming:
                 while text := incoming.readline(_LONGEST_LINE):
-                    if self._device.fault is Fault.DROP:
-                        self._device.fault = Fault.NONE
+                    if self._device.fault is DeviceFault.DROP:
+                        self._device.fault = DeviceFault.NONE
                         return
                     answer = self._device.handle(text.decode("latin-1").strip())
                     if answer is not None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from analytics.loop.effects.base import Kind
+from analytics.loop.effects.base import EffectKind
 from analytics.loop.tracing.held_out.held_out_set import HeldOutSet
 from analytics.loop.tracing.result.holdout import HeldOutAnswer, Holdout, HoldoutSlope
 from analytics.loop.tracing.search.effect_search import Search, Selected
@@ -33,7 +33,7 @@ def judge(boxes: Sequence[HeldOutSet], found: Search, names: Sequence[str]) -> H
     """The answer of the held-out runs `names` on each effect; None if there is nothing to test, as of a jump."""
     common = found.common
     judged = _slopes(boxes, found, common, np.eye(len(common)), [each.name for each in common])
-    judged += [_line_slope(boxes, found, each) for each in found.selected if each.fitted.effect.kind is Kind.LINE]
+    judged += [_line_slope(boxes, found, each) for each in found.selected if each.fitted.effect.kind is EffectKind.LINE]
     if not judged:
         return None
     if len(common) < 2:

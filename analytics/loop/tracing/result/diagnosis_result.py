@@ -8,7 +8,7 @@ import msgspec
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.result.error_table import ErrorTable
 from analytics.loop.tracing.result.finding import ConfoundedEffect, DetectionLimit, FoundEffect
 from analytics.loop.tracing.result.holdout import Holdout
@@ -60,8 +60,8 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     unreplicated: tuple[FoundEffect, ...] = ()
     holdout: Holdout | None = None
     error: ErrorTable | None = None
-    noise: NoiseCoefficients | None = None
-    declared_noise: NoiseCoefficients | None = None
+    noise: ModelNoise | None = None
+    declared_noise: ModelNoise | None = None
     noise_excess: float | None = None
     detection_limits: dict[str, DetectionLimit] = {}
     not_tested: dict[str, Bilingual] = {}

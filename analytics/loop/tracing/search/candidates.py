@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from analytics.loop.bilingual import Bilingual
-from analytics.loop.effects.base import Effect, Kind, Shape
+from analytics.loop.effects.base import Effect, EffectKind, Shape
 from analytics.loop.model.error_model import ErrorModel
 from analytics.loop.tracing.whitening.joint_fit import Recomputed
 from analytics.loop.tracing.whitening.stack import Stack
@@ -84,7 +84,7 @@ def candidates_for(
     records: Sequence[UnitRecord],
     effects: Mapping[str, Effect],
     model: ErrorModel,
-    kinds: Sequence[Kind],
+    kinds: Sequence[EffectKind],
     lost_channels: Mapping[str, Bilingual],
 ) -> Candidates:
     """Candidates of given kinds that the declared model lacks.

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analytics.loop.effects.base import Kind, Role
+from analytics.loop.effects.base import EffectKind, Role
 from analytics.loop.tracing.search.candidates import Candidates
 from analytics.loop.tracing.search.evidence import PRICE
 from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, fitted_candidates
@@ -164,7 +164,7 @@ def _chosen(found: Sequence[FittedCandidate]) -> Selected | None:
     if not usable or usable[0].evidence <= 0:
         return None
     best, leading = usable[0], None
-    if best.effect.kind is Kind.EVENT and _has_rivals(best, found):
+    if best.effect.kind is EffectKind.EVENT and _has_rivals(best, found):
         return None
     causes = [each for each in usable if each.effect.role is Role.CAUSE and each.is_common and each.evidence > 0]
     if best.effect.role is Role.PROXY and causes:
@@ -187,7 +187,7 @@ def _by_design(first: FittedCandidate, second: FittedCandidate) -> bool:
     The design of the test separates them, not the data: for example gravity and the bias of a mounting.
     """
     return any(
-        function.effect.kind is Kind.FUNCTION and other.name in function.effect.aliases
+        function.effect.kind is EffectKind.FUNCTION and other.name in function.effect.aliases
         for function, other in ((first, second), (second, first))
     )
 
@@ -200,7 +200,7 @@ def _has_rivals(jump: FittedCandidate, found: Sequence[FittedCandidate]) -> bool
 
 def _contains(function: FittedCandidate, other: FittedCandidate) -> bool:
     """Whether a candidate is a general function of the channels of an effect: it is no alternative to it."""
-    is_function = function.effect.kind is Kind.FUNCTION and other.is_common
+    is_function = function.effect.kind is EffectKind.FUNCTION and other.is_common
     return is_function and set(function.effect.needs) <= set(other.effect.needs)
 
 

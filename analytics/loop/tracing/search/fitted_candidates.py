@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from analytics.loop.effects.base import Effect, Kind, Role
+from analytics.loop.effects.base import Effect, EffectKind, Role
 from analytics.loop.effects.registry import effect
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.search.candidates import Candidates
 from analytics.loop.tracing.search.evidence import PRICE, Replication, evidence, leave_one_out, one_degree
 from analytics.loop.tracing.search.jump_scan import jump_column, scan_jumps
@@ -77,7 +77,7 @@ class FittedCandidate:
     @property
     def is_common(self) -> bool:
         """Whether its coefficients hold for all units; those of lines and jumps do not."""
-        return self.effect.kind not in (Kind.LINE, Kind.EVENT)
+        return self.effect.kind not in (EffectKind.LINE, EffectKind.EVENT)
 
     def is_near(self, best: "FittedCandidate") -> bool:
         """Whether the data cannot separate it from the best candidate.
@@ -167,9 +167,7 @@ def _worth_fitting(
     return chosen + [group for group in others if group[0].p_value < UNMASKED][:MOST_UNMASKED]
 
 
-def least_noises(
-    records: Sequence[UnitRecord], noises: Sequence[NoiseCoefficients]
-) -> Sequence[NoiseCoefficients] | None:
+def least_noises(records: Sequence[UnitRecord], noises: Sequence[ModelNoise]) -> Sequence[ModelNoise] | None:
     """The smaller of fitted and declared noise of each record; None if no fitted noise may hide an effect."""
     least = [_least(noise, record) for noise, record in zip(noises, records, strict=True)]
     if all(each is None for each in least):
@@ -177,7 +175,7 @@ def least_noises(
     return [noise if each is None else each for noise, each in zip(noises, least, strict=True)]
 
 
-def _least(noise: NoiseCoefficients, record: UnitRecord) -> NoiseCoefficients | None:
+def _least(noise: ModelNoise, record: UnitRecord) -> ModelNoise | None:
     """The smaller of fitted and declared noise if the fitted noise is much larger."""
     fitted, declared = as_array(noise), record.prior.values
     active = declared > 0
@@ -205,7 +203,7 @@ def _fitted(
     return best
 
 
-def _evidence(records: Sequence[UnitRecord], joint: JointFit, ratio: float, degrees: int, kind: Kind) -> float:
+def _evidence(records: Sequence[UnitRecord], joint: JointFit, ratio: float, degrees: int, kind: EffectKind) -> float:
     """Evidence of a fit; the penalty doubles if its noise is far from the declared noise."""
     excess = [
         record.noise_model.average_variance(noise, EXCESS_AVERAGE_S)
@@ -213,7 +211,7 @@ def _evidence(records: Sequence[UnitRecord], joint: JointFit, ratio: float, degr
         for record, noise in zip(records, joint.noises, strict=True)
     ]
     price = PRICE if max(excess) > GROSS_EXCESS else 0.0
-    return evidence(ratio, degrees, is_function=kind is Kind.FUNCTION) - price
+    return evidence(ratio, degrees, is_function=kind is EffectKind.FUNCTION) - price
 
 
 def _discounted(records: Sequence[UnitRecord], each: FittedCandidate) -> FittedCandidate:

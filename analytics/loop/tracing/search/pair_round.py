@@ -10,8 +10,8 @@ from itertools import count
 import numpy as np
 from scipy import special, stats
 
-from analytics.loop.effects.base import Kind, Role
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.effects.base import EffectKind, Role
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.search.candidates import Candidate, Candidates
 from analytics.loop.tracing.search.evidence import PRICE, leave_one_out, one_degree
 from analytics.loop.tracing.search.fitted_candidates import FittedCandidate, least_noises
@@ -48,7 +48,7 @@ def best_pair(
 
 
 def _worth_fitting(
-    candidates: Candidates, base: JointFit, least: Sequence[NoiseCoefficients] | None
+    candidates: Candidates, base: JointFit, least: Sequence[ModelNoise] | None
 ) -> list[tuple[Candidate, Candidate]]:
     """Pairs that pass the screening with their best shapes, best first."""
     best: dict[tuple[str, str], tuple[float, int, tuple[Candidate, Candidate]]] = {}
@@ -64,7 +64,7 @@ def _worth_fitting(
 
 
 def _screened(
-    candidates: Candidates, designs: Sequence[FloatArray], noises: Sequence[NoiseCoefficients]
+    candidates: Candidates, designs: Sequence[FloatArray], noises: Sequence[ModelNoise]
 ) -> list[tuple[float, tuple[Candidate, Candidate]]]:
     """P-values of pairs with a given noise."""
     normal, right, before = pooled(candidates, designs, noises)
@@ -73,7 +73,7 @@ def _screened(
     items = [
         each
         for each in candidates.items
-        if each.effect.kind is Kind.LIBRARY and each.effect.role is Role.CAUSE and resolved[each.columns].all()
+        if each.effect.kind is EffectKind.LIBRARY and each.effect.role is Role.CAUSE and resolved[each.columns].all()
     ]
     whitening = {id(each): own_whitening(normal[each.columns, each.columns]) for each in items}
     statistic = {id(each): float(np.sum((whitening[id(each)] @ right[each.columns]) ** 2)) for each in items}

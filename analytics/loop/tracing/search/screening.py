@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from analytics.loop.effects.base import Kind
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.effects.base import EffectKind
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.search.candidates import Candidate, Candidates
 from analytics.loop.tracing.whitening.least_squares import Projected, project
 from stream.batch import BoolArray, FloatArray, IntArray
@@ -57,7 +57,7 @@ def family_p_value(p_value: float, tests: float) -> float:
 def screen(
     candidates: Candidates,
     designs: Sequence[FloatArray],
-    noises: Sequence[NoiseCoefficients],
+    noises: Sequence[ModelNoise],
     rng: np.random.Generator,
     without: Sequence[str] = (),
 ) -> Screen:
@@ -88,7 +88,7 @@ def screen(
 
 
 def tests_of_kind(
-    candidates: Candidates, designs: Sequence[FloatArray], noises: Sequence[NoiseCoefficients], kind: Kind
+    candidates: Candidates, designs: Sequence[FloatArray], noises: Sequence[ModelNoise], kind: EffectKind
 ) -> list[Screened]:
     """Test the candidates of one kind, without the effective number of tests."""
     total = pooled(candidates, designs, noises)
@@ -121,7 +121,7 @@ def _test(item: Candidate, total: Projected, left: BoolArray) -> _Test | None:
     return _Test(Screened(item, statistic, degrees, p_value), own, whiten)
 
 
-def pooled(candidates: Candidates, designs: Sequence[FloatArray], noises: Sequence[NoiseCoefficients]) -> Projected:
+def pooled(candidates: Candidates, designs: Sequence[FloatArray], noises: Sequence[ModelNoise]) -> Projected:
     """Normal equations of all candidates beside the model, summed over records."""
     parts = []
     for number, (record, design, noise) in enumerate(zip(candidates.records, designs, noises, strict=True)):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from analytics.loop.effects.base import Kind
+from analytics.loop.effects.base import EffectKind
 from analytics.loop.tracing.search.candidates import Candidates
 from analytics.loop.tracing.search.effect_search import Search, Selected
 from analytics.loop.tracing.search.evidence import by_replicate
@@ -30,11 +30,11 @@ class Homogeneity:
 def form_p_values(candidates: Candidates, joint: JointFit, which: Selected) -> dict[str, float]:
     """By channel of an effect: p-value of a free function of that channel beside the effect."""
     own = which.fitted.effect
-    if not which.is_common or own.kind is Kind.FUNCTION:
+    if not which.is_common or own.kind is EffectKind.FUNCTION:
         return {}
     return {
         result.candidate.effect.needs[0]: result.p_value
-        for result in tests_of_kind(candidates, joint.hypothesis.designs, joint.noises, Kind.FUNCTION)
+        for result in tests_of_kind(candidates, joint.hypothesis.designs, joint.noises, EffectKind.FUNCTION)
         if set(result.candidate.effect.needs) <= set(own.needs)
     }
 

@@ -10,7 +10,7 @@ from analytics.loop.blocks.left_out import LeftOut
 from analytics.loop.effects.registry import effects_for, unavailable_effects
 from analytics.loop.effects.turn_on import TURN_ON
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.case import Case
 from analytics.loop.tracing.held_out.error_report import error_shares, error_table
 from analytics.loop.tracing.held_out.held_out_set import open_held_out_set
@@ -37,7 +37,7 @@ def conclude(
     candidates: Candidates,
     found: Search,
     model: ErrorModel,
-    declared: NoiseCoefficients | None,
+    declared: ModelNoise | None,
     rng: np.random.Generator,
     *,
     turn_on_is_declared: bool,

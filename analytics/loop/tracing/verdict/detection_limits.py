@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from analytics.loop.effects.base import Kind
+from analytics.loop.effects.base import EffectKind
 from analytics.loop.effects.coefficient_units import coefficient_unit
 from analytics.loop.tracing.result.finding import DetectionLimit
 from analytics.loop.tracing.search.candidates import Candidates
@@ -38,7 +38,7 @@ def detection_limits(
     blind: set[str] = set()
     for item in candidates.items:
         name = item.effect.name
-        if item.effect.kind is not Kind.LIBRARY or name in taken:
+        if item.effect.kind is not EffectKind.LIBRARY or name in taken:
             continue
         own = item.columns
         if not np.all(np.diag(normal)[own] > LEAST_LEFT * np.maximum(before[own], 1e-300)):

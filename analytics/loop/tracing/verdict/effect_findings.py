@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 import msgspec
 import numpy as np
 
-from analytics.loop.effects.base import Effect, Kind
+from analytics.loop.effects.base import Effect, EffectKind
 from analytics.loop.effects.coefficient_units import coefficient_unit
 from analytics.loop.effects.registry import effect
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.result.finding import ConfoundedEffect, EffectCoefficient, FoundEffect
 from analytics.loop.tracing.search.candidates import Candidates
 from analytics.loop.tracing.search.effect_search import Search, Selected
@@ -64,7 +64,7 @@ def _finding(records: Sequence[UnitRecord], candidates: Candidates, found: Searc
     forms = form_p_values(candidates, found.joint, which)
     same = homogeneity(records, found, which)
     unknown = [channel for channel, p_value in forms.items() if p_value < WRONG_FORM]
-    is_nameless = own.kind is Kind.FUNCTION and not any(each.name in own.aliases for each in which.confounded)
+    is_nameless = own.kind is EffectKind.FUNCTION and not any(each.name in own.aliases for each in which.confounded)
     if is_nameless or (not unknown and (which.leading_proxy or same.p_value < WRONG_FORM)):
         unknown = list(own.needs)
     if which.is_common:
@@ -72,7 +72,7 @@ def _finding(records: Sequence[UnitRecord], candidates: Candidates, found: Searc
     else:
         coefficients = _event_coefficients(records, fitted, *found.own_fit(which, _places(fitted)))
     return msgspec.structs.replace(
-        _basic(fitted, coefficients, replicates=own.kind is not Kind.EVENT),
+        _basic(fitted, coefficients, replicates=own.kind is not EffectKind.EVENT),
         confounded=tuple(_confounded(each, fitted) for each in which.confounded),
         companions=which.companions,
         unknown_function_of=tuple(unknown),
@@ -118,7 +118,7 @@ def _event_coefficients(
 ) -> tuple[EffectCoefficient, ...]:
     """Size of a jump, or RMS amplitude of a line over the runs of all records."""
     unit = records[0].stack.runs[0].unit_of_measure
-    if event.effect.kind is Kind.EVENT:
+    if event.effect.kind is EffectKind.EVENT:
         half = CONFIDENCE * float(np.sqrt(variance[0]))
         return (EffectCoefficient("", float(values[0]), float(values[0] - half), float(values[0] + half), unit),)
     amplitude, error = amplitude_of(values, variance)
@@ -127,7 +127,7 @@ def _event_coefficients(
 
 
 def fitted_model(
-    declared: ErrorModel, record: UnitRecord, found: Search, noise: NoiseCoefficients, *, with_effects: bool
+    declared: ErrorModel, record: UnitRecord, found: Search, noise: ModelNoise, *, with_effects: bool
 ) -> ErrorModel:
     """The declared model, or the model found, with coefficients of the training; lines and jumps predict nothing."""
     run = record.stack.runs[0]

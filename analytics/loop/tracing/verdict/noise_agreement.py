@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from analytics.loop.bilingual import Bilingual
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.verdict.run_scatter import RunScatter
 from analytics.loop.tracing.whitening.joint_fit import JointFit
 from analytics.loop.tracing.whitening.unit_record import UnitRecord, as_array
@@ -50,7 +50,7 @@ def noise_excess(record: UnitRecord, joint: JointFit) -> NoiseExcess:
     return NoiseExcess(max(ratios), float(stats.chi2.sf(max(0.0, 2 * gain), degrees)), min(ratios))
 
 
-def measured_noise(record: UnitRecord, noise: NoiseCoefficients) -> NoiseCoefficients:
+def measured_noise(record: UnitRecord, noise: ModelNoise) -> ModelNoise:
     """The fitted noise with N scaled by the median white variance of the blocks.
 
     The filter weights each block by the scatter of its neighbours relative to the declared N, so that an error of the
@@ -60,7 +60,7 @@ def measured_noise(record: UnitRecord, noise: NoiseCoefficients) -> NoiseCoeffic
 
 
 def disagreements(
-    declared: NoiseCoefficients, measured: NoiseCoefficients, excess: NoiseExcess, scatter: RunScatter | None
+    declared: ModelNoise, measured: ModelNoise, excess: NoiseExcess, scatter: RunScatter | None
 ) -> list[Bilingual]:
     """Caveats on differences of declared and measured noise; `scatter` is None if turn-on scatter was not declared."""
     texts = []

@@ -10,10 +10,10 @@ from scipy import stats
 
 from analytics.loop.bilingual import Bilingual
 from analytics.loop.blocks.run_blocks import RunBlocks
-from analytics.loop.effects.base import Effect, Kind, Role
+from analytics.loop.effects.base import Effect, EffectKind, Role
 from analytics.loop.effects.registry import effects
 from analytics.loop.effects.turn_on import TURN_ON
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.result.finding import ConfoundedEffect, EffectCoefficient, FoundEffect
 from analytics.loop.tracing.search.evidence import PRICE, one_degree
 from analytics.loop.tracing.verdict.alternatives import unfitted
@@ -70,7 +70,7 @@ class RunScatter:
         return p_value < _P_VALUE / 2
 
 
-def run_scatter(record: UnitRecord, noise: NoiseCoefficients) -> RunScatter:
+def run_scatter(record: UnitRecord, noise: ModelNoise) -> RunScatter:
     """Means of the runs of a unit beside the declared model, with the fitted noise."""
     quiet = msgspec.structs.replace(noise, turn_on=0.0)
     white = record.noise_model.space(quiet).white
@@ -126,7 +126,7 @@ def _recorded(
     """Recorded causes, one for each channel, that differ between the runs and explain most of the scatter."""
     found: dict[str, ConfoundedEffect] = {}
     for name, each in available.items():
-        is_linear = each.kind is Kind.LIBRARY and each.role is Role.CAUSE and not each.parameters
+        is_linear = each.kind is EffectKind.LIBRARY and each.role is Role.CAUSE and not each.parameters
         if not is_linear or len(each.needs) != 1 or name in declared or each.needs[0] in found:
             continue
         columns = [each.regressors(run, {}) for run in runs]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from stream.batch import FloatArray
 
 SECONDS_PER_HOUR = 3600.0
@@ -43,7 +43,7 @@ class NoiseModel:
     >>> model = NoiseModel(block_s=30.0, longest_s=21600.0)
     >>> model.correlation_s.round().tolist()
     [60.0, 388.0, 2506.0, 16200.0]
-    >>> model.space(NoiseCoefficients(N=0.01, B=0.0, K=0.0, turn_on=0.0)).white  # 0.01**2 / (30 s in hours)
+    >>> model.space(ModelNoise(N=0.01, B=0.0, K=0.0, turn_on=0.0)).white  # 0.01**2 / (30 s in hours)
     0.012
     """
 
@@ -63,7 +63,7 @@ class NoiseModel:
         states = 1 + round(math.log(longest / shortest) / math.log(STEP_OF_LADDER))
         return np.geomspace(shortest, longest, states) if states > 1 else np.array([longest])
 
-    def space(self, noise: NoiseCoefficients) -> StateSpace:
+    def space(self, noise: ModelNoise) -> StateSpace:
         """State space of these coefficients."""
         correlation_s = self.correlation_s
         return StateSpace(
@@ -82,12 +82,12 @@ class NoiseModel:
         unit = np.sum(2 * correlation_s / (1 + (2 * np.pi * frequency * correlation_s) ** 2), axis=0)
         return float(np.exp(np.mean(np.log(1 / (2 * np.pi * frequency) / unit))))
 
-    def average_variance(self, noise: NoiseCoefficients, averaging_s: float) -> float:
+    def average_variance(self, noise: ModelNoise, averaging_s: float) -> float:
         """Allan variance at an averaging time."""
         tau_h = averaging_s / SECONDS_PER_HOUR
         return noise.N**2 / tau_h + 2 * math.log(2) / math.pi * noise.B**2 + noise.K**2 * tau_h / 3
 
-    def covariance(self, noise: NoiseCoefficients, slot: FloatArray, white: FloatArray) -> FloatArray:
+    def covariance(self, noise: ModelNoise, slot: FloatArray, white: FloatArray) -> FloatArray:
         """Dense covariance of the blocks of one run; `white` is relative to the white variance of `noise`."""
         space = self.space(noise)
         since_start = slot - slot[0]

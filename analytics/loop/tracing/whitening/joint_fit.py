@@ -7,7 +7,7 @@ from typing import overload
 
 import numpy as np
 
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.whitening.least_squares import Solution, project, solve
 from analytics.loop.tracing.whitening.unit_record import UnitRecord
 from analytics.loop.tracing.whitening.whitened_fit import fit_noise
@@ -105,7 +105,7 @@ class JointFit:
 
     records: tuple[UnitRecord, ...]
     hypothesis: Hypothesis
-    noises: tuple[NoiseCoefficients, ...]
+    noises: tuple[ModelNoise, ...]
     log_likelihood: float
     common: Solution
     own: tuple[Solution, ...]
@@ -131,7 +131,7 @@ class JointFit:
 def fit_jointly(
     records: Sequence[UnitRecord],
     hypothesis: Hypothesis,
-    start: Sequence[NoiseCoefficients | None] | None = None,
+    start: Sequence[ModelNoise | None] | None = None,
     *,
     restricted: bool = False,
 ) -> JointFit:
@@ -143,7 +143,7 @@ def fit_jointly(
     start: Start values of the noise of each record.
     restricted: Use the restricted likelihood (REML): for results, not for comparing hypotheses.
     """
-    begin: Sequence[NoiseCoefficients | None] = [None] * len(records) if start is None else start
+    begin: Sequence[ModelNoise | None] = [None] * len(records) if start is None else start
     if len(records) == 1:
         one = fit_noise(records[0], hypothesis.designs[0], begin[0], restricted=restricted)
         return _joined(records, hypothesis, [one.noise], one.log_likelihood, [one.whitened])
@@ -160,9 +160,7 @@ def fit_jointly(
     return _joined(records, hypothesis, noises, sum(each.log_likelihood for each in fits), whitened)
 
 
-def _whitened(
-    records: Sequence[UnitRecord], hypothesis: Hypothesis, noises: Sequence[NoiseCoefficients]
-) -> list[FloatArray]:
+def _whitened(records: Sequence[UnitRecord], hypothesis: Hypothesis, noises: Sequence[ModelNoise]) -> list[FloatArray]:
     return [
         record.whitener(noise)(np.column_stack([record.value, design]))
         for record, design, noise in zip(records, hypothesis.designs, noises, strict=True)
@@ -177,7 +175,7 @@ def _common(whitened: Sequence[FloatArray], hypothesis: Hypothesis) -> Solution:
 def _joined(
     records: Sequence[UnitRecord],
     hypothesis: Hypothesis,
-    noises: Sequence[NoiseCoefficients],
+    noises: Sequence[ModelNoise],
     log_likelihood: float,
     whitened: Sequence[FloatArray],
 ) -> JointFit:

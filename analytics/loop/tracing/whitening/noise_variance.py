@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 from scipy.signal import lfilter
 
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.whitening.unit_record import UnitRecord
 from analytics.loop.tracing.whitening.white_variance import LEAST_RATIO, OUTLIER_RATIO
 from stream.batch import BoolArray, FloatArray, IntArray
@@ -47,7 +47,7 @@ def averages_of(record: UnitRecord, blocks: int, within: IntArray) -> Averages:
     return Averages(tuple(found))
 
 
-def correlated_variance(record: UnitRecord, noise: NoiseCoefficients, of_run: BoolArray, weights: FloatArray) -> float:
+def correlated_variance(record: UnitRecord, noise: ModelNoise, of_run: BoolArray, weights: FloatArray) -> float:
     """Variance of a weighted sum of the blocks of one run due to flicker, random walk and turn-on scatter.
 
     Parameters
@@ -74,7 +74,7 @@ def _white(record: UnitRecord) -> FloatArray:
     return np.where(is_outlier, record.white * (_SQUARED_OUTLIER / OUTLIER_RATIO), record.white)
 
 
-def within_run_variance(record: UnitRecord, noise: NoiseCoefficients, averages: Averages) -> float:
+def within_run_variance(record: UnitRecord, noise: ModelNoise, averages: Averages) -> float:
     """Mean variance of averages about the mean of their run, without turn-on scatter."""
     quiet = msgspec.structs.replace(noise, turn_on=0.0)
     variance = expected_variance(record, quiet, averages)
@@ -93,7 +93,7 @@ def within_run_variance(record: UnitRecord, noise: NoiseCoefficients, averages: 
     return max(total, 0.0) / len(averages.rows)
 
 
-def expected_variance(record: UnitRecord, noise: NoiseCoefficients, averages: Averages) -> FloatArray:
+def expected_variance(record: UnitRecord, noise: ModelNoise, averages: Averages) -> FloatArray:
     """Variance of each average, including turn-on scatter."""
     space = record.noise_model.space(noise)
     slot = record.stack.slot

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.whitening.block_noise import NoiseModel
 from analytics.loop.tracing.whitening.stack import Stack
 from analytics.loop.tracing.whitening.whitener import Whitener
@@ -28,7 +28,7 @@ class NoisePrior:
     spread: shape (4,); standard deviations of the logarithms.
     """
 
-    center: NoiseCoefficients
+    center: ModelNoise
     spread: FloatArray
 
     @property
@@ -36,22 +36,22 @@ class NoisePrior:
         """N, B, K and turn-on scatter."""
         return as_array(self.center)
 
-    def log_density(self, noise: NoiseCoefficients) -> float:
+    def log_density(self, noise: ModelNoise) -> float:
         """Logarithm of the density, up to a constant."""
         active = self.values > 0
         apart = np.log(as_array(noise)[active] / self.values[active]) / self.spread[active]
         return -0.5 * float(apart @ apart)
 
 
-def as_array(noise: NoiseCoefficients) -> FloatArray:
+def as_array(noise: ModelNoise) -> FloatArray:
     """N, B, K and turn-on scatter as an array."""
     return np.array([noise.N, noise.B, noise.K, noise.turn_on])
 
 
-def from_array(values: FloatArray) -> NoiseCoefficients:
+def from_array(values: FloatArray) -> ModelNoise:
     """Inverse of `as_array`."""
     n, b, k, turn_on = map(float, values)
-    return NoiseCoefficients(N=n, B=b, K=k, turn_on=turn_on)
+    return ModelNoise(N=n, B=b, K=k, turn_on=turn_on)
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class UnitRecord:
         """The unit's serial number."""
         return self.stack.runs[0].unit
 
-    def whitener(self, noise: NoiseCoefficients) -> Whitener:
+    def whitener(self, noise: ModelNoise) -> Whitener:
         """The filter for this noise."""
         return Whitener.of(self.noise_model, noise, self.steps, self.white)
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.whitening.block_noise import NoiseModel
 from analytics.loop.tracing.whitening.least_squares import fit
 from analytics.loop.tracing.whitening.stack import Stack
@@ -32,7 +32,7 @@ TENTH_TO_SIGMA = 0.608
 COARSE = 0.3  # variance by the median over that by the upper tenth: 1 for Gaussian noise, 0.8 for Student t(3)
 
 
-def record_of(stack: Stack, declared: NoiseCoefficients | None, beside: FloatArray | None = None) -> UnitRecord:
+def record_of(stack: Stack, declared: ModelNoise | None, beside: FloatArray | None = None) -> UnitRecord:
     """The blocks with the white variance of each.
 
     Parameters
@@ -148,7 +148,7 @@ def _outliers(record: UnitRecord, beside: FloatArray | None) -> BoolArray:
     return far
 
 
-def _estimated(stack: Stack, residual: FloatArray, steps: IntArray, noise_model: NoiseModel) -> NoiseCoefficients:
+def _estimated(stack: Stack, residual: FloatArray, steps: IntArray, noise_model: NoiseModel) -> ModelNoise:
     """Noise coefficients estimated from the residual of the declared model, within a small factor."""
     near = _neighbours(stack, steps)
     differences = np.diff(residual, prepend=0.0)[near]
@@ -162,7 +162,7 @@ def _estimated(stack: Stack, residual: FloatArray, steps: IntArray, noise_model:
     slow = max(slow, floor)
     hours = long * _usual_step_h(stack, steps, noise_model)
     turn_on = float(np.var(means)) if means.size > 1 else slow
-    return NoiseCoefficients(
+    return ModelNoise(
         N=float(np.sqrt(white * noise_model.block_h)),
         B=float(np.sqrt(slow / 2 / 0.44)),
         K=float(np.sqrt(slow / 2 * 3 / hours)),
@@ -170,7 +170,7 @@ def _estimated(stack: Stack, residual: FloatArray, steps: IntArray, noise_model:
     )
 
 
-def _from_one_run(stack: Stack, residual: FloatArray, steps: IntArray, noise_model: NoiseModel) -> NoiseCoefficients:
+def _from_one_run(stack: Stack, residual: FloatArray, steps: IntArray, noise_model: NoiseModel) -> ModelNoise:
     """Noise of a single run, from its block-to-block scatter alone.
 
     In one run a random walk and a slow effect look alike. Estimated from slow changes, the walk would absorb every
@@ -181,7 +181,7 @@ def _from_one_run(stack: Stack, residual: FloatArray, steps: IntArray, noise_mod
     scatter = _pair_variance(differences) if differences.size else float(np.var(residual))
     scatter = max(scatter, 1e-12 * float(np.mean(residual**2)), 1e-300)
     slow = SLOW_SHARE * scatter
-    return NoiseCoefficients(
+    return ModelNoise(
         N=float(np.sqrt(scatter * noise_model.block_h)),
         B=float(np.sqrt(slow / 0.44)),
         K=float(np.sqrt(slow / _usual_step_h(stack, steps, noise_model))),

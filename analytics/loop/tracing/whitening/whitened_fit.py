@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.whitening.least_squares import Solution, fit, log_determinant
 from analytics.loop.tracing.whitening.unit_record import UnitRecord, as_array, from_array
 from stream.batch import FloatArray, IntArray
@@ -26,7 +26,7 @@ class WhitenedFit:
     whitened: shape (n, 1 + columns); value and columns, whitened by the fitted noise.
     """
 
-    noise: NoiseCoefficients
+    noise: ModelNoise
     log_likelihood: float
     solution: Solution
     whitened: FloatArray
@@ -55,7 +55,7 @@ class _At:
 
 
 def fit_noise(
-    record: UnitRecord, columns: FloatArray, start: NoiseCoefficients | None = None, *, restricted: bool = False
+    record: UnitRecord, columns: FloatArray, start: ModelNoise | None = None, *, restricted: bool = False
 ) -> WhitenedFit:
     """Fit the noise and the coefficients of columns to a record.
 
@@ -86,16 +86,16 @@ def fit_noise(
     return current.fit
 
 
-def _is_far(start: NoiseCoefficients, center: NoiseCoefficients, active: IntArray) -> bool:
+def _is_far(start: ModelNoise, center: ModelNoise, active: IntArray) -> bool:
     return bool(np.any(np.abs(np.log(as_array(start)[active] / as_array(center)[active])) > _FAR))
 
 
-def evaluate(record: UnitRecord, columns: FloatArray, noise: NoiseCoefficients) -> WhitenedFit:
+def evaluate(record: UnitRecord, columns: FloatArray, noise: ModelNoise) -> WhitenedFit:
     """Regression with a given noise."""
     return _evaluate(_Data(record, np.column_stack([record.value, columns]), restricted=False), noise).fit
 
 
-def _evaluate(data: _Data, noise: NoiseCoefficients) -> _At:
+def _evaluate(data: _Data, noise: ModelNoise) -> _At:
     whitener = data.record.whitener(noise)
     whitened = whitener(data.columns)
     solution = fit(whitened[:, 1:], whitened[:, 0])

@@ -11,7 +11,7 @@ from numba import njit
 
 from analytics.loop.blocks.run_blocks import RunBlocks
 from analytics.loop.model.error_model import ErrorModel
-from analytics.loop.model.noise import NoiseCoefficients
+from analytics.loop.model.noise import ModelNoise
 from analytics.loop.tracing.whitening.block_noise import NoiseModel
 from stream.batch import FloatArray, IntArray
 
@@ -34,7 +34,7 @@ class Whitener:
     innovation: FloatArray
 
     @classmethod
-    def of(cls, model: NoiseModel, noise: NoiseCoefficients, steps: IntArray, white: FloatArray) -> "Whitener":
+    def of(cls, model: NoiseModel, noise: ModelNoise, steps: IntArray, white: FloatArray) -> "Whitener":
         """Filter for this noise; `white` is the white variance of each block relative to that of `noise`."""
         space = model.space(noise)
         gain = np.empty((steps.size, space.decay.size + 1))
@@ -63,7 +63,7 @@ class Whitener:
 
 
 def whitened_residual(
-    model: ErrorModel, run: RunBlocks, noise: NoiseCoefficients, *, longest_s: float | None = None
+    model: ErrorModel, run: RunBlocks, noise: ModelNoise, *, longest_s: float | None = None
 ) -> FloatArray:
     """Whitened residual of a fitted error model in each block of a run; NaN where a channel is missing.
 
@@ -80,7 +80,7 @@ def whitened_residual(
     >>> run = RunBlocks("U1", "r1", "rate", np.arange(500), 36.0, 0, 7.0 + rng.normal(0.0, 2.0, 500),
     ...                 np.full(500, 9), np.full(500, 4.0), "deg/h")
     >>> model = ErrorModel.parse("bias").fitted([7.0])
-    >>> left = whitened_residual(model, run, NoiseCoefficients(N=0.2, B=0.0, K=0.0, turn_on=0.0))
+    >>> left = whitened_residual(model, run, ModelNoise(N=0.2, B=0.0, K=0.0, turn_on=0.0))
     >>> 0.9 < float(left.std()) < 1.1
     True
     """
