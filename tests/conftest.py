@@ -15,6 +15,9 @@ import pytest
 from tests import free_ports as ports
 from tests.forked_commands import CommandServer
 
+# tables are as wide as in a file, wherever the tests run
+os.environ.pop("COLUMNS", None)
+
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 

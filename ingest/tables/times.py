@@ -25,6 +25,8 @@ STAMP = re.compile(
 _NS_PER_S = 10**9
 _MOST_DIGITS = 40
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+# Arrow applies no daylight-saving time from then on
+_FIRST_YEAR_WITHOUT_RULES = 2038
 _PLAIN_STAMP = r"^\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d{1,9})?)?"
 _ZONE = r"(Z|[+-]\d\d(:?\d\d)?)$"
 
@@ -139,7 +141,10 @@ def ns_from_stamps(cells: pa.Array, zone: str) -> IntArray | None:
         if pc.all(pc.match_substring_regex(cells, _PLAIN_STAMP + _ZONE)).as_py():
             found = cells.cast(pa.timestamp("ns", "UTC"))
         elif pc.all(pc.match_substring_regex(cells, _PLAIN_STAMP + "$")).as_py():
-            found = pc.assume_timezone(cells.cast(pa.timestamp("ns")), zone, ambiguous="earliest")
+            local = cells.cast(pa.timestamp("ns"))
+            if pc.any(pc.greater_equal(pc.year(local), _FIRST_YEAR_WITHOUT_RULES)).as_py():
+                return None
+            found = pc.assume_timezone(local, zone, ambiguous="earliest")
         else:
             return None
     except pa.ArrowInvalid:

@@ -64,7 +64,7 @@ def test_a_limit_that_is_entered_later_brings_its_averaging_time(tested: TestedU
 def test_live_limits_are_for_the_procedures_whose_records_are_of_a_bias() -> None:
     live = {name for name in ready_names() if has_one_record_at_rest(load_procedure(name).steps(), name)}
     assert live == {"static_bias", "allan_variance"}
-    text = files("analytics.metrics").joinpath("views", "05_procedures.sql").read_text(encoding="utf-8")
+    text = files("analytics.evaluation").joinpath("views", "05_procedures.sql").read_text(encoding="utf-8")
     macro = text[text.index("is_no_bias_procedure(") :].split(";")[0]
     families = set(re.findall(r"[a-z_0-9]{4,}", "".join(re.findall(r"'([^']*)'", macro))))
 

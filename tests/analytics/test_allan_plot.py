@@ -101,7 +101,7 @@ def test_limits_are_marked_in_the_unit_of_the_curves() -> None:
     assert [mark.deviation * 3600 for mark in marks] == pytest.approx([1.8, 0.2])
     assert limit_marks([walk], {"temperature"}, "degC") == []
     warm = Limit(characteristic="allan_deviation", signal="rate", tau_s=1.0, upper=1.0, unit_of_measure="degC")
-    with pytest.raises(BadInput, match="limit on allan_deviation of signal rate: 'degC' cannot be turned"):
+    with pytest.raises(BadInput, match="limit on allan_deviation of signal rate: 'degC' cannot be converted"):
         limit_marks([warm], {"rate"}, "deg/h")
 
 

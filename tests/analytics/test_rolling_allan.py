@@ -62,7 +62,7 @@ def test_the_table_leaves_out_and_says_so() -> None:
     assert len(large.columns) <= 9
 
 
-def test_the_run_is_the_last_one_that_fills_a_window(tested: TestedUnits) -> None:
+def test_the_run_is_the_longest_one(tested: TestedUnits) -> None:
     rng = np.random.default_rng(31)
     for run, start_h, samples in (("long", 10, 3000), ("early", 1, 3000), ("short", 20, 500)):
         t0_ns = START_NS + start_h * HOUR_NS
@@ -73,6 +73,6 @@ def test_the_run_is_the_last_one_that_fills_a_window(tested: TestedUnits) -> Non
         def run_of(window_s: float) -> str:
             return rolling_allan(catalog, "U1", "rate", window_s=window_s, step_s=window_s / 2).run
 
-        assert [run_of(1000.0), run_of(3000.0), run_of(500.0)] == ["long", "long", "short"]
-        with pytest.raises(NotFound, match="run short: no Allan deviation of a window of 4000 s: the record has 499 s"):
+        assert [run_of(1000.0), run_of(3000.0), run_of(500.0)] == ["long", "long", "long"]
+        with pytest.raises(NotFound, match="run long: no Allan deviation of a window of 4000 s: the record has 2999 s"):
             run_of(4000.0)

@@ -107,7 +107,7 @@ def test_a_simulated_station_ends_as_a_whole_and_goes_on_with_its_clock(
     found = simulated(folder, "--speed", 1000, "--rate-hz", 1)
     second = subprocess.run(command_line("simulate", folder), capture_output=True, text=True, timeout=30)
     assert second.returncode == 1
-    assert "another gyrofleet simulate plays the station in" in second.stderr
+    assert "another gyrofleet simulate runs the station in" in second.stderr
     roles = [found.role("instruments"), found.role("gyros")]
     clock = (folder / "station.toml").read_bytes()
     found.process.kill()  # not asked: those that it started see it themselves

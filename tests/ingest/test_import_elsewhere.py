@@ -133,7 +133,7 @@ def test_a_claim_is_for_one_source_and_ends_with_it(tmp_path: Path) -> None:
 
 def test_a_far_recorder_knows_what_its_lake_knows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     imported(table(tmp_path / "a.parquet", 0, 2500), tmp_path / "store", None)
-    monkeypatch.setattr("storage.recording.service.MOST_ROWS", 1000)
+    monkeypatch.setattr("stream.wire.requests.MOST_ROWS", 1000)
     assert MOST_ROWS > 1000
     store, bus = Store.open(tmp_path / "store"), LocalBus()
     with Recorder(store, bus, EventLog(store)), Catalog(store) as catalog:

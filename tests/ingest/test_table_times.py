@@ -113,7 +113,8 @@ def test_time_stamps_read_at_once_are_those_read_one_by_one(
     if found is not None:
         assert found.tolist() == one_by_one
     else:
-        assert None in one_by_one or any(len(fraction) > 10 for _, fraction in moments)
+        is_late = not zone and any(moment.year >= 2038 for moment, _ in moments)
+        assert is_late or None in one_by_one or any(len(fraction) > 10 for _, fraction in moments)
 
 
 def test_clock_changes_of_a_time_zone() -> None:
