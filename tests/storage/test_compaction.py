@@ -216,7 +216,7 @@ def test_a_rebuild_never_gives_up_what_the_log_does_not_give(days: Filler) -> No
     assert (aside / "00000003").is_dir()
 
 
-@pytest.mark.parametrize("kills", [2, pytest.param(5, marks=pytest.mark.long)])
+@pytest.mark.parametrize("kills", [1, pytest.param(5, marks=pytest.mark.long)])
 @pytest.mark.parametrize("command", [("lake", "--once", "--grace-s", "0"), ("rebuild",)])
 def test_a_killed_builder_goes_on_and_gives_the_same_rows(
     days: Filler,

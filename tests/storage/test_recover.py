@@ -38,14 +38,15 @@ class Killed(BaseException):
     """As a kill ends a process, but that this one goes on."""
 
 
+@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.long)])
 @pytest.mark.parametrize("victim", ["00000002.mcap", "00000003.mcap"])
 def test_recover_that_is_killed_anywhere_says_the_loss_once(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, victim: str
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, victim: str, every: int
 ) -> None:
     damage_last_chunk(store.log / victim)
     folder = tmp_path / "copy"
     operations = ("create", "reopen", "write", "sync", "sync_data", "rename", "link", "remove", "sync_folder")
-    for last in range(1000):
+    for last in range(0, 1000, every):
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(store.folder, folder)
         copy, left = Store.open(folder), iter(range(last))
