@@ -67,7 +67,10 @@ def test_a_file_that_is_not_what_was_written_is_not_believed(store: Store) -> No
 
 @pytest.mark.parametrize(
     ("name", "column", "what"),
-    [("unit_metrics.parquet", "value", "unit FOG-2: "), ("steps.parquet", "mean", "run r1: ")],
+    [
+        ("unit_metrics.parquet", "value", "unit FOG-2: "),
+        pytest.param("steps.parquet", "mean", "run r1: ", marks=pytest.mark.long),
+    ],
 )
 def test_values_that_do_not_follow_from_the_lake_are_found(store: Store, name: str, column: str, what: str) -> None:
     path = store.folder / "metrics" / name

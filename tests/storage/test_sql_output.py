@@ -49,7 +49,7 @@ def peak_mb(process: "subprocess.Popen[bytes]") -> float:
     return usage.ru_maxrss / 1024
 
 
-@pytest.mark.parametrize("form", ["--json", "--csv"])
+@pytest.mark.parametrize("form", ["--json", pytest.param("--csv", marks=pytest.mark.long)])
 def test_many_rows_take_the_memory_of_few(
     form: str, start: Callable[..., "subprocess.Popen[bytes]"], tmp_path: Path
 ) -> None:
